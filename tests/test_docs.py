@@ -1,0 +1,151 @@
+"""The documents tell the truth: links lead somewhere, examples run, commands exist.
+
+In a fenced block, ```python is executed (as doctests if it has prompts), ```console holds commands
+after "$ " and ```bash nothing but commands. Anything else, ```text for instance, is not looked at.
+"""
+
+import doctest
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import dev
+
+FOLDERS = (".", "docs", "examples", "benchmarks")
+DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)|(?:src|href)=\"([^\"#]+)")
+
+
+def blocks(text: str, *languages: str) -> list[str]:
+    """Return the fenced blocks of these languages, in order."""
+    return [body for language, body in FENCE.findall(text) if language in languages]
+
+
+def broken_links(text: str, folder: Path) -> list[str]:
+    """Return the relative links to files that do not exist."""
+    targets = [first or second for first, second in LINK.findall(FENCE.sub("", text))]
+    relative = [target for target in targets if not re.match(r"\w+:", target)]
+    return [target for target in relative if not (folder / target).exists()]
+
+
+def commands(text: str) -> list[list[str]]:
+    """Return the command lines of the console and bash blocks, split into words."""
+    lines = [
+        line.removeprefix("$ ")
+        for body in blocks(text, "console")
+        for line in body.splitlines()
+        if line.startswith("$ ")
+    ]
+    lines += [line for body in blocks(text, "bash", "sh") for line in body.splitlines()]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def run_python(body: str, names: dict[str, object], document: str) -> None:
+    """Execute a block; with prompts, compare what it shows."""
+    if ">>>" not in body:
+        exec(compile(body, document, "exec"), names)
+        return
+    test = doctest.DocTestParser().get_doctest(body, names, document, document, 0)
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    shown: list[str] = []
+    failures = runner.run(test, out=shown.append, clear_globs=False).failed
+    names.update(test.globs)
+    assert not failures, "".join(shown)
+
+
+def command_problem(words: list[str]) -> str:
+    """Return what is wrong with a command that names dev.py or usarmjx, else ""."""
+    if words[:2] in (["python3", "dev.py"], ["python", "dev.py"]):
+        verb = words[2] if len(words) > 2 else ""
+        return "" if verb in (*dev.VERBS, "--help") else f"dev.py has no verb {verb!r}"
+    if words[0] != "usarmjx":
+        return ""
+    from usarmjx.cli import app
+
+    path = [word for word in words[1:2] if not word.startswith("-")]
+    # A wide terminal: a narrow one wraps and cuts the names of options.
+    settings = {"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"}
+    result = CliRunner().invoke(app, [*path, "--help"], env=settings)
+    if result.exit_code:
+        return f"usarmjx has no verb {path}: {result.output}"
+    options = {word.split("=")[0] for word in words[1:] if word.startswith("--")}
+    unknown = sorted(option for option in options if option not in result.output)
+    return f"usarmjx {' '.join(path)} has no {unknown}" if unknown else ""
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(dev.ROOT))
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_links_lead_to_files(path: Path):
+    assert broken_links(path.read_text(encoding="utf-8"), path.parent) == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_python_examples_run(path: Path):
+    names: dict[str, object] = {"__name__": path.stem}
+    for body in blocks(path.read_text(encoding="utf-8"), "python"):
+        run_python(body, names, name_of(path))
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_commands_exist(path: Path):
+    lines = commands(path.read_text(encoding="utf-8"))
+    assert [problem for words in lines if (problem := command_problem(words))] == []
+
+
+# The checks above must be able to fail.
+
+SAMPLE = """
+See [here](here.md#part), [there](there.md "title"), [far](https://example.org/x.md), [top](#top)
+and <img src="shot.png">.
+
+```text
+[not](a-link.md)
+```
+
+```console
+$ python3 dev.py dance --fast  # a comment
+not a command
+```
+
+```bash
+python3 dev.py demo
+```
+
+```python
+>>> 1 + 1
+3
+```
+"""
+
+
+def test_missing_targets_are_found(tmp_path: Path):
+    (tmp_path / "here.md").touch()
+    assert broken_links(SAMPLE, tmp_path) == ["there.md", "shot.png"]
+
+
+def test_wrong_commands_are_found():
+    lines = commands(SAMPLE)
+    assert lines == [["python3", "dev.py", "dance", "--fast"], ["python3", "dev.py", "demo"]]
+    assert [command_problem(words) for words in lines] == ["dev.py has no verb 'dance'", ""]
+
+
+def test_wrong_examples_are_found():
+    (body,) = blocks(SAMPLE, "python")
+    with pytest.raises(AssertionError, match="Expected:"):
+        run_python(body, {}, "sample")
+    with pytest.raises(ZeroDivisionError):
+        run_python("1 / 0", {}, "sample")
+
+
+def test_examples_of_a_document_share_names():
+    names: dict[str, object] = {}
+    run_python("x = 20", names, "sample")
+    run_python(">>> y = x + 1\n>>> y\n21\n", names, "sample")
+    run_python("assert y == 21", names, "sample")

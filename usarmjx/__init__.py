@@ -1,0 +1,1 @@
+"""usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms."""

@@ -1,0 +1,47 @@
+"""The exception tree of usarmjx.
+
+    UsarmjxError
+    ├── UsageError              our caller's fault: propagates
+    │   ├── UnknownNameError    a name that no registry entry has
+    │   ├── SpecError           a robot, arena or scene description that cannot be built
+    │   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
+    │   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
+    │   └── EngineError         the engine cannot run here, or overflowed its buffers
+    └── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
+"""
+
+
+class UsarmjxError(Exception):
+    """Base of everything that usarmjx raises on purpose."""
+
+
+class UsageError(UsarmjxError):
+    """A call or a description was wrong; the message names what and what is allowed."""
+
+
+class UnknownNameError(UsageError, KeyError):
+    """A name that is not registered; the message lists the names that are."""
+
+    def __str__(self) -> str:
+        """Return the sentence itself (KeyError would show it quoted)."""
+        return str(self.args[0]) if self.args else ""
+
+
+class SpecError(UsageError):
+    """A robot, arena or scene description that cannot be built."""
+
+
+class UnsupportedFeatureError(SpecError):
+    """A model feature that the chosen engine refuses or would silently ignore."""
+
+
+class UnsupportedGeomError(SpecError):
+    """A geom type for which the raycaster has no kernel."""
+
+
+class EngineError(UsageError):
+    """An engine cannot run on this machine, or one of its buffers overflowed."""
+
+
+class PeerError(UsarmjxError):
+    """A network peer broke a rule of the protocol; only that peer is dropped."""

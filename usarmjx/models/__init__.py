@@ -1,0 +1,1 @@
+"""Robots and arenas as data, and their composition into one MuJoCo model."""

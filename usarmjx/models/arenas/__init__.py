@@ -1,0 +1,9 @@
+"""The arenas that ship with usarmjx."""
+
+from usarmjx.models.arenas.yellow import YELLOW
+from usarmjx.models.spec import ArenaSpec
+from usarmjx.registry import Registry
+
+ARENAS: Registry[ArenaSpec] = Registry("arena")
+for _spec in (YELLOW,):
+    ARENAS.add(_spec.name, _spec, aliases=_spec.aliases)

@@ -1,0 +1,54 @@
+"""Names to indices, once: where a robot's bodies, joints and actuators lie in the compiled model."""
+
+from dataclasses import dataclass
+
+import mujoco
+
+from usarmjx.models.compose import part_name
+from usarmjx.models.spec import RobotSpec
+
+Ids = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class RobotIndex:
+    """Indices of one robot in an MjModel.
+
+    Bodies are in the order chassis, wheels, package links; joints and actuators in that order without
+    the chassis.
+
+    Attributes:
+        body: Body ids.
+        root_qpos: Where the free joint's 7 numbers start in qpos.
+        root_dof: Where its 6 numbers start in qvel.
+        qpos: qpos addresses of the joints.
+        dof: qvel addresses of the joints.
+        actuator: Actuator ids; each has one activation.
+    """
+
+    body: Ids
+    root_qpos: int
+    root_dof: int
+    qpos: Ids
+    dof: Ids
+    actuator: Ids
+
+
+def joint_names(robot: RobotSpec) -> list[str]:
+    """Return the joint names of a robot class in the order of `RobotIndex`."""
+    wheels = [wheel.name for wheel in robot.wheels]
+    return wheels + [part_name(package, link) for package in robot.packages for link in package.links]
+
+
+def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIndex:
+    """Resolve the names of the robot that was composed with `prefix`."""
+    names = [prefix + name for name in joint_names(robot)]
+    joints = [model.joint(name) for name in names]
+    return RobotIndex(
+        body=(model.body(f"{prefix}chassis").id, *(model.body(name).id for name in names)),
+        root_qpos=int(model.joint(f"{prefix}root").qposadr[0]),
+        root_dof=int(model.joint(f"{prefix}root").dofadr[0]),
+        qpos=tuple(int(joint.qposadr[0]) for joint in joints),
+        dof=tuple(int(joint.dofadr[0]) for joint in joints),
+        actuator=tuple(model.actuator(name).id for name in names),
+    )

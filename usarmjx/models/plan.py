@@ -1,0 +1,173 @@
+"""The body plan of a robot class: its own little kinematic tree and its shapes, as arrays.
+
+Sensors need to know where a robot's bodies and shapes are. Computing that from the robot's own state
+with its own plan, rather than reading an engine's arrays, makes sensors independent of the engine, of
+the other robots in the model, and of the half step by which an engine's poses trail its state.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.models.compose import Physics, add_robot, new_spec
+from usarmjx.models.layout import RobotIndex, index_robot, joint_names
+from usarmjx.models.spec import CHASSIS, ArenaSpec, RobotSpec
+
+
+class RobotState(struct.PyTreeNode, kw_only=True):
+    """Where a robot is and how it moves.
+
+    Attributes:
+        pos: Chassis origin in the world [m] (3,).
+        quat: Chassis orientation, w first (4,).
+        linear: Velocity of the chassis origin, world axes [m/s] (3,).
+        angular: Angular velocity, chassis axes [rad/s] (3,).
+        joint_pos: Joint positions: wheels, then package links [rad or m] (joints,).
+        joint_vel: Joint velocities [rad/s or m/s] (joints,).
+    """
+
+    pos: jax.Array
+    quat: jax.Array
+    linear: jax.Array
+    angular: jax.Array
+    joint_pos: jax.Array
+    joint_vel: jax.Array
+
+
+class Bodies(struct.PyTreeNode, kw_only=True):
+    """Poses of a robot's bodies: chassis, wheels, package links.
+
+    Attributes:
+        pos: Origins in the world [m] (bodies, 3).
+        mat: Orientations (bodies, 3, 3).
+    """
+
+    pos: jax.Array
+    mat: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPlan:
+    """A robot class, resolved.
+
+    Attributes:
+        robot: The description.
+        parts: Body names as the wire uses them: HARD, wheels, package parts.
+        parent: Parent body of each body; -1 for the chassis.
+        offset: Body origin in its parent (bodies, 3).
+        axis: Joint axis in the body (bodies, 3); zero for the chassis.
+        slides: Whether the joint is prismatic (bodies,).
+        geom_type: MuJoCo geom types (geoms,).
+        geom_body: The body each geom belongs to (geoms,).
+        geom_size: MuJoCo sizes (geoms, 3).
+        geom_pos: Geom centres in their body (geoms, 3).
+        geom_mat: Geom orientations in their body (geoms, 3, 3).
+        clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
+    """
+
+    robot: RobotSpec
+    parts: tuple[str, ...]
+    parent: tuple[int, ...]
+    offset: np.ndarray
+    axis: np.ndarray
+    slides: np.ndarray
+    geom_type: np.ndarray
+    geom_body: np.ndarray
+    geom_size: np.ndarray
+    geom_pos: np.ndarray
+    geom_mat: np.ndarray
+    clearance: float
+
+
+@cache
+def body_plan(robot: RobotSpec) -> BodyPlan:
+    """Return the body plan of a robot class, read off its compiled model."""
+    nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
+    spec = new_spec(nowhere, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    index = index_robot(model, robot, "")
+    body = list(index.body)
+    local = {b: i for i, b in enumerate(body)}
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in local]
+    mats = np.zeros((len(geoms), 9))
+    for mat, g in zip(mats, geoms, strict=True):
+        mujoco.mju_quat2Mat(mat, model.geom_quat[g])
+    joints = [model.body_jntadr[b] for b in body[1:]]
+    return BodyPlan(
+        robot=robot,
+        parts=(CHASSIS, *joint_names(robot)),
+        parent=tuple(local.get(int(model.body_parentid[b]), -1) for b in body),
+        offset=model.body_pos[body].astype(np.float32),
+        axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
+        slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
+        geom_type=model.geom_type[geoms],
+        geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms]),
+        geom_size=model.geom_size[geoms].astype(np.float32),
+        geom_pos=model.geom_pos[geoms].astype(np.float32),
+        geom_mat=mats.reshape(-1, 3, 3).astype(np.float32),
+        clearance=_clearance(model),
+    )
+
+
+def _clearance(model: mujoco.MjModel) -> float:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    on_robot = model.geom_bodyid >= 2  # behind the world and the arena
+    half_heights = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :]) * model.geom_size
+    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+    is_cylinder = model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER
+    axis_up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, 2])
+    radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
+    round_height = radius * np.sqrt(np.maximum(0.0, 1 - axis_up**2)) + length * axis_up
+    low = np.where(is_cylinder, round_height, np.where(is_sphere, radius, half_heights.sum(-1)))
+    return float(-(data.geom_xpos[:, 2] - low)[on_robot].min())
+
+
+def robot_state(index: RobotIndex, qpos: jax.Array, qvel: jax.Array) -> RobotState:
+    """Pick a robot's state out of its world's qpos (nq,) and qvel (nv,)."""
+    q, v = index.root_qpos, index.root_dof
+    return RobotState(
+        pos=qpos[q : q + 3],
+        quat=qpos[q + 3 : q + 7],
+        linear=qvel[v : v + 3],
+        angular=qvel[v + 3 : v + 6],
+        joint_pos=qpos[np.array(index.qpos)],
+        joint_vel=qvel[np.array(index.dof)],
+    )
+
+
+def mat_from_quat(quat: jax.Array) -> jax.Array:
+    """Return the rotation matrix (..., 3, 3) of w-first quaternions (..., 4), normalised first."""
+    w, x, y, z = jnp.moveaxis(quat / jnp.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
+    rows = (
+        jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+        jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+        jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+    )
+    return jnp.stack(rows, -2)
+
+
+def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
+    """Forward kinematics of one robot."""
+    pos, mat = [state.pos], [mat_from_quat(state.quat)]
+    for body in range(1, len(plan.parent)):
+        parent, axis, q = plan.parent[body], jnp.asarray(plan.axis[body]), state.joint_pos[body - 1]
+        slide = axis * q * float(plan.slides[body])
+        turn = q * (1.0 - float(plan.slides[body]))
+        half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
+        pos.append(pos[parent] + mat[parent] @ (plan.offset[body] + slide))
+        mat.append(mat[parent] @ mat_from_quat(half))
+    return Bodies(pos=jnp.stack(pos), mat=jnp.stack(mat))
+
+
+def geom_poses(plan: BodyPlan, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    """Return the world poses of a robot's geoms: centres (geoms, 3) and orientations (geoms, 3, 3)."""
+    mat = bodies.mat[plan.geom_body]
+    pos = bodies.pos[plan.geom_body] + jnp.einsum("gij,gj->gi", mat, plan.geom_pos)
+    return pos, mat @ plan.geom_mat

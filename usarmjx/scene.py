@@ -1,0 +1,193 @@
+"""A scene: an arena with a roster of robots, composed and resolved. Static; every world is a copy of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from usarmjx.errors import SpecError
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compose import Physics, add_robot, new_spec
+from usarmjx.models.layout import RobotIndex, index_robot
+from usarmjx.models.plan import BodyPlan, body_plan
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.sensors.raycast import check_types
+from usarmjx.sensors.suite import Suite, suite_of
+
+PARKING_HEIGHT = 30.0
+"""Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""
+PARKING_STEP = 2.0
+"""Distance between two parked robots [m]."""
+START_GAP = 0.002
+"""Robots start this far above the floor, so that none starts inside it [m]."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One robot of a roster.
+
+    Attributes:
+        robot: Class name.
+        name: Name on the wire; empty: the class name and the slot.
+        parked: Whether the slot starts unused and waits for a client's INIT.
+    """
+
+    robot: str
+    name: str = ""
+    parked: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """The robots of one class in a scene; arrays have a leading axis over them.
+
+    Attributes:
+        plan: Body plan of the class.
+        suite: Its sensors.
+        slots: Roster slots of the robots (n,).
+        indices: Where each lies in the model.
+    """
+
+    plan: BodyPlan
+    suite: Suite
+    slots: np.ndarray
+    indices: tuple[RobotIndex, ...]
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot class."""
+        return self.plan.robot
+
+    @cached_property
+    def root_qpos(self) -> np.ndarray:
+        """qpos addresses of the free joints (n, 7)."""
+        return np.array([index.root_qpos + np.arange(7) for index in self.indices])
+
+    @cached_property
+    def root_dof(self) -> np.ndarray:
+        """qvel addresses of the free joints (n, 6)."""
+        return np.array([index.root_dof + np.arange(6) for index in self.indices])
+
+    @cached_property
+    def qpos(self) -> np.ndarray:
+        """qpos addresses of the joints (n, joints)."""
+        return np.array([index.qpos for index in self.indices])
+
+    @cached_property
+    def dof(self) -> np.ndarray:
+        """qvel addresses of the joints (n, joints)."""
+        return np.array([index.dof for index in self.indices])
+
+    @cached_property
+    def actuator(self) -> np.ndarray:
+        """Actuator ids (n, joints)."""
+        return np.array([index.actuator for index in self.indices])
+
+    @cached_property
+    def chassis(self) -> np.ndarray:
+        """Body ids of the chassis (n,)."""
+        return np.array([index.body[0] for index in self.indices])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A composed scene.
+
+    Attributes:
+        arena: Arena description.
+        physics: Solver and time settings.
+        roster: The robots, by slot.
+        spec: The MuJoCo description, for engines that add and remove robots.
+        model: The compiled model.
+        teams: The robots by class.
+    """
+
+    arena: ArenaSpec
+    physics: Physics
+    roster: tuple[Entry, ...]
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    teams: tuple[Team, ...] = field(default=())
+
+    @property
+    def robots(self) -> int:
+        """Number of robot slots."""
+        return len(self.roster)
+
+    def team_of(self, slot: int) -> tuple[int, int]:
+        """Return (team, place in the team) of a roster slot."""
+        for t, team in enumerate(self.teams):
+            places = np.flatnonzero(team.slots == slot)
+            if places.size:
+                return t, int(places[0])
+        raise SpecError(f"slot {slot} is not in the roster of {self.robots} robots")
+
+
+def prefix_of(slot: int) -> str:
+    """Return the prefix of the names of a slot's robot in the model."""
+    return f"r{slot}/"
+
+
+def parking_place(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
+    """Return where the robot of a slot waits while unused [m]."""
+    row, column = divmod(slot, 8)
+    return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
+
+
+def start_height(arena: ArenaSpec, robot: RobotSpec) -> float:
+    """Return the height of a robot's origin when it stands on the arena's floor [m]."""
+    return arena.floor + body_plan(robot).clearance + START_GAP
+
+
+def build_scene(
+    arena: str | ArenaSpec = "yellow",
+    roster: Sequence[str | Entry] = ("P2AT",),
+    physics: Physics | None = None,
+) -> Scene:
+    """Compose an arena and its robots.
+
+    Args:
+        arena: Name or description.
+        roster: Class names or entries, in slot order; robots that are not parked need a start pose each.
+        physics: Solver and time settings.
+
+    Raises:
+        UnknownNameError: Unknown arena, robot class, sensor or setting.
+        SpecError: More robots than the arena has start poses.
+        UnsupportedGeomError: A geom that rays cannot hit.
+    """
+    physics = physics or Physics()
+    arena = ARENAS.get(arena) if isinstance(arena, str) else arena
+    entries = tuple(Entry(robot=e) if isinstance(e, str) else e for e in roster)
+    active = sum(not entry.parked for entry in entries)
+    if active > len(arena.starts):
+        raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
+    spec = new_spec(arena, physics)
+    for slot, entry in enumerate(entries):
+        add_robot(spec, ROBOTS.get(entry.robot), prefix_of(slot), parking_place(arena, slot))
+    model = spec.compile()
+    check_types(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
+    return Scene(
+        arena=arena, physics=physics, roster=entries, spec=spec, model=model, teams=_teams(model, entries)
+    )
+
+
+def _teams(model: mujoco.MjModel, entries: tuple[Entry, ...]) -> tuple[Team, ...]:
+    slots: dict[str, list[int]] = {}
+    for slot, entry in enumerate(entries):
+        slots.setdefault(ROBOTS.get(entry.robot).name, []).append(slot)
+    teams = []
+    for name, members in slots.items():
+        robot = ROBOTS.get(name)
+        teams.append(
+            Team(
+                plan=body_plan(robot),
+                suite=suite_of(robot),
+                slots=np.array(members),
+                indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
+            )
+        )
+    return tuple(teams)

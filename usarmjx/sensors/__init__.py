@@ -1,0 +1,1 @@
+"""Batched sensors: pure functions of what is where, never of the engine that moved it."""

@@ -1,0 +1,131 @@
+"""What a sensor is: frozen settings and pure functions over arrays of one robot.
+
+The batch maps these functions over robots and worlds; nothing here knows of either.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.errors import SpecError
+from usarmjx.models.plan import Bodies, BodyPlan, RobotState
+from usarmjx.models.spec import Mount
+from usarmjx.registry import Registry
+from usarmjx.sensors.raycast import Geoms
+from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
+
+
+class Sight(struct.PyTreeNode, kw_only=True):
+    """What the sensors of one robot can draw on at one moment.
+
+    Attributes:
+        time: Simulated time [s] ().
+        state: The robot's own state.
+        bodies: Poses of its bodies.
+        geoms: Everything that rays can hit.
+        slot: The robot's slot, whose own geoms rays pass ().
+    """
+
+    time: jax.Array
+    state: RobotState
+    bodies: Bodies
+    geoms: Geoms
+    slot: jax.Array
+
+
+class Reading(struct.PyTreeNode, kw_only=True):
+    """What a sensor last reported.
+
+    Attributes:
+        value: The data; each sensor says which [sensor's unit] (...,).
+        fresh: Whether it was taken now, rather than at an earlier scan ().
+    """
+
+    value: jax.Array
+    fresh: jax.Array
+
+
+@dataclass(frozen=True)
+class Common:
+    """Settings that all sensors have (manual 10).
+
+    Attributes:
+        hidden_sensor: Whether the sensor itself is invisible to pictures.
+        with_time_stamp: Whether its messages carry the time.
+        weight: Adds to the payload [kg].
+        scan_interval: Time between two measurements [s]; 0 measures whenever asked.
+    """
+
+    hidden_sensor: bool = True
+    with_time_stamp: bool = False
+    weight: float = 0.4
+    scan_interval: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor(ABC):
+    """The sensors of one type on one robot class that report together, or a single one.
+
+    Attributes:
+        kind: Type as on the wire.
+        grouped: Whether all of the type share one message (bUseGroup).
+        plan: The robot class.
+        mounts: Where the sensors sit.
+        settings: Their settings, one each.
+    """
+
+    kind: ClassVar[str]
+    grouped: ClassVar[bool] = False
+    defaults: ClassVar[type] = Common
+
+    plan: BodyPlan
+    mounts: tuple[Mount, ...]
+    settings: tuple[Any, ...]
+
+    def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
+        """Return the sensor's memory at the start of an episode; most have none."""
+        del sight, key
+        return ()
+
+    @abstractmethod
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Return the new memory and the measured value."""
+
+    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
+        """Carry out a SET command; return the new memory, or None when the command is not valid."""
+        del opcode, params, sight, memory
+        return None
+
+    @property
+    def manual(self) -> bool:
+        """Whether the sensor measures only when told to (SCAN)."""
+        return False
+
+    def bodies_of_mounts(self) -> np.ndarray:
+        """Return the body that each mount sits on (mounts,).
+
+        Raises:
+            SpecError: A mount names a part that the robot does not have.
+        """
+        parts = self.plan.parts
+        for mount in self.mounts:
+            if mount.parent not in parts:
+                raise SpecError(f"{mount.kind} {mount.name}: no part {mount.parent!r}; parts: {', '.join(parts)}")
+        return np.array([parts.index(mount.parent) for mount in self.mounts])
+
+    def mount_poses(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """Return the world poses of the mounts: positions (mounts, 3), orientations (mounts, 3, 3)."""
+        at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
+        angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
+        local = mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
+        index = self.bodies_of_mounts()
+        mat = bodies.mat[index]
+        return bodies.pos[index] + jnp.einsum("mij,mj->mi", mat, at), mat @ local
+
+
+SENSORS: Registry[type[Sensor]] = Registry("sensor")

@@ -1,0 +1,267 @@
+"""Sensors of the robot's own motion: odometry, INS, encoder, ground truth (manual 10.4, 10.6, 10.7).
+
+Values are in MuJoCo's axes; the server turns them into USARSim's.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.errors import SpecError
+from usarmjx.models.spec import Mount
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.noise import relative_normal, relative_uniform
+from usarmjx.transforms import angles_from_mat, mat_from_angles, mat_from_rotation_vector, rotation_vector
+
+AXLE_LEFT = np.array([0.0, 1.0, 0.0])
+"""The axis about which a wheel's positive angle rolls forward."""
+
+
+@dataclass(frozen=True)
+class OdometrySettings(Common):
+    """Manual 10.4.2.
+
+    Attributes:
+        encoder_resolution: Smallest wheel angle it can tell [rad].
+        left_tire: Wheel that stands for the left side; empty: the left-most.
+        right_tire: Wheel that stands for the right side; empty: the right-most.
+    """
+
+    scan_interval: float = 0.2
+    encoder_resolution: float = 0.01
+    left_tire: str = "LeftFWheel"
+    right_tire: str = "RightFWheel"
+
+
+class OdometryMemory(struct.PyTreeNode, kw_only=True):
+    """Pose estimate x, y [m] and heading [rad] (3,), and the wheel ticks it accounts for (2,)."""
+
+    pose: jax.Array
+    ticks: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry(Sensor):
+    """Dead reckoning from two wheel encoders; value: x, y [m], heading [rad] since the start (3,)."""
+
+    kind = "Odometry"
+    defaults = OdometrySettings
+
+    def _wheel(self, name: str, leftmost: bool) -> int:
+        wheels = self.plan.robot.wheels
+        if not name:
+            lateral = [wheel.at[1] for wheel in wheels]
+            return int(np.argmin(lateral) if leftmost else np.argmax(lateral))
+        names = [wheel.name for wheel in wheels]
+        if name not in names:
+            raise SpecError(f"Odometry {self.mounts[0].name}: no wheel {name!r}; wheels: {', '.join(names)}")
+        return names.index(name)
+
+    def _ticks(self, sight: Sight) -> jax.Array:
+        settings = self.settings[0]
+        pair = np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
+        return jnp.trunc(sight.state.joint_pos[pair] / settings.encoder_resolution)
+
+    def start(self, sight: Sight, key: jax.Array) -> OdometryMemory:
+        """Here and now are the reference."""
+        return OdometryMemory(pose=jnp.zeros(3), ticks=self._ticks(sight))
+
+    def read(self, sight: Sight, memory: OdometryMemory, key: jax.Array) -> tuple[OdometryMemory, jax.Array]:
+        """Advance the estimate by the ticks since the last time, along the old heading."""
+        ticks = self._ticks(sight)
+        robot = self.plan.robot
+        left, right = (ticks - memory.ticks) * self.settings[0].encoder_resolution * robot.wheel_radius
+        x, y, heading = memory.pose
+        advance = (left + right) / 2
+        turned = heading + (right - left) / robot.wheel_separation
+        pose = jnp.stack([x + advance * jnp.cos(heading), y + advance * jnp.sin(heading), wrap(turned)])
+        return OdometryMemory(pose=pose, ticks=ticks), pose
+
+    def order(
+        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: OdometryMemory
+    ) -> OdometryMemory | None:
+        """RESET makes the present pose the reference (manual, Table 4)."""
+        return self.start(sight, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+
+
+def wrap(angle: jax.Array) -> jax.Array:
+    """Return the angle in [-pi, pi) [rad]."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+@dataclass(frozen=True)
+class InsSettings(Common):
+    """Manual 10.6 (its 9.5.2).
+
+    Attributes:
+        mean: Mean of the relative noise.
+        sigma: Standard deviation of the relative noise.
+        drifting: Whether the estimate also drifts away.
+        precision: The higher, the slower the drift.
+    """
+
+    weight: float = 0.1
+    scan_interval: float = 0.2
+    mean: float = 0.0
+    sigma: float = 0.1
+    drifting: bool = False
+    precision: float = 1000.0
+
+
+class InsMemory(struct.PyTreeNode, kw_only=True):
+    """What the INS remembers.
+
+    Attributes:
+        pos: Estimated position [m] (3,).
+        mat: Estimated orientation (3, 3).
+        true_pos: Position at the last step [m] (3,).
+        true_mat: Orientation at the last step (3, 3).
+        time: Time of the last step [s] ().
+        drift_rate: Drift of x, y, z [m/s] and about x, y, z [rad/s] (6,).
+    """
+
+    pos: jax.Array
+    mat: jax.Array
+    true_pos: jax.Array
+    true_mat: jax.Array
+    time: jax.Array
+    drift_rate: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class Ins(Sensor):
+    """Inertial navigation; value: estimated position [m] and roll, pitch, yaw [rad] (6,)."""
+
+    kind = "INS"
+    defaults = InsSettings
+
+    def start(self, sight: Sight, key: jax.Array) -> InsMemory:
+        """The first estimate is the truth; each component gets a drift rate of its own.
+
+        The manual gives no formula for the drift, only that a higher Precision means less of it and that
+        components drift differently: ours is a constant rate, uniform in +-1/Precision.
+        """
+        pos, mat = self.mount_poses(sight.bodies)
+        rate = jax.random.uniform(key, (6,), minval=-1.0, maxval=1.0) / self.settings[0].precision
+        return InsMemory(
+            pos=pos[0],
+            mat=mat[0],
+            true_pos=pos[0],
+            true_mat=mat[0],
+            time=sight.time,
+            drift_rate=rate * float(self.settings[0].drifting),
+        )
+
+    def read(self, sight: Sight, memory: InsMemory, key: jax.Array) -> tuple[InsMemory, jax.Array]:
+        """The manual's seven steps.
+
+        The distance carries the sign of the motion along the heading; the manual's has none, so that its
+        robot would count as driving forward when it backs up.
+        """
+        settings = self.settings[0]
+        pos, mat = self.mount_poses(sight.bodies)
+        pos, mat = pos[0], mat[0]
+        elapsed = sight.time - memory.time
+        span = jnp.maximum(elapsed, 1e-6)
+        turn_key, path_key = jax.random.split(key)
+        rate = rotation_vector(memory.true_mat.T @ mat) / span  # 1
+        rate = relative_normal(turn_key, rate, settings.mean, settings.sigma)  # 2
+        drift = memory.drift_rate * elapsed
+        estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[3:])  # 3
+        path = pos - memory.true_pos
+        distance = jnp.linalg.norm(path) * jnp.sign(jnp.dot(path, mat[:, 0]))  # 4
+        distance = relative_normal(path_key, distance, settings.mean, settings.sigma)  # 5
+        _, pitch, yaw = angles_from_mat(estimate, jnp)
+        heading = jnp.stack([jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), -jnp.sin(pitch)])
+        position = memory.pos + distance * heading + drift[:3]  # 6, 7
+        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=sight.time)
+        return memory, jnp.concatenate([position, angles_from_mat(estimate, jnp)])
+
+    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: InsMemory) -> InsMemory | None:
+        """POSE sets the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and ends the drift."""
+        if opcode.upper() != "POSE" or len(params) != 6:
+            return None
+        mat = mat_from_angles(*jnp.asarray(params[3:]), jnp)
+        return memory.replace(pos=jnp.asarray(params[:3]), mat=mat, drift_rate=jnp.zeros(6))
+
+
+@dataclass(frozen=True)
+class EncoderSettings(Common):
+    """Manual 10.7.2.
+
+    Attributes:
+        resolution: Angle of one tick [rad].
+        noise: Relative amplitude of the uniform noise.
+    """
+
+    resolution: float = 0.01745
+    noise: float = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Encoder(Sensor):
+    """Spin of the part each sits on, about the mount's x axis; value: ticks (mounts,).
+
+    Its memory is the angle of each part at the last RESET [rad] (mounts,).
+    """
+
+    kind = "Encoder"
+    grouped = True
+    defaults = EncoderSettings
+
+    def _sign(self, mount: Mount) -> float:
+        angles = np.array(mount.direction) * (1, -1, -1)
+        looks_along = mat_from_angles(*angles)[:, 0]
+        axis = self.plan.axis[self.plan.parts.index(mount.parent)]
+        return float(np.dot(looks_along, axis))
+
+    def _angles(self, sight: Sight) -> jax.Array:
+        bodies = self.bodies_of_mounts()
+        if (bodies == 0).any():
+            raise SpecError("an encoder needs a part that turns, not the chassis")
+        sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
+        return sight.state.joint_pos[bodies - 1] * sign
+
+    def start(self, sight: Sight, key: jax.Array) -> jax.Array:
+        """Counts start at zero."""
+        return self._angles(sight)
+
+    def read(self, sight: Sight, memory: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Divide the angle by the resolution, noise first (manual 10.7.1)."""
+        angles = self._angles(sight) - memory
+        keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(self.settings)))
+        noise, resolution = (np.array([getattr(s, n) for s in self.settings], np.float32) for n in ("noise", "resolution"))
+        return memory, jnp.trunc(jax.vmap(relative_uniform)(keys, angles, noise) / resolution)
+
+    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: jax.Array) -> jax.Array | None:
+        """RESET sets the counts to zero (manual, Table 5)."""
+        return self.start(sight, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+
+
+@dataclass(frozen=True)
+class GroundTruthSettings(Common):
+    """Captured CONF: ScanInterval 0.05; captured lines carry the time."""
+
+    with_time_stamp: bool = True
+    scan_interval: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth(Sensor):
+    """Where the mount truly is; value: position [m] and roll, pitch, yaw [rad] (6,)."""
+
+    kind = "GroundTruth"
+    defaults = GroundTruthSettings
+
+    def read(self, sight: Sight, memory: tuple[()], key: jax.Array) -> tuple[tuple[()], jax.Array]:
+        """Return the pose."""
+        pos, mat = self.mount_poses(sight.bodies)
+        return memory, jnp.concatenate([pos[0], angles_from_mat(mat[0], jnp)])
+
+
+for _sensor in (Odometry, Ins, Encoder, GroundTruth):
+    SENSORS.add(_sensor.kind, _sensor)

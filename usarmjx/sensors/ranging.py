@@ -1,0 +1,174 @@
+"""Sonar and range scanner (manual 10.2, 10.3)."""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.errors import SpecError
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+from usarmjx.sensors.raycast import cast, cast_incidence
+
+
+@dataclass(frozen=True)
+class RangeSettings(Common):
+    """Settings of everything that measures a distance.
+
+    Attributes:
+        min_range: Shortest distance reported [m].
+        max_range: Longest distance, reported when nothing is hit [m].
+        noise: Relative amplitude of the uniform noise.
+        output_curve: Points of the distortion curve; none: undistorted.
+    """
+
+    min_range: float = 0.1
+    max_range: float = 5.0
+    noise: float = 0.0
+    output_curve: Curve = ()
+
+
+def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
+    """Turn true distances [m] (sensors, n) into what each sensor reports [m] (sensors, n).
+
+    Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
+    the reading is MaxRange exactly; the distortion curve comes last.
+    """
+    low, high, noise = (
+        np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range", "noise")
+    )
+    keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
+    hit = distance < high
+    noisy = jax.vmap(relative_uniform)(keys, jnp.where(hit, distance, 0.0), noise)
+    ranges = jnp.where(hit, jnp.clip(noisy, low, high), high)
+    curves = [s.output_curve for s in settings]
+    if any(curves):
+        return jnp.stack([output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
+    return ranges
+
+
+@dataclass(frozen=True)
+class SonarSettings(RangeSettings):
+    """Manual 10.2.2; MinRange from captured CONF lines.
+
+    Attributes:
+        beam_angle: Full angle of the beam cone [rad].
+        max_incidence: A surface met at more than this angle from its normal mirrors the sound away, so
+            that a level robot does not hear the floor. Ours; the manual is silent [rad].
+    """
+
+    with_time_stamp: bool = True
+    noise: float = 0.05
+    beam_angle: float = 0.3491
+    max_incidence: float = math.radians(75)
+
+
+# The lines of a beam: its axis, four half way out on the diagonals, four on the cone itself, as
+# (share of the half angle, angle about the axis).
+RINGS = ((0.5, 45.0), (1.0, 0.0))
+BEAM = ((0.0, 0.0), *((share, math.radians(first + 90 * i)) for share, first in RINGS for i in range(4)))
+
+
+def cone(beam_angle: float) -> np.ndarray:
+    """Return the unit directions of a beam's lines about the x axis (lines, 3)."""
+    lines = []
+    for share, around in BEAM:
+        tilt = share * beam_angle / 2
+        lines.append((math.cos(tilt), math.sin(tilt) * math.cos(around), math.sin(tilt) * math.sin(around)))
+    return np.array(lines, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Sonar(Sensor):
+    """Several lines in each cone, the shortest wins; value: ranges [m] (mounts,)."""
+
+    kind = "Sonar"
+    grouped = True
+    defaults = SonarSettings
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Measure once (manual 10.2.1)."""
+        pos, mat = self.mount_poses(sight.bodies)
+        cones = np.stack([cone(settings.beam_angle) for settings in self.settings])
+        direction = jnp.einsum("mij,mlj->mli", mat, cones)
+        origin = jnp.broadcast_to(pos[:, None], direction.shape)
+        hits = cast_incidence(sight.geoms, origin.reshape(-1, 3), direction.reshape(-1, 3), sight.slot)
+        limit = np.array([math.cos(settings.max_incidence) for settings in self.settings])
+        heard = hits.cosine.reshape(len(limit), -1) >= limit[:, None]
+        distance = jnp.where(heard, hits.distance.reshape(heard.shape), jnp.inf).min(-1)
+        return memory, report(distance[:, None], self.settings, key)[:, 0]
+
+
+@dataclass(frozen=True)
+class ScannerSettings(RangeSettings):
+    """Manual 10.3.2, angles in radians instead of Unreal's units.
+
+    Attributes:
+        scan_interval: Time between scans [s]; 0 is manual mode: scan on the SCAN command only.
+        resolution: Angle between two beams [rad].
+        scan_fov: Angle from the first beam to the last [rad].
+        pitch: Scan in the tilt plane (x-z).
+        yaw: Scan in the pan plane (x-y).
+    """
+
+    with_time_stamp: bool = True  # captured lines carry the time, though the manual's ini says False
+    scan_interval: float = 0.5
+    max_range: float = 1000.0
+    resolution: float = 800 * 2 * math.pi / 65536
+    scan_fov: float = math.pi
+    pitch: bool = False
+    yaw: bool = True
+
+    @property
+    def beams(self) -> int:
+        """Number of beams, both ends included; a rounding error below 1e-3 of a step does not cost one."""
+        return int(self.scan_fov / self.resolution + 1e-3) + 1
+
+
+def fan(settings: ScannerSettings) -> np.ndarray:
+    """Return the unit directions of a scan about the x axis (beams, 3), from right to left.
+
+    In the tilt plane the first beam is the lowest. The order is that of real servers' messages.
+
+    Raises:
+        SpecError: Neither or both of the planes are asked for.
+    """
+    if settings.pitch == settings.yaw:
+        raise SpecError("a range scanner scans in one plane: exactly one of bYaw and bPitch must be true")
+    angle = -settings.scan_fov / 2 + np.arange(settings.beams) * settings.resolution
+    along, aside, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    columns = (along, aside, zero) if settings.yaw else (along, zero, aside)
+    return np.stack(columns, -1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeScanner(Sensor):
+    """One line per step of a fan; value: ranges [m] (beams,)."""
+
+    kind = "RangeScanner"
+    defaults = ScannerSettings
+
+    @property
+    def manual(self) -> bool:
+        """Whether it scans on the SCAN command only."""
+        return self.settings[0].scan_interval <= 0
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Scan once (manual 10.3.1)."""
+        pos, mat = self.mount_poses(sight.bodies)
+        direction = fan(self.settings[0]) @ mat[0].T
+        origin = jnp.broadcast_to(pos[0], direction.shape)
+        distance = cast(sight.geoms, origin, direction, sight.slot)
+        return memory, report(distance[None], self.settings, key)[0]
+
+    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
+        """SCAN is valid in both modes; the suite makes the scan due (manual, Table 3)."""
+        return memory if opcode.upper() == "SCAN" else None
+
+
+for _sensor in (Sonar, RangeScanner):
+    SENSORS.add(_sensor.kind, _sensor)

@@ -1,0 +1,127 @@
+"""All sensors of a robot class, read together, each when it is due."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+import usarmjx.sensors.motion
+import usarmjx.sensors.ranging  # noqa: F401 - both fill SENSORS
+from usarmjx.errors import UnknownNameError
+from usarmjx.models.plan import BodyPlan, body_plan
+from usarmjx.models.spec import RobotSpec
+from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
+from usarmjx.sensors.settings import resolve
+
+CLOCK_SLACK = 1e-3
+"""A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
+
+
+class Memory(struct.PyTreeNode, kw_only=True):
+    """What the sensors of one robot remember.
+
+    Attributes:
+        due: When each sensor measures next [s] (sensors,).
+        own: Each sensor's own memory.
+        last: Each sensor's last reading.
+    """
+
+    due: jax.Array
+    own: tuple[Any, ...]
+    last: tuple[jax.Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Suite:
+    """The sensors of a robot class, in the order in which they report."""
+
+    plan: BodyPlan
+    sensors: tuple[Sensor, ...]
+
+    def start(self, sight: Sight, key: jax.Array) -> Memory:
+        """Return the memory of a robot that starts now: everything but a manual scanner is due at once."""
+        own = tuple(s.start(sight, jax.random.fold_in(key, i)) for i, s in enumerate(self.sensors))
+        blank = jax.eval_shape(self._read_all, sight, own, key)[1]
+        due = jnp.array([jnp.inf if sensor.manual else 0.0 for sensor in self.sensors]) + sight.time
+        return Memory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
+
+    def _read_all(
+        self, sight: Sight, own: tuple[Any, ...], key: jax.Array
+    ) -> tuple[tuple[Any, ...], tuple[jax.Array, ...]]:
+        # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
+        pairs = [s.read(sight, own[i], jax.random.fold_in(key, i)) for i, s in enumerate(self.sensors)]
+        return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
+
+    def read(self, sight: Sight, memory: Memory, key: jax.Array) -> tuple[Memory, tuple[Reading, ...]]:
+        """Measure what is due; the others keep their last reading, marked as not fresh."""
+        interval = np.array([s.settings[0].scan_interval for s in self.sensors], np.float32)
+        manual = np.array([sensor.manual for sensor in self.sensors])
+        fresh = sight.time >= memory.due - CLOCK_SLACK
+        own, values = self._read_all(sight, memory.own, key)
+
+        def pick(i: int, new: Any, old: Any) -> Any:  # noqa: ANN401 - any PyTree
+            return jax.tree.map(lambda a, b: jnp.where(fresh[i], a, b), new, old)
+
+        own = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(own, memory.own, strict=True)))
+        last = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(values, memory.last, strict=True)))
+        due = jnp.where(fresh, jnp.where(manual, jnp.inf, sight.time + interval), memory.due)
+        readings = tuple(Reading(value=value, fresh=fresh[i]) for i, value in enumerate(last))
+        return Memory(due=due, own=own, last=last), readings
+
+    def find(self, kind: str, name: str) -> int | None:
+        """Return the place of the sensor that holds the mount of that type and name, case ignored."""
+        for i, sensor in enumerate(self.sensors):
+            names = {mount.name.lower() for mount in sensor.mounts}
+            if sensor.kind.lower() == kind.lower() and name.lower() in names:
+                return i
+        return None
+
+    def place(self, kind: str) -> int:
+        """Return the place of the first sensor of a type.
+
+        Raises:
+            UnknownNameError: The robot has none; lists the types it has.
+        """
+        kinds = [sensor.kind.lower() for sensor in self.sensors]
+        if kind.lower() not in kinds:
+            known = ", ".join(sensor.kind for sensor in self.sensors)
+            raise UnknownNameError(f"{self.plan.robot.name} has no sensor {kind!r}; it has: {known}")
+        return kinds.index(kind.lower())
+
+    def order(
+        self, i: int, opcode: str, params: tuple[float, ...], sight: Sight, memory: Memory
+    ) -> Memory | None:
+        """Carry out a SET command on sensor `i`; None when it is not valid for that sensor."""
+        own = self.sensors[i].order(opcode, params, sight, memory.own[i])
+        if own is None:
+            return None
+        due = memory.due.at[i].set(sight.time) if opcode.upper() == "SCAN" else memory.due
+        return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
+
+
+@cache
+def suite_of(robot: RobotSpec) -> Suite:
+    """Return the sensors of a robot class; those of a grouped type share one place, at their first mount.
+
+    Raises:
+        UnknownNameError: A mount of an unknown type or with an unknown setting.
+        SpecError: A mount that cannot be built.
+    """
+    plan = body_plan(robot)
+    groups: dict[str, list[int]] = {}
+    for i, mount in enumerate(robot.sensors):
+        grouped = SENSORS.get(mount.kind).grouped
+        groups.setdefault(mount.kind if grouped else f"{mount.kind}#{i}", []).append(i)
+    sensors = []
+    for members in groups.values():
+        mounts = tuple(robot.sensors[i] for i in members)
+        kind = SENSORS.get(mounts[0].kind)
+        settings = tuple(resolve(kind.defaults, m.options, f"{m.kind} {m.name}") for m in mounts)
+        sensor = kind(plan=plan, mounts=mounts, settings=settings)
+        sensor.bodies_of_mounts()
+        sensors.append(sensor)
+    return Suite(plan=plan, sensors=tuple(sensors))

@@ -1,0 +1,195 @@
+"""What the server says unasked, and its short answers: NFO, STA, MISSTA, SEN, RES (manual 9.3).
+
+Inputs are plain numbers already in the wire's frame and units. Where lines captured from UT2004
+servers (in the comments of MOAST's USARSim client) differ from the manual, the captures win:
+`{View n}` in STA, the number of decimals. No locale is involved: numbers have a decimal point.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from usarmjx.server.grammar import (
+    Message,
+    Segment,
+    Vector,
+    raw,
+    raw_list,
+    truncated,
+    truncated_list,
+    word,
+)
+
+
+def nfo_greeting(level: str) -> Message:
+    """Return the line that every connection starts with; `level` is the arena's name."""
+    return Message("NFO", (("Gametype", "BotDeathMatch"), ("Level", level), ("TimeLimit", "0")))
+
+
+def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
+    """Return the answer to GETSTARTPOSES (manual 5.3.3).
+
+    Args:
+        poses: Tag, location [m] and orientation [rad] of each; without any there is no second
+            segment.
+
+    Raises:
+        UsageError: A tag is not one word.
+    """
+    count = ("StartPoses", str(len(poses)))
+    words = [
+        f"{word(tag)} {raw_list(location)} {raw_list(orientation)}"
+        for tag, location, orientation in poses
+    ]
+    if not words:
+        return Message("NFO", (count,))
+    first, _, rest = " ".join(words).partition(" ")
+    return Message("NFO", (count, (first, rest)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundVehicleState:
+    """What STA says of a ground vehicle.
+
+    Attributes:
+        time: Simulated time [s].
+        front_steer: Steering angle of the front wheels [rad].
+        rear_steer: Steering angle of the rear wheels [rad].
+        joints: Name and angle [rad] of flippers, which some robots add.
+        light: Whether the headlight is on.
+        intensity: Its intensity [percent].
+        battery: Time left [s].
+        view: Tile of this robot's camera in a shared picture, -1 without one.
+    """
+
+    time: float
+    front_steer: float = 0.0
+    rear_steer: float = 0.0
+    joints: tuple[tuple[str, float], ...] = ()
+    light: bool = False
+    intensity: int = 0
+    battery: int
+    view: int = -1
+
+
+def sta_ground_vehicle(state: GroundVehicleState) -> Message:
+    """Return the status line of a ground vehicle.
+
+    The manual omits View, but servers send it and SPQR's client drops a STA without it.
+    """
+    return Message(
+        "STA",
+        (
+            ("Type", "GroundVehicle"),
+            ("Time", raw(state.time)),
+            ("FrontSteer", truncated(state.front_steer)),
+            ("RearSteer", truncated(state.rear_steer)),
+            *((name, truncated(angle)) for name, angle in state.joints),
+            ("LightToggle", str(state.light)),
+            ("LightIntensity", str(state.intensity)),
+            ("Battery", str(state.battery)),
+            ("View", str(state.view)),
+        ),
+    )
+
+
+def missta(time: float, package: str, links: Iterable[tuple[int, float, float]]) -> Message:
+    """Return the state of one mission package.
+
+    Args:
+        time: Simulated time [s].
+        package: Its name.
+        links: Number, angle [rad] or distance [m], and configured maximum torque of each. Numbers
+            below 1 are not reported, and Torque is minus that maximum, not a measurement: both as
+            in the original (KRobot.uc, timer).
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Name", package)]
+    for link, value, max_torque in links:
+        if link > 0:
+            segments += [
+                ("Link", str(link)),
+                ("Value", truncated(value)),
+                ("Torque", raw(-max_torque)),
+            ]
+    return Message("MISSTA", tuple(segments))
+
+
+def _sen(time: str | None, type_name: str, *segments: Segment) -> Message:
+    head: tuple[Segment, ...] = (("Time", time),) if time is not None else ()
+    return Message("SEN", (*head, ("Type", type_name), *segments))
+
+
+def _precise(time: float | None) -> str | None:
+    return None if time is None else truncated(time)
+
+
+def sen_range(kind: str, time: float | None, readings: Iterable[tuple[str, float]]) -> Message:
+    """Return all range sensors of one kind ("Sonar", "IR") in one line: (name, range [m])."""
+    items = [("Name", f"{word(name)} Range {truncated(value)}") for name, value in readings]
+    return _sen(_precise(time), kind, *items)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One sweep of a range scanner.
+
+    Attributes:
+        name: The sensor's name.
+        resolution: Angle between beams [rad].
+        fov: Angle between the first and the last beam [rad].
+        ranges: Distances [m], the rightmost beam first, then counter-clockwise (beams,).
+    """
+
+    name: str
+    resolution: float
+    fov: float
+    ranges: Sequence[float]
+
+
+def sen_scanner(kind: str, time: float | None, scan: Scan) -> Message:
+    """Return a sweep of a "RangeScanner" or "IRScanner"; its Time has 2 decimals, as captured."""
+    return _sen(
+        None if time is None else raw(time),
+        kind,
+        ("Name", scan.name),
+        ("Resolution", truncated(scan.resolution)),
+        ("FOV", truncated(scan.fov)),
+        ("Range", truncated_list(scan.ranges)),
+    )
+
+
+def sen_odometry(time: float | None, name: str, pose: Vector) -> Message:
+    """Return the estimated pose relative to the start: x [m], y [m], theta [rad]."""
+    return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", truncated_list(pose)))
+
+
+def sen_ins(time: float | None, name: str, location: Vector, orientation: Vector) -> Message:
+    """Return the estimated location [m] and orientation [rad, 0 to 2 pi]."""
+    return _sen(_precise(time), "INS", *_raw_pose(name, location, orientation))
+
+
+def sen_ground_truth(
+    time: float | None, name: str, location: Vector, orientation: Vector
+) -> Message:
+    """Return the true location [m] and orientation [rad]."""
+    return _sen(_precise(time), "GroundTruth", *_raw_pose(name, location, orientation))
+
+
+def _raw_pose(name: str, location: Vector, orientation: Vector) -> tuple[Segment, ...]:
+    return (
+        ("Name", name),
+        ("Location", raw_list(location)),
+        ("Orientation", raw_list(orientation)),
+    )
+
+
+def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message:
+    """Return all encoders in one line: (name, tick count)."""
+    items = [("Name", f"{word(name)} Tick {tick}") for name, tick in ticks]
+    return _sen(_precise(time), "Encoder", *items)
+
+
+def res(time: float, type_name: str, name: str, status: str) -> Message:
+    """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
+    return Message(
+        "RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status))
+    )

@@ -1,0 +1,85 @@
+"""Rotations and the one conversion between USARSim's axes and MuJoCo's.
+
+Inside usarmjx everything is MuJoCo's: x forward, y left, z up, right-handed, quaternions with w first.
+USARSim speaks SAE J670 (manual 6.1): x forward, y right, z down, yaw clockwise seen from above. The two
+differ by half a turn about x, so a vector changes the signs of y and z, and of the angles roll, pitch, yaw
+(applied as yaw, then pitch, then roll: ZYX, manual 9.3) pitch and yaw change sign.
+
+The functions take numpy or JAX arrays alike: `xp` is the array module.
+"""
+
+from types import ModuleType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Vec3 = tuple[float, float, float]
+Array = Any
+"""A numpy or a JAX array."""
+
+MIN_NORM = 1e-9
+"""Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
+
+
+def flip_vector(vector: Vec3) -> Vec3:
+    """Convert a vector between USARSim's and MuJoCo's axes; its own inverse [m]."""
+    x, y, z = vector
+    return (x, -y, -z)
+
+
+def flip_angles(angles: Vec3) -> Vec3:
+    """Convert (roll, pitch, yaw) between USARSim's and MuJoCo's axes; its own inverse [rad]."""
+    roll, pitch, yaw = angles
+    return (roll, -pitch, -yaw)
+
+
+def mat_from_angles(roll: Array, pitch: Array, yaw: Array, xp: ModuleType = np) -> Array:
+    """Return the rotation matrix of ZYX angles [rad] (...,) as (..., 3, 3)."""
+    cr, sr, cp, sp = xp.cos(roll), xp.sin(roll), xp.cos(pitch), xp.sin(pitch)
+    cy, sy = xp.cos(yaw), xp.sin(yaw)
+    rows = (
+        xp.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr], -1),
+        xp.stack([sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr], -1),
+        xp.stack([-sp, cp * sr, cp * cr], -1),
+    )
+    return xp.stack(rows, -2)
+
+
+def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
+    """Return ZYX angles (roll, pitch, yaw) [rad] (..., 3) of rotation matrices (..., 3, 3)."""
+    roll = xp.arctan2(mat[..., 2, 1], mat[..., 2, 2])
+    pitch = xp.arcsin(xp.clip(-mat[..., 2, 0], -1.0, 1.0))
+    yaw = xp.arctan2(mat[..., 1, 0], mat[..., 0, 0])
+    return xp.stack([roll, pitch, yaw], -1)
+
+
+def quat_from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Return the w-first quaternion (4,) of ZYX angles [rad]."""
+    cr, sr = np.cos(roll / 2), np.sin(roll / 2)
+    cp, sp = np.cos(pitch / 2), np.sin(pitch / 2)
+    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.array([w, x, y, z])
+
+
+def rotation_vector(mat: jax.Array) -> jax.Array:
+    """Return the rotation vector (axis times angle) [rad] (3,) of a rotation matrix (3, 3).
+
+    Exact for turns below half a turn; a simulation step turns by far less.
+    """
+    skew = jnp.array([mat[2, 1] - mat[1, 2], mat[0, 2] - mat[2, 0], mat[1, 0] - mat[0, 1]]) / 2
+    sine = jnp.linalg.norm(skew)
+    angle = jnp.arctan2(sine, (jnp.trace(mat) - 1) / 2)
+    return skew * jnp.where(sine > MIN_NORM, angle / jnp.maximum(sine, MIN_NORM), 1.0)
+
+
+def mat_from_rotation_vector(vector: jax.Array) -> jax.Array:
+    """Return the rotation matrix (3, 3) of a rotation vector [rad] (3,): Rodrigues' formula."""
+    angle = jnp.linalg.norm(vector)
+    x, y, z = vector / jnp.maximum(angle, MIN_NORM)
+    zero = jnp.zeros_like(x)
+    skew = jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    return jnp.eye(3) + jnp.sin(angle) * skew + (1 - jnp.cos(angle)) * (skew @ skew)
