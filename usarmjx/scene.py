@@ -9,7 +9,7 @@ import numpy as np
 
 from usarmjx.errors import SpecError
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import Physics, add_robot, new_spec
+from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
@@ -93,6 +93,16 @@ class Team:
 
 
 @dataclass(frozen=True, eq=False)
+class ArenaGeoms:
+    """Floor and arena geoms: MuJoCo types (n,), world positions (n, 3), orientations (n, 3, 3), sizes (n, 3)."""
+
+    kind: np.ndarray
+    pos: np.ndarray
+    mat: np.ndarray
+    size: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A composed scene.
 
@@ -116,6 +126,19 @@ class Scene:
     def robots(self) -> int:
         """Number of robot slots."""
         return len(self.roster)
+
+    @cached_property
+    def arena_geoms(self) -> ArenaGeoms:
+        """What of the scene does not belong to a robot."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        fixed = self.model.geom_bodyid < 2  # the world's own body and the arena's
+        return ArenaGeoms(
+            kind=self.model.geom_type[fixed],
+            pos=data.geom_xpos[fixed].astype(np.float32),
+            mat=data.geom_xmat[fixed].reshape(-1, 3, 3).astype(np.float32),
+            size=self.model.geom_size[fixed].astype(np.float32),
+        )
 
     def team_of(self, slot: int) -> tuple[int, int]:
         """Return (team, place in the team) of a roster slot."""
@@ -168,6 +191,7 @@ def build_scene(
     spec = new_spec(arena, physics)
     for slot, entry in enumerate(entries):
         add_robot(spec, ROBOTS.get(entry.robot), prefix_of(slot), parking_place(arena, slot))
+    cap_contacts(spec, physics, len(entries))
     model = spec.compile()
     check_types(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
     return Scene(

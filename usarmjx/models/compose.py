@@ -42,6 +42,9 @@ class Physics:
         substeps: Physics steps per control step.
         iterations: Cap on solver iterations.
         ls_iterations: Cap on line-search iterations.
+        contacts_per_robot: Room in contact buffers, on average over a world's robots.
+        pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
+            bounding spheres.
     """
 
     timestep: float = 0.005
@@ -49,6 +52,8 @@ class Physics:
     impratio: float = 2.0
     iterations: int = 16
     ls_iterations: int = 15
+    contacts_per_robot: int = 16
+    pairs_per_robot: int = 24
 
     @property
     def period(self) -> float:
@@ -77,6 +82,13 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     for i, shape in enumerate(arena.shapes):
         _add_geom(body, f"arena/{i}", shape)
     return spec
+
+
+def cap_contacts(spec: mujoco.MjSpec, physics: Physics, robots: int) -> None:
+    """Bound what MJX-JAX computes, in the custom numbers that it reads; other engines ignore them."""
+    room = max(1, robots)
+    spec.add_numeric(name="max_contact_points", size=1, data=[room * physics.contacts_per_robot])
+    spec.add_numeric(name="max_geom_pairs", size=1, data=[room * physics.pairs_per_robot])
 
 
 def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:

@@ -177,8 +177,11 @@ def gather(geom_type: np.ndarray, pos: jax.Array, mat: jax.Array, size: jax.Arra
 
 def _distances(kind: int, block: Block, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> jax.Array:
     """Distance of every geom of a block along one ray (geoms,), the viewer's own left out."""
-    local = jnp.einsum("gji,gj->ig", block.mat, origin - block.pos)
-    along = jnp.einsum("gji,j->ig", block.mat, direction)
+    # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
+    # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
+    offset, mat = origin - block.pos, block.mat
+    local = jnp.stack([sum(mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)])
+    along = jnp.stack([sum(mat[:, j, i] * direction[j] for j in range(3)) for i in range(3)])
     t = KERNELS[kind](local, along, block.size.T)
     return jnp.where(block.owner == viewer, jnp.inf, t)
 

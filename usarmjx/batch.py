@@ -1,0 +1,158 @@
+"""Many worlds at once: the only place that maps over worlds and compiles.
+
+The same few lines drive all engines. Where the engine can be traced a step is one compiled function;
+with C MuJoCo the parts around the engine are.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.control import wheel_speeds
+from usarmjx.engines import PhysicsState, choose_engine, make_engine
+from usarmjx.errors import EngineError, UsageError
+from usarmjx.scene import Scene
+from usarmjx.sensors.base import Reading
+from usarmjx.world import World, control, first_episode, observe, restart, settle
+
+Readings = tuple[tuple[Reading, ...], ...]
+"""Per team and sensor a reading with leading axes (worlds, robots of the team)."""
+
+
+class State(struct.PyTreeNode, kw_only=True):
+    """A batch of worlds.
+
+    Attributes:
+        physics: The engine's own state.
+        worlds: Everything else (worlds, ...).
+    """
+
+    physics: Any
+    worlds: World
+
+
+def _choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+class Batch:
+    """Copies of a scene that are stepped together.
+
+    Args:
+        scene: What every world is a copy of.
+        worlds: How many.
+        engine: `warp`, `jax`, `c`, or `auto`.
+        seed: Of all random numbers.
+        first: Number of the first world. World k draws the same numbers alone as in a batch.
+        shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
+
+    Raises:
+        UsageError: No worlds asked for.
+        UnsupportedFeatureError: The scene has a feature that the engine would ignore.
+        EngineError: The engine cannot run here.
+        UnknownNameError: No such engine.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        worlds: int = 1,
+        *,
+        engine: str = "auto",
+        seed: int = 0,
+        first: int = 0,
+        shuffle: bool = False,
+    ) -> None:
+        if worlds < 1:
+            raise UsageError(f"a batch needs at least one world, not {worlds}")
+        self.scene = scene
+        self.worlds = worlds
+        self.engine = make_engine(choose_engine(engine, "train"), scene.model, scene.physics, worlds)
+        numbers = jnp.arange(first, first + worlds)
+        self._keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(numbers)
+        self._control = self._compile(jax.vmap(partial(control, scene)))
+        self._settle = self._compile(jax.vmap(partial(settle, scene)))
+        self._restart = self._compile(jax.vmap(partial(restart, scene, shuffle=shuffle)))
+        self._first = self._compile(jax.vmap(partial(first_episode, scene, shuffle=shuffle)))
+        self._observe = self._compile(jax.vmap(partial(observe, scene)))
+        traceable = self.engine.traceable
+        self.step: Callable[[State], State] = self._compile(self._step) if traceable else self._step
+        """Advance every world by one control step under the commands in force."""
+        self.reset_where: Callable[[State, jax.Array], State] = (
+            self._compile(self._reset_where) if traceable else self._reset_where
+        )
+        """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
+
+    @staticmethod
+    def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
+        # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
+        return jax.jit(jax.default_matmul_precision("highest")(function))
+
+    def reset(self) -> State:
+        """Return all worlds at the start of their first episode."""
+        worlds, qpos = self._first(self._keys)
+        everywhere = jnp.ones(self.worlds, bool)
+        return State(physics=self.engine.reset(self.engine.start(), everywhere, qpos), worlds=worlds)
+
+    def _reset_where(self, state: State, mask: jax.Array) -> State:
+        fresh, qpos = self._restart(state.worlds)
+        worlds = jax.tree.map(partial(_choose, mask), fresh, state.worlds)
+        return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
+
+    def _step(self, state: State) -> State:
+        worlds, inputs = self._control(state.worlds, self.engine.state(state.physics))
+        physics = self.engine.advance(state.physics, inputs)
+        worlds, finite = self._settle(worlds, self.engine.state(physics), self.engine.overflow(physics))
+        state = State(physics=physics, worlds=worlds)
+        if self.engine.traceable:
+            return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
+        return state if bool(finite.all()) else self._reset_where(state, ~finite)
+
+    def physics(self, state: State) -> PhysicsState:
+        """Return positions, velocities and activations of all worlds."""
+        return self.engine.state(state.physics)
+
+    def observe(self, state: State) -> tuple[State, Readings]:
+        """Read the sensors that are due; the others repeat their last reading, marked as not fresh."""
+        worlds, readings = self._observe(state.worlds, self.physics(state))
+        return state.replace(worlds=worlds), readings
+
+    def drive(self, state: State, team: int, left: jax.Array, right: jax.Array) -> State:
+        """Set the wheel speeds of a team's robots.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            left: Speed of the left wheels [rad/s], broadcast to (worlds, robots).
+            right: Speed of the right wheels [rad/s], likewise.
+        """
+        members = state.worlds.teams[team]
+        robot = self.scene.teams[team].robot
+        shape = members.active.shape
+        speeds = wheel_speeds(robot, jnp.broadcast_to(left, shape), jnp.broadcast_to(right, shape))
+        target = members.command.target.at[..., : len(robot.wheels)].set(speeds)
+        return self.with_team(state, team, members.replace(command=members.command.replace(target=target)))
+
+    @staticmethod
+    def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState
+        """Return the batch with one team's state replaced."""
+        teams = state.worlds.teams
+        return state.replace(worlds=state.worlds.replace(teams=(*teams[:team], members, *teams[team + 1 :])))
+
+    def check(self, state: State) -> None:
+        """Refuse to go on with results that a full contact buffer has falsified.
+
+        Raises:
+            EngineError: Says how many worlds lost contacts, and what to raise.
+        """
+        lost = int((np.asarray(state.worlds.status.overflow) > 0).sum())
+        if lost:
+            raise EngineError(
+                f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "
+                f"Physics.contacts_per_robot (now {self.scene.physics.contacts_per_robot})"
+            )

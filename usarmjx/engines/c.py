@@ -1,0 +1,118 @@
+"""C MuJoCo: starts at once, needs no accelerator, and is the oracle for the others."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.engines.base import Engine, Inputs, PhysicsState
+from usarmjx.models.compose import Physics
+
+EVERYTHING = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
+
+
+class CState(NamedTuple):
+    """Integration states (worlds, n), the visible part of them, and warnings about full buffers (worlds,)."""
+
+    everything: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    act: np.ndarray
+    overflow: np.ndarray
+
+
+def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy that does not silently reset a world that went bad; we count and reset those."""
+    copy = model.__copy__()
+    copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return copy
+
+
+def buffer_warnings(data: mujoco.MjData) -> int:
+    """Return how often this data's contact or constraint buffer was too small."""
+    full = (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL)
+    return int(sum(data.warning[w].number for w in full))
+
+
+class CEngine(Engine):
+    """Steps worlds one by one, on all cores."""
+
+    name = "c"
+    traceable = False
+
+    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
+        super().__init__(model, physics, worlds)
+        self.model = c_model(model)
+        threads = max(1, min(worlds, os.cpu_count() or 1))
+        self._datas = [mujoco.MjData(self.model) for _ in range(threads)]
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def start(self) -> CState:
+        """Return every world at the model's reference configuration."""
+        size = mujoco.mj_stateSize(self.model, EVERYTHING)
+        blank = CState(
+            everything=np.zeros((self.worlds, size)),
+            qpos=np.zeros((self.worlds, self.nq)),
+            qvel=np.zeros((self.worlds, self.nv)),
+            act=np.zeros((self.worlds, self.model.na)),
+            overflow=np.zeros(self.worlds, np.int32),
+        )
+        return self.reset(blank, np.ones(self.worlds, bool), np.tile(self.model.qpos0, (self.worlds, 1)))
+
+    def _save(self, data: mujoco.MjData, state: CState, world: int) -> None:
+        mujoco.mj_getState(self.model, data, state.everything[world], EVERYTHING)
+        state.qpos[world], state.qvel[world], state.act[world] = data.qpos, data.qvel, data.act
+
+    def advance(self, own: CState, inputs: Inputs) -> CState:
+        """Step every world by one control step."""
+        new = CState(*(array.copy() for array in own))
+        told = Inputs(**{name: np.asarray(value) for name, value in vars(inputs).items()})
+
+        def work(thread: int) -> None:
+            data = self._datas[thread]
+            for world in range(thread, self.worlds, len(self._datas)):
+                mujoco.mj_setState(self.model, data, own.everything[world], EVERYTHING)
+                self._apply(data, told, world)
+                before = buffer_warnings(data)
+                mujoco.mj_step(self.model, data, nstep=self.physics.substeps)
+                new.overflow[world] = buffer_warnings(data) - before
+                self._save(data, new, world)
+
+        if self._pool is None:
+            work(0)
+        else:
+            list(self._pool.map(work, range(len(self._datas))))
+        return new
+
+    def _apply(self, data: mujoco.MjData, told: Inputs, world: int) -> None:
+        data.ctrl[:], data.act[:] = told.ctrl[world], told.act[world]
+        data.xfrc_applied[:] = told.xfrc_applied[world]
+        np.copyto(data.qpos, told.qpos[world], where=told.pinned[world])
+        data.qvel[told.pinned_dof[world]] = 0.0
+        data.qacc_warmstart[told.pinned_dof[world]] = 0.0
+
+    def reset(self, own: CState, mask: np.ndarray, qpos: np.ndarray) -> CState:
+        """Put the masked worlds at rest at qpos; the others are untouched."""
+        new = CState(*(array.copy() for array in own))
+        data = self._datas[0]
+        for world in np.flatnonzero(np.asarray(mask)):
+            mujoco.mj_resetData(self.model, data)
+            data.qpos[:] = np.asarray(qpos[world])
+            self._save(data, new, int(world))
+        return new
+
+    def state(self, own: CState) -> PhysicsState:
+        """Return positions, velocities and activations in single precision."""
+        return PhysicsState(
+            qpos=jnp.asarray(own.qpos, jnp.float32),
+            qvel=jnp.asarray(own.qvel, jnp.float32),
+            act=jnp.asarray(own.act, jnp.float32),
+        )
+
+    def overflow(self, own: CState) -> jnp.ndarray:
+        """Return the number of buffer warnings of the last step (worlds,)."""
+        return jnp.asarray(own.overflow)

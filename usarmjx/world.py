@@ -1,0 +1,268 @@
+"""One world: its state beside the physics, and what happens to it in a control step. Pure functions.
+
+`batch` maps these over many worlds; nothing here knows which engine moves the robots.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.control import Command, drive, idle
+from usarmjx.engines.base import Inputs, PhysicsState
+from usarmjx.models.plan import Bodies, RobotState, body_poses, geom_poses
+from usarmjx.scene import Scene, Team, parking_place, start_height
+from usarmjx.sensors.base import Reading, Sight
+from usarmjx.sensors.raycast import FAR_AWAY, Geoms, gather
+from usarmjx.sensors.suite import Memory
+
+RUNAWAY_SPEED = 5.0
+"""A chassis faster than this did not get there by driving: counted as a fault of the physics [m/s]."""
+START_STREAM, NOISE_STREAM, PLACE_STREAM = 0, 1, 2
+"""First fold of a world's key, by what the numbers are for."""
+
+
+class TeamState(struct.PyTreeNode, kw_only=True):
+    """The robots of one class in one world; leading axis over them.
+
+    Attributes:
+        command: What they are told to do.
+        active: Whether the robot is in use; the others are parked (n,).
+        born: When its battery was full [s] (n,).
+        memory: What their sensors remember.
+    """
+
+    command: Command
+    active: jax.Array
+    born: jax.Array
+    memory: Memory
+
+
+class Status(struct.PyTreeNode, kw_only=True):
+    """What went wrong in a world since the batch was made, as counts of control steps ().
+
+    Attributes:
+        not_finite: Steps after which the physics was not finite, and the world was reset.
+        overflow: Steps in which contact buffers were full.
+        runaway: Steps in which a robot was faster than `RUNAWAY_SPEED`.
+        refused: Commanded numbers that were not finite.
+    """
+
+    not_finite: jax.Array
+    overflow: jax.Array
+    runaway: jax.Array
+    refused: jax.Array
+
+
+class World(struct.PyTreeNode, kw_only=True):
+    """Everything that changes in one world, but for the physics.
+
+    Attributes:
+        key: The world's random key, made from the batch's seed and the world's number ().
+        episode: Resets so far ().
+        step: Control steps since the last reset ().
+        teams: The robots by class.
+        status: What went wrong.
+    """
+
+    key: jax.Array
+    episode: jax.Array
+    step: jax.Array
+    teams: tuple[TeamState, ...]
+    status: Status
+
+
+def time_of(scene: Scene, world: World) -> jax.Array:
+    """Return the simulated time since the last reset [s] ()."""
+    return world.step.astype(jnp.float32) * scene.physics.period
+
+
+def episode_key(world: World, stream: int) -> jax.Array:
+    """Return the key of a stream of random numbers in the present episode."""
+    return jax.random.fold_in(jax.random.fold_in(world.key, stream), world.episode)
+
+
+def team_states(team: Team, physics: PhysicsState) -> RobotState:
+    """Return where a team's robots are; leading axis over them."""
+    root, dof = physics.qpos[team.root_qpos], physics.qvel[team.root_dof]
+    return RobotState(
+        pos=root[:, :3],
+        quat=root[:, 3:],
+        linear=dof[:, :3],
+        angular=dof[:, 3:],
+        joint_pos=physics.qpos[team.qpos],
+        joint_vel=physics.qvel[team.dof],
+    )
+
+
+def first_episode(scene: Scene, key: jax.Array, *, shuffle: bool = False) -> tuple[World, jax.Array]:
+    """Return a new world and the qpos (nq,) it starts from; see `restart`."""
+    zero = jnp.zeros((), jnp.int32)
+    status = Status(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
+    return restart(scene, World(key=key, episode=zero - 1, step=zero, teams=(), status=status), shuffle=shuffle)
+
+
+def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World, jax.Array]:
+    """Return the world at the start of its next episode, and the qpos (nq,) it starts from.
+
+    Args:
+        scene: The scene.
+        world: The world as it was; its key and status live on.
+        shuffle: Draw the robots' start poses instead of handing them out in the arena's order.
+    """
+    world = world.replace(episode=world.episode + 1, step=jnp.zeros((), jnp.int32), teams=())
+    qpos = _start_qpos(scene, world, shuffle)
+    physics = PhysicsState(
+        qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na)
+    )
+    teams = []
+    for team in scene.teams:
+        n = len(team.slots)
+        active = jnp.array([not scene.roster[slot].parked for slot in team.slots])
+        command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle(team.robot))
+        teams.append(TeamState(command=command, active=active, born=jnp.zeros(n), memory=None))  # type: ignore[arg-type]
+    world = world.replace(teams=tuple(teams))
+    sights = look(scene, world, physics)
+    key = episode_key(world, START_STREAM)
+    teams = [
+        state.replace(memory=_map_robots(team.suite.start, sight, team, key))
+        for team, state, sight in zip(scene.teams, world.teams, sights, strict=True)
+    ]
+    return world.replace(teams=tuple(teams)), qpos
+
+
+def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
+    """Active robots take start poses in the arena's (or a random) order, parked ones their places."""
+    starts = scene.arena.starts
+    order = jnp.arange(len(starts))
+    if shuffle:
+        order = jax.random.permutation(episode_key(world, PLACE_STREAM), order)
+    flat = jnp.array([(*start.at[:2], start.yaw) for start in starts])
+    qpos = jnp.asarray(scene.model.qpos0, jnp.float32)
+    active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
+    for team in scene.teams:
+        height = start_height(scene.arena, team.robot)
+        for place, slot in enumerate(team.slots):
+            address = team.root_qpos[place]
+            if slot in active:
+                x, y, yaw = flat[order[active.index(slot)]]
+                root = [x, y, height, jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
+            else:
+                root = [*parking_place(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
+            qpos = qpos.at[address].set(jnp.stack([jnp.asarray(v, jnp.float32) for v in root]))
+    return qpos
+
+
+def _map_robots(function: Any, sight: Sight, team: Team, key: jax.Array, *rest: Any) -> Any:  # noqa: ANN401
+    """Map function(sight, *rest, key) over a team's robots, with a key folded by each robot's slot."""
+    keys = jax.vmap(lambda slot: jax.random.fold_in(key, slot))(team.slots)
+    shared = Sight(time=None, state=0, bodies=0, geoms=None, slot=0)  # type: ignore[arg-type]
+    return jax.vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sight, *rest, keys)
+
+
+def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:
+    """Return what each team's robots can sense now; leading axis over robots, but for the shared parts."""
+    states = [team_states(team, physics) for team in scene.teams]
+    bodies = [jax.vmap(partial(body_poses, team.plan))(s) for team, s in zip(scene.teams, states, strict=True)]
+    geoms = _visible(scene, world, bodies)
+    time = time_of(scene, world)
+    return tuple(
+        Sight(time=time, state=state, bodies=body, geoms=geoms, slot=jnp.asarray(team.slots))
+        for team, state, body in zip(scene.teams, states, bodies, strict=True)
+    )
+
+
+def _visible(scene: Scene, world: World, bodies: list[Bodies]) -> Geoms:
+    """Return all geoms that rays can hit: floor and arena, and the robots in use."""
+    arena = scene.arena_geoms
+    kinds, pos, mat, size = [arena.kind], [jnp.asarray(arena.pos)], [jnp.asarray(arena.mat)], [jnp.asarray(arena.size)]
+    owner = [jnp.full(len(arena.kind), -1)]
+    for team, state, body in zip(scene.teams, world.teams, bodies, strict=True):
+        n, g = len(team.slots), len(team.plan.geom_type)
+        team_pos, team_mat = jax.vmap(partial(geom_poses, team.plan))(body)
+        kinds.append(np.tile(team.plan.geom_type, n))
+        pos.append(jnp.where(state.active[:, None, None], team_pos, FAR_AWAY).reshape(-1, 3))
+        mat.append(team_mat.reshape(-1, 3, 3))
+        size.append(jnp.tile(team.plan.geom_size, (n, 1)))
+        owner.append(jnp.repeat(jnp.asarray(team.slots), g))
+    return gather(
+        np.concatenate(kinds), *(jnp.concatenate(parts) for parts in (pos, mat, size)), jnp.concatenate(owner)
+    )
+
+
+def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
+    """Turn the commands in force into the engine's inputs for one control step.
+
+    Parked robots are pinned where they wait; robots with an empty battery brake (KRobot.uc).
+    """
+    time = time_of(scene, world)
+    inputs = Inputs(
+        ctrl=jnp.zeros(scene.model.nu),
+        act=physics.act,
+        xfrc_applied=jnp.zeros((scene.model.nbody, 6)),
+        pinned=jnp.zeros(scene.model.nq, bool),
+        pinned_dof=jnp.zeros(scene.model.nv, bool),
+        qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
+    )
+    refused = world.status.refused
+    for team, state in zip(scene.teams, world.teams, strict=True):
+        powered = state.active & (time - state.born < team.robot.battery_life)
+        rest = idle(team.robot)
+        command = jax.tree.map(
+            lambda told, still, p=powered: jnp.where(p.reshape(-1, *[1] * (told.ndim - 1)), told, still),
+            state.command,
+            rest,
+        )
+        robots = team_states(team, physics)
+        driven = jax.vmap(lambda c, s, a, t=team: drive(t.plan, c, s, a, time, scene.physics.period))(
+            command, robots, physics.act[team.actuator]
+        )
+        parked = ~state.active
+        inputs = inputs.replace(
+            ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl),
+            act=inputs.act.at[team.actuator].set(jnp.where(parked[:, None], 0.0, driven.act)),
+            xfrc_applied=inputs.xfrc_applied.at[team.chassis].set(driven.wrench),
+            pinned=_mark(_mark(inputs.pinned, team.root_qpos, parked), team.qpos, parked),
+            pinned_dof=_mark(_mark(inputs.pinned_dof, team.root_dof, parked), team.dof, parked),
+        )
+        refused = refused + driven.refused.sum().astype(jnp.int32)
+    return world.replace(status=world.status.replace(refused=refused)), inputs
+
+
+def _mark(mask: jax.Array, places: np.ndarray, where: jax.Array) -> jax.Array:
+    return mask.at[places].set(jnp.broadcast_to(where[:, None], places.shape))
+
+
+def settle(scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array) -> tuple[World, jax.Array]:
+    """Count the step and what went wrong in it; return also whether the physics is still finite ()."""
+    finite = jnp.isfinite(physics.qpos).all() & jnp.isfinite(physics.qvel).all() & jnp.isfinite(physics.act).all()
+    fast = jnp.zeros((), bool)
+    for team, state in zip(scene.teams, world.teams, strict=True):
+        speed = jnp.linalg.norm(physics.qvel[team.root_dof[:, :3]], axis=-1)
+        fast |= (state.active & (speed > RUNAWAY_SPEED)).any()
+    status = world.status
+    status = status.replace(
+        not_finite=status.not_finite + ~finite,
+        overflow=status.overflow + (overflow != 0),
+        runaway=status.runaway + (fast & finite),
+    )
+    return world.replace(step=world.step + 1, status=status), finite
+
+
+def observe(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
+    """Read the sensors that are due; per team and sensor a reading with a leading axis over robots."""
+    sights = look(scene, world, physics)
+    key = jax.random.fold_in(episode_key(world, NOISE_STREAM), world.step)
+    teams, readings = [], []
+    for team, state, sight in zip(scene.teams, world.teams, sights, strict=True):
+
+        def read(one: Sight, memory: Memory, robot_key: jax.Array, suite: Any = team.suite) -> Any:  # noqa: ANN401
+            return suite.read(one, memory, robot_key)
+
+        memory, values = _map_robots(read, sight, team, key, state.memory)
+        teams.append(state.replace(memory=memory))
+        readings.append(values)
+    return world.replace(teams=tuple(teams)), tuple(readings)
