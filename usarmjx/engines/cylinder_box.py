@@ -27,6 +27,7 @@ BOTH_ENDS = 0.9  # an edge touches along a line if both ends are this share as d
 PARALLEL = 1e-3  # sine below which two directions count as parallel or perpendicular
 FLAT = 1e-5  # sine of the tilt below which a disc has no deepest point, only rounding
 NEARLY_FLAT = 0.05  # the same for a disc whose centre and deepest point both overhang the face
+TRIM = 0.01  # share by which contacts are moved in from where an edge leaves the cylinder
 NEAR_FACE = 0.2  # sine to a face's normal up to which a third contact inside that face helps
 TINY = 1e-12  # guards squared lengths, so that no square root or division sees zero
 
@@ -191,13 +192,19 @@ def _on_face(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     left, right = clip(middle, across, (-chord, chord))
 
     second = jnp.where(lying, rim + last * along, middle + right * across)
-    deepest = jnp.where(hit, rim + first * along, clamp(rim))
-    points = jnp.stack([deepest, second, middle + left * across])
-    gaps = (_dot(points, n) - _dot(jnp.abs(n), pair.box)).at[0].set(gap)
+    plane = _dot(jnp.abs(n), pair.box)
+    # with its deepest point a hair beyond the face a tilted cylinder is clipped far off
+    clipped = rim + first * along
+    sound = hit & (_dot(clipped, n) - plane - gap < 0.1 * jnp.abs(gap))
+    points = jnp.stack([
+        jnp.where(sound, clipped, clamp(rim)), second, middle + left * across
+    ])
+    heights = _dot(points, n) - plane
+    gaps = heights.at[0].set(gap)
     wide = hit & (right > left)
     found = jnp.stack([jnp.array(True), jnp.where(lying, hit, wide), ~lying & wide])
     gaps = jnp.where(found, gaps, INACTIVE)
-    return gaps, points - 0.5 * gaps[:, None] * n
+    return gaps, points + (0.5 * gaps - heights)[:, None] * n
 
 
 def _depth(pair: _Pair, points: jax.Array, n: jax.Array) -> jax.Array:
@@ -245,7 +252,9 @@ def _on_edge(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
         crossed, jnp.clip(deepest, low, high), jnp.clip(deepest, -length - shift, length - shift)
     )
 
-    ends = origin + jnp.stack([low, high])[:, None] * edge
+    # at the very end a chord of a flat disc is on the rim, where any tilt makes the depth zero
+    trim = TRIM * (high - low)
+    ends = origin + jnp.stack([low + trim, high - trim])[:, None] * edge
     depths = _depth(pair, ends, n)
     line = crossed & (gap < 0) & (jnp.min(depths) >= -BOTH_ENDS * gap)
     far = jnp.where(high - deepest > deepest - low, 1, 0)
@@ -256,7 +265,7 @@ def _on_edge(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     base = 0.5 * (first + second)
     into = -_sign(_dot(n, inward)) * inward
     _, reach = _clip_cylinder(pair, base, into, (jnp.zeros(()), 2 * _dot(inward, pair.box)))
-    third = base + reach * into
+    third = base + (1 - TRIM) * reach * into
     third_depth = _depth(pair, third, n)
     near_face = jnp.abs(n[order[1]]) < NEAR_FACE
     gaps = jnp.stack([

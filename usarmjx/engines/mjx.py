@@ -50,9 +50,7 @@ class MjxEngine(Engine):
             qacc_warmstart=jnp.where(inputs.pinned_dof, 0.0, own.qacc_warmstart),
         )
         step = jax.vmap(mjx.step, in_axes=(None, 0))
-        for _ in range(self.physics.substeps - 1):
-            data = step(self.mx, data)
-        return step(self.mx, data)
+        return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(self.mx, d), data)
 
     def reset(self, own: mjx.Data, mask: jax.Array, qpos: jax.Array) -> mjx.Data:
         """Put the masked worlds at rest at qpos; the others keep every bit."""

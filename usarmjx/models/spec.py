@@ -40,15 +40,19 @@ class Surface:
     conaffinity: int
 
 
+HULL, WHEEL, FIXED = 1, 2, 4
+"""Collision bits. Fixed things do not touch each other; nor do wheels: a robot's hull covers its wheels, and
+cylinder against cylinder is the least reliable pair of MJX-JAX."""
+
 # Friction 0.6 holds a robot on slopes up to 31 degrees. Walls are slick and have the last word, so that
-# a robot that pushes one spins its wheels instead of climbing it. Wheels do not touch each other: a
-# robot's hull covers its wheels, and cylinder against cylinder is the least reliable pair of MJX-JAX.
+# a robot that pushes one spins its wheels instead of climbing it.
 SURFACES = {
-    "ground": Surface(friction=0.6, priority=0, contype=1, conaffinity=3),
-    "wall": Surface(friction=0.3, priority=2, contype=1, conaffinity=3),
-    "wheel": Surface(friction=0.6, priority=0, contype=2, conaffinity=1),
-    "hull": Surface(friction=0.3, priority=0, contype=1, conaffinity=3),
-    "caster": Surface(friction=0.01, priority=1, contype=2, conaffinity=1),
+    "ground": Surface(friction=0.6, priority=0, contype=FIXED, conaffinity=HULL | WHEEL),
+    "wall": Surface(friction=0.3, priority=2, contype=FIXED, conaffinity=HULL | WHEEL),
+    "hull": Surface(friction=0.3, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
+    "wheel": Surface(friction=0.6, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
+    "caster": Surface(friction=0.01, priority=1, contype=WHEEL, conaffinity=HULL | FIXED),
+    "fixture": Surface(friction=0.0, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
 
 

@@ -61,8 +61,8 @@ def _sick_housing(at: tuple[float, float, float]) -> Shape:
 
 def _pan_tilt(location: tuple[float, float, float]) -> MissionPackage:
     """CameraPanTilt with the captured frames: pan about the vertical, tilt up positive (manual 9.3)."""
-    pan = Shape(kind="sphere", size=(0.03,), mass=0.2, rgba=BLACK)
-    head = Shape(kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, rgba=BLACK)
+    pan = Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK)
+    head = Shape(kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK)
     return MissionPackage(
         name="CameraPanTilt",
         links=(

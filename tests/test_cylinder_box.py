@@ -1,0 +1,340 @@
+"""Cylinder against box on MJX-JAX: every number is held against C MuJoCo.
+
+The pose oracle is C with multiccd off. With it on (the default) C 3.17.0 gives a contact between a
+cylinder's side and a box edge the normal of one of the two faces beside the edge, whatever the
+true direction (`test_default_c_turns_edge_normals`); face contacts are the same either way.
+"""
+
+from importlib import metadata
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+from mujoco.mjx._src import collision_driver
+
+from usarmjx.engines import cylinder_box as module
+from usarmjx.errors import EngineError
+
+RADIUS, TRACK, WHEELBASE = 0.13, 0.47, 0.29  # m
+HALF_WIDTH = 0.025  # m
+KP, KV, TORQUE, TOP_SPEED = 100.0, 5.0, 4.0, 8.0  # N m/rad, N m s/rad, N m, rad/s
+BAND = (TORQUE + KV * TOP_SPEED) / KP  # rad, how far the servo's target may lead the wheel
+SUBSTEPS = 4
+MULTICCD_OFF = int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
+
+DEPTH_ATOL = 5e-5  # m: the rim search ends at 3e-4 rad (35 um at r 0.13), float32 adds some um
+ANGLE_TOL = 1.0  # degrees: depth is flat around its minimum, C's own solver stops within 0.5
+POSES = 400
+
+
+class Geom(NamedTuple):
+    pos: jax.Array
+    mat: jax.Array
+    size: jax.Array
+
+
+class Poses(NamedTuple):
+    """Cylinders against boxes: pos (n, 3), mat (n, 3, 3), size (n, 3) of each, C's deepest contact.
+
+    C's distance is (n,), 1 without contact, its normal (n, 3) from cylinder to box.
+    """
+
+    cylinder: Geom
+    box: Geom
+    depth: np.ndarray
+    normal: np.ndarray
+
+
+collide = jax.jit(jax.vmap(module.cylinder_box))
+
+C_PAIR = """<mujoco><option ccd_iterations="200" ccd_tolerance="1e-9"/><worldbody>
+<body><freejoint/><geom name="cylinder" type="cylinder" size=".13 .025"/></body>
+<body><freejoint/><geom name="box" type="box" size="1 1 1" margin="{margin}"/></body>
+</worldbody></mujoco>"""
+
+
+class CPair:
+    """One cylinder and one box in C MuJoCo, placed at will."""
+
+    def __init__(self, flags: int, margin: float = 0.0) -> None:
+        self.model = mujoco.MjModel.from_xml_string(C_PAIR.format(margin=margin))
+        self.model.opt.disableflags |= flags
+        self.data = mujoco.MjData(self.model)
+
+    def contacts(self, poses: list[np.ndarray], sizes: list[np.ndarray]) -> list[tuple]:
+        """(distance, position, normal from cylinder to box) per contact, deepest first."""
+        m, d = self.model, self.data
+        for geom, (pose, size) in enumerate(zip(poses, sizes, strict=True)):
+            d.qpos[7 * geom : 7 * geom + 7] = pose
+            m.geom_size[geom] = size
+            reach = size if geom else np.array([size[0], size[0], size[1]])
+            m.geom_rbound[geom] = np.linalg.norm(reach)
+            m.geom_aabb[geom] = [0, 0, 0, *reach]
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        mujoco.mj_collision(m, d)
+        sign = [1 if c.geom1 == 0 else -1 for c in d.contact[: d.ncon]]
+        found = [
+            (c.dist, c.pos.copy(), s * c.frame[:3])
+            for c, s in zip(d.contact[: d.ncon], sign, strict=True)
+        ]
+        return sorted(found, key=lambda contact: contact[0])
+
+
+def quat(axis: np.ndarray, angle: float) -> np.ndarray:
+    out = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(out, axis / np.linalg.norm(axis), angle)
+    return out
+
+
+def multiply(*quats: np.ndarray) -> np.ndarray:
+    out = np.array([1.0, 0, 0, 0])
+    for factor in quats:
+        mujoco.mju_mulQuat(out, out.copy(), factor)
+    return out
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, q)
+    return out.reshape(3, 3)
+
+
+LYING = quat(np.array([1.0, 0, 0]), np.pi / 2)
+UPRIGHT = np.array([1.0, 0, 0, 0])
+
+
+def separation(n: np.ndarray, center: np.ndarray, axis: np.ndarray, sizes: list) -> np.ndarray:
+    """Gap along unit directions n (..., 3) by the definition of the support functions, float64."""
+    (radius, half, _), box = sizes
+    cosine = n @ axis
+    sine = np.sqrt(np.maximum(1 - cosine**2, 0))
+    return np.abs(n @ center) - half * np.abs(cosine) - radius * sine - np.abs(n) @ box
+
+
+def random_pose(rng: np.random.Generator, directions: np.ndarray) -> tuple[list, list]:
+    """A cylinder within -4 to 2 mm of a box: faces, edges, corners; lying, flat, any attitude."""
+    boxes = [[0.5, 0.5, 0.05], [0.2, 0.18, 0.05], [2.0, 2.0, 0.1], rng.uniform(0.03, 0.4, 3)]
+    box = np.array(boxes[rng.integers(4)])
+    sizes = [np.array([RADIUS, rng.choice([0.0128, HALF_WIDTH]), 0.0]), box]
+    attitude = rng.normal(size=4)
+    if rng.random() < 0.7:
+        tilt = 10 ** rng.uniform(-5, -0.5)
+        attitude = multiply(
+            quat(rng.normal(size=3), tilt),
+            quat(np.eye(3)[rng.integers(3)], rng.uniform(0, 6.3) * rng.integers(2)),
+            (LYING, UPRIGHT)[rng.integers(2)],
+        )
+    attitude = attitude / np.linalg.norm(attitude)
+    axis = matrix(attitude)[:, 2]
+    spot = rng.uniform(-1, 1, 3) * box
+    side = rng.integers(3)
+    for k in (side, (side + 1) % 3)[: 1 + (rng.random() < 0.4)]:
+        spot[k] = np.copysign(box[k], spot[k])
+    away = np.eye(3)[side] * np.sign(spot[side]) + 0.6 * rng.normal(size=3) * rng.integers(2)
+    away /= np.linalg.norm(away)
+    low, high, target = -0.3, 0.6, rng.uniform(-0.004, 0.002)
+    for _ in range(30):
+        middle = (low + high) / 2
+        gap = separation(np.vstack([directions, axis]), spot + middle * away, axis, sizes).max()
+        low, high = (middle, high) if gap < target else (low, middle)
+    turn, shift = rng.normal(size=4), rng.uniform(-3, 3, 3)
+    turn = UPRIGHT if rng.random() < 0.3 else turn / np.linalg.norm(turn)
+    center = shift + matrix(turn) @ (spot + high * away)
+    pose = np.concatenate([center, multiply(turn, attitude)])
+    return [pose, np.concatenate([shift, turn])], sizes
+
+
+def as_geoms(poses: list[list[np.ndarray]], sizes: list[list[np.ndarray]]) -> list[Geom]:
+    return [
+        Geom(
+            jnp.array([p[k][:3] for p in poses], jnp.float32),
+            jnp.array([matrix(p[k][3:]) for p in poses], jnp.float32),
+            jnp.array([s[k] for s in sizes], jnp.float32),
+        )
+        for k in range(2)
+    ]
+
+
+@pytest.fixture(scope="module")
+def poses() -> Poses:
+    rng = np.random.default_rng(7)
+    directions = rng.normal(size=(800, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = np.vstack([directions, np.eye(3)])
+    drawn = [random_pose(rng, directions) for _ in range(POSES)]
+    pair = CPair(MULTICCD_OFF)
+    deepest = [(pair.contacts(*one) or [(1.0, None, np.zeros(3))])[0] for one in drawn]
+    cylinder, box = as_geoms([p for p, _ in drawn], [s for _, s in drawn])
+    return Poses(
+        cylinder, box, np.array([d[0] for d in deepest]), np.array([d[2] for d in deepest])
+    )
+
+
+def angles(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Angle between rows [degrees]; by the sine, exact for small ones."""
+    sine = np.linalg.norm(np.cross(u, v), axis=-1)
+    return np.degrees(np.arctan2(sine, np.sum(u * v, axis=-1)))
+
+
+def test_deepest_contact_is_that_of_c(poses: Poses) -> None:
+    dist, _, frame = map(np.asarray, collide(poses.cylinder, poses.box))
+    touching = poses.depth < -DEPTH_ATOL
+    assert touching.sum() > POSES // 3
+    np.testing.assert_allclose(dist.min(axis=1)[touching], poses.depth[touching], atol=DEPTH_ATOL)
+    off = angles(frame[:, 0, 0], poses.normal)[touching]
+    assert off.max() < ANGLE_TOL
+    assert np.percentile(off, 95) < 0.1
+
+
+def test_contact_exactly_where_c_has_one(poses: Poses) -> None:
+    dist = np.asarray(collide(poses.cylinder, poses.box)[0]).min(axis=1)
+    assert np.all(dist[poses.depth > 0.5] > -DEPTH_ATOL)
+    assert np.sum(poses.depth > 0.5) > POSES // 6
+    assert np.all(dist[poses.depth < -DEPTH_ATOL] < 0)
+
+
+def test_all_contacts_lie_between_the_surfaces(poses: Poses) -> None:
+    dist, pos, frame = map(np.asarray, collide(poses.cylinder, poses.box))
+    axis, sizes = np.asarray(poses.cylinder.mat)[:, None, :, 2], np.asarray(poses.cylinder.size)
+    offset = pos - np.asarray(poses.cylinder.pos)[:, None]
+    along = np.sum(offset * axis, axis=-1)
+    radial = np.linalg.norm(offset - along[..., None] * axis, axis=-1)
+    local = np.einsum(
+        "nji,nkj->nki", np.asarray(poses.box.mat), pos - np.asarray(poses.box.pos)[:, None]
+    )
+    beyond = np.max(np.abs(local) - np.asarray(poses.box.size)[:, None], axis=-1)
+    reach = np.maximum(np.abs(along) - sizes[:, 1:2], radial - sizes[:, 0:1])
+    active = dist < 0
+    assert np.all((reach < 1e-4)[active])
+    assert np.all((beyond < 1e-4)[active])
+    rotations = np.einsum("nkij,nklj->nkil", frame, frame)
+    np.testing.assert_allclose(
+        rotations, np.broadcast_to(np.eye(3), rotations.shape), atol=2e-6
+    )  # float32 rounding of unit vectors
+
+
+BIG = np.array([0.5, 0.5, 0.2])
+AT_ORIGIN = np.array([0, 0, 0, 1.0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("center", "attitude"),
+    [
+        ([0, 0, 0.2 + RADIUS - 0.002], LYING),
+        ([0, 0, 0.2 + RADIUS - 0.002], multiply(quat(np.array([0, 0, 1.0]), 0.4), LYING)),
+        ([0, 0, 0.2 + RADIUS - 0.002], multiply(quat(np.array([1.0, 0, 0]), 0.01), LYING)),
+        ([0, 0.51, 0.2 + RADIUS - 0.002], LYING),
+        ([0.5 + RADIUS - 0.002, 0, 0.1], LYING),
+    ],
+    ids=["rolls", "yawed", "tilted", "half over the side", "pushes a wall"],
+)
+def test_lying_contacts_are_those_of_default_c(center: list, attitude: np.ndarray) -> None:
+    pose, size = np.array([*center, *attitude]), np.array([RADIUS, HALF_WIDTH, 0])
+    expected = CPair(0).contacts([pose, AT_ORIGIN], [size, BIG])
+    dist, pos, frame = (
+        np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
+    )
+    order = np.flatnonzero(dist < 0)
+    assert len(order) == len(expected) == 2
+    for wanted, point, normal in expected:
+        nearest = order[np.argmin(np.linalg.norm(pos[order] - point, axis=1))]
+        # C's clipping tolerance moves its points by up to 0.2 mm
+        np.testing.assert_allclose(pos[nearest], point, atol=2e-4)
+        np.testing.assert_allclose(dist[nearest], wanted, atol=2e-5)
+        np.testing.assert_allclose(frame[nearest, 0], normal, atol=1e-5)
+
+
+@pytest.mark.parametrize("center", [[0, 0], [0.45, 0], [0.55, 0.1], [0.55, 0.55]])
+@pytest.mark.parametrize("tilt", [0.0, 1e-6, 1e-3])
+def test_flat_disc_stands_on_three_points(center: list, tilt: float) -> None:
+    attitude = quat(np.array([1.0, 0.3, 0]), tilt)
+    pose = np.array([*center, 0.2 + HALF_WIDTH - 0.002, *attitude])
+    size = np.array([RADIUS, HALF_WIDTH, 0])
+    expected = CPair(MULTICCD_OFF).contacts([pose, AT_ORIGIN], [size, BIG])[0]
+    dist, pos, frame = (
+        np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
+    )
+    assert np.all(dist < 0)
+    np.testing.assert_allclose(dist.min(), expected[0], atol=DEPTH_ATOL)
+    np.testing.assert_allclose(frame[:, 0], np.broadcast_to([0, 0, -1], (3, 3)), atol=2e-3)
+    area = np.linalg.norm(np.cross(pos[1] - pos[0], pos[2] - pos[0])) / 2
+    overlap = (np.linspace(-RADIUS, RADIUS, 400)[:, None], np.linspace(-RADIUS, RADIUS, 400))
+    inside = (overlap[0] ** 2 + overlap[1] ** 2 < RADIUS**2) & (
+        (overlap[0] + center[0] < 0.5) & (overlap[1] + center[1] < 0.5)
+    )
+    patch = inside.mean() * (2 * RADIUS) ** 2
+    assert area > 0.2 * patch  # 0.41 on a whole disc
+
+
+@pytest.mark.parametrize("half_width", [0.0128, HALF_WIDTH])
+@pytest.mark.parametrize("attitude", [LYING, UPRIGHT], ids=["lying", "flat"])
+def test_deep_penetration_keeps_the_normal(half_width: float, attitude: np.ndarray) -> None:
+    reach = RADIUS if attitude is LYING else half_width
+    pose = np.array([0.1, 0.05, 0.2 + reach - half_width / 2, *attitude])
+    size = np.array([RADIUS, half_width, 0])
+    expected = CPair(MULTICCD_OFF).contacts([pose, AT_ORIGIN], [size, BIG])[0]
+    dist, _, frame = collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
+    np.testing.assert_allclose(dist.min(), expected[0], atol=DEPTH_ATOL)
+    np.testing.assert_allclose(frame[0, 0, 0], [0, 0, -1], atol=1e-6)
+
+
+def test_degenerate_poses_give_numbers() -> None:
+    centers = [[0, 0, 0], [0.5, 0.5, 0.2], [0.5, 0, 0], [0, 0, 0.2 + RADIUS], [9, 9, 9]]
+    attitudes = [UPRIGHT, LYING, quat(np.array([0, 1.0, 0]), np.pi / 2), quat(np.ones(3), 1.0)]
+    drawn = [[np.array([*c, *a]), AT_ORIGIN] for c in centers for a in attitudes]
+    for size in ([RADIUS, HALF_WIDTH, 0], [RADIUS, 1e-6, 0], [1e-6, 0.1, 0]):
+        geoms = as_geoms(drawn, [[np.array(size), BIG]] * len(drawn))
+        for out in collide(*geoms):
+            assert np.all(np.isfinite(out))
+    dist, _, frame = collide(*as_geoms(drawn, [[np.array([RADIUS, 0.02, 0]), BIG]] * len(drawn)))
+    np.testing.assert_allclose(np.linalg.norm(frame[:, 0, 0], axis=-1), 1, atol=1e-6)
+    assert np.all(np.asarray(dist).reshape(5, 4, 3)[0].min(axis=1) < -0.2)  # centre inside
+    assert np.all(np.asarray(dist).reshape(5, 4, 3)[4] > 0)
+
+
+def test_default_c_turns_edge_normals() -> None:
+    """Why the pose oracle runs without multiccd; if this fails, C was repaired: use it as it is."""
+    direction = np.array([np.cos(np.radians(70)), 0, np.sin(np.radians(70))])
+    pose = np.array([*(np.array([0.5, 0, 0.2]) + (RADIUS - 0.002) * direction), *LYING])
+    size = np.array([RADIUS, HALF_WIDTH, 0])
+    single = CPair(MULTICCD_OFF).contacts([pose, AT_ORIGIN], [size, BIG])[0]
+    default = CPair(0).contacts([pose, AT_ORIGIN], [size, BIG])[0]
+    dist, _, frame = collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
+    assert angles(single[2], -direction) < 0.2
+    assert angles(np.asarray(frame)[0, 0, 0], -direction) < 0.2
+    np.testing.assert_allclose(np.sort(dist[0])[:2], [-0.002, -0.002], atol=DEPTH_ATOL)
+    assert angles(default[2], -direction) > 60
+
+
+def test_driver_calls_it_and_registering_twice_changes_nothing() -> None:
+    module.register()
+    key = (mjx.GeomType.CYLINDER, mjx.GeomType.BOX)
+    first = collision_driver._COLLISION_FUNC[key]
+    module.register()
+    assert collision_driver._COLLISION_FUNC[key] is first
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="box" size=".5 .5 .2"/><body pos="0 0 .328">
+        <freejoint/><geom type="cylinder" size=".13 .025" euler="90 0 0"/></body></worldbody></mujoco>"""
+    )
+    on_device = mjx.put_model(model)
+    place = jax.jit(lambda data: mjx.collision(on_device, mjx.kinematics(on_device, data)))
+    contact = place(mjx.make_data(model))._impl.contact
+    assert contact.dist.shape == (module.CONTACTS,)
+    np.testing.assert_allclose(np.sort(contact.dist)[:2], -0.002, atol=1e-6)
+
+
+def test_registering_refuses_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metadata, "version", lambda name: "3.18.0")
+    with pytest.raises(EngineError, match=r"3\.18\.0.*3\.17\.0"):
+        module.register()
+
+
+def test_registering_names_a_missing_private_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(collision_driver, "_COLLISION_FUNC")
+    with pytest.raises(EngineError, match="_COLLISION_FUNC"):
+        module.register()
