@@ -16,7 +16,7 @@ from usarmjx.engines.base import Inputs, PhysicsState
 from usarmjx.models.plan import Bodies, RobotState, body_poses, geom_poses
 from usarmjx.scene import Scene, Team, parking_place, start_height
 from usarmjx.sensors.base import Reading, Sight
-from usarmjx.sensors.raycast import FAR_AWAY, Geoms, gather
+from usarmjx.sensors.raycast import FAR_AWAY, NO_HITS, Geoms, gather
 from usarmjx.sensors.suite import Memory
 
 RUNAWAY_SPEED = 5.0
@@ -125,11 +125,10 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
         command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle(team.robot))
         teams.append(TeamState(command=command, active=active, born=jnp.zeros(n), memory=None))  # type: ignore[arg-type]
     world = world.replace(teams=tuple(teams))
-    sights = look(scene, world, physics)
     key = episode_key(world, START_STREAM)
     teams = [
-        state.replace(memory=_map_robots(team.suite.start, sight, team, key))
-        for team, state, sight in zip(scene.teams, world.teams, sights, strict=True)
+        state.replace(memory=_map_robots(team.suite.start, feel(scene, world, physics, team), team, key))
+        for team, state in zip(scene.teams, world.teams, strict=True)
     ]
     return world.replace(teams=tuple(teams)), qpos
 
@@ -158,20 +157,28 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
 
 def _map_robots(function: Any, sight: Sight, team: Team, key: jax.Array, *rest: Any) -> Any:  # noqa: ANN401
     """Map function(sight, *rest, key) over a team's robots, with a key folded by each robot's slot."""
-    keys = jax.vmap(lambda slot: jax.random.fold_in(key, slot))(team.slots)
-    shared = Sight(time=None, state=0, bodies=0, geoms=None, slot=0)  # type: ignore[arg-type]
+    keys = jax.vmap(partial(jax.random.fold_in, key))(team.slots)
+    shared = Sight(time=None, state=0, bodies=0, hits=0)  # type: ignore[arg-type]
     return jax.vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sight, *rest, keys)
 
 
+def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight:
+    """Return what a team's robots sense of themselves, no rays cast; leading axis over robots, but for time."""
+    states = team_states(team, physics)
+    bodies = jax.vmap(partial(body_poses, team.plan))(states)
+    blind = jax.tree.map(lambda x: jnp.zeros((len(team.slots), *x.shape)), NO_HITS)
+    return Sight(time=time_of(scene, world), state=states, bodies=bodies, hits=blind)
+
+
 def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:
-    """Return what each team's robots can sense now; leading axis over robots, but for the shared parts."""
-    states = [team_states(team, physics) for team in scene.teams]
-    bodies = [jax.vmap(partial(body_poses, team.plan))(s) for team, s in zip(scene.teams, states, strict=True)]
-    geoms = _visible(scene, world, bodies)
-    time = time_of(scene, world)
+    """Return what each team's robots sense, rays cast; leading axis over robots, but for the time."""
+    sights = [feel(scene, world, physics, team) for team in scene.teams]
+    geoms = _visible(scene, world, [sight.bodies for sight in sights])
     return tuple(
-        Sight(time=time, state=state, bodies=body, geoms=geoms, slot=jnp.asarray(team.slots))
-        for team, state, body in zip(scene.teams, states, bodies, strict=True)
+        sight.replace(
+            hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots))
+        )
+        for team, sight in zip(scene.teams, sights, strict=True)
     )
 
 

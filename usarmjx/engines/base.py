@@ -84,6 +84,10 @@ class Engine(ABC):
         """Return the state with the masked worlds (worlds,) at rest at qpos (worlds, nq)."""
 
     @abstractmethod
+    def place(self, own: Any, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> Any:  # noqa: ANN401
+        """Return the state with some coordinates put elsewhere, at rest; masks and qpos as in `Inputs`."""
+
+    @abstractmethod
     def state(self, own: Any) -> PhysicsState:  # noqa: ANN401
         """Return what others may see of the state."""
 

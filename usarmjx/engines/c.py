@@ -38,6 +38,12 @@ def buffer_warnings(data: mujoco.MjData) -> int:
     return int(sum(data.warning[w].number for w in full))
 
 
+def _pin(data: mujoco.MjData, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> None:
+    np.copyto(data.qpos, qpos, where=pinned)
+    data.qvel[pinned_dof] = 0.0
+    data.qacc_warmstart[pinned_dof] = 0.0
+
+
 class CEngine(Engine):
     """Steps worlds one by one, on all cores."""
 
@@ -91,9 +97,17 @@ class CEngine(Engine):
     def _apply(self, data: mujoco.MjData, told: Inputs, world: int) -> None:
         data.ctrl[:], data.act[:] = told.ctrl[world], told.act[world]
         data.xfrc_applied[:] = told.xfrc_applied[world]
-        np.copyto(data.qpos, told.qpos[world], where=told.pinned[world])
-        data.qvel[told.pinned_dof[world]] = 0.0
-        data.qacc_warmstart[told.pinned_dof[world]] = 0.0
+        _pin(data, told.pinned[world], told.pinned_dof[world], told.qpos[world])
+
+    def place(self, own: CState, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> CState:
+        """Put the pinned coordinates at qpos, at rest."""
+        new = CState(*(array.copy() for array in own))
+        data = self._datas[0]
+        for world in np.flatnonzero(np.asarray(pinned).any(-1)):
+            mujoco.mj_setState(self.model, data, own.everything[world], EVERYTHING)
+            _pin(data, np.asarray(pinned)[world], np.asarray(pinned_dof)[world], np.asarray(qpos)[world])
+            self._save(data, new, int(world))
+        return new
 
     def reset(self, own: CState, mask: np.ndarray, qpos: np.ndarray) -> CState:
         """Put the masked worlds at rest at qpos; the others are untouched."""

@@ -41,16 +41,18 @@ class MjxEngine(Engine):
 
     def advance(self, own: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step."""
-        data = own.replace(
-            ctrl=inputs.ctrl,
-            act=inputs.act,
-            xfrc_applied=inputs.xfrc_applied,
-            qpos=jnp.where(inputs.pinned, inputs.qpos, own.qpos),
-            qvel=jnp.where(inputs.pinned_dof, 0.0, own.qvel),
-            qacc_warmstart=jnp.where(inputs.pinned_dof, 0.0, own.qacc_warmstart),
-        )
+        data = self.place(own, inputs.pinned, inputs.pinned_dof, inputs.qpos)
+        data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
         step = jax.vmap(mjx.step, in_axes=(None, 0))
         return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(self.mx, d), data)
+
+    def place(self, own: mjx.Data, pinned: jax.Array, pinned_dof: jax.Array, qpos: jax.Array) -> mjx.Data:
+        """Put the pinned coordinates at qpos, at rest."""
+        return own.replace(
+            qpos=jnp.where(pinned, qpos, own.qpos),
+            qvel=jnp.where(pinned_dof, 0.0, own.qvel),
+            qacc_warmstart=jnp.where(pinned_dof, 0.0, own.qacc_warmstart),
+        )
 
     def reset(self, own: mjx.Data, mask: jax.Array, qpos: jax.Array) -> mjx.Data:
         """Put the masked worlds at rest at qpos; the others keep every bit."""

@@ -91,6 +91,8 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
     spec = new_spec(nowhere, Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
     model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
     index = index_robot(model, robot, "")
     body = list(index.body)
     local = {b: i for i, b in enumerate(body)}
@@ -111,22 +113,28 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
         geom_size=model.geom_size[geoms].astype(np.float32),
         geom_pos=model.geom_pos[geoms].astype(np.float32),
         geom_mat=mats.reshape(-1, 3, 3).astype(np.float32),
-        clearance=_clearance(model),
+        clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
     )
 
 
-def _clearance(model: mujoco.MjModel) -> float:
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    on_robot = model.geom_bodyid >= 2  # behind the world and the arena
-    half_heights = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :]) * model.geom_size
-    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
-    is_cylinder = model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER
-    axis_up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, 2])
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
+    """Return the height of the lowest point of the masked geoms (ngeom,) [m]; kinematics must be current.
+
+    Boxes, spheres, capsules and cylinders are exact; other types count as their bounding sphere.
+    """
+    up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :])
     radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
-    round_height = radius * np.sqrt(np.maximum(0.0, 1 - axis_up**2)) + length * axis_up
-    low = np.where(is_cylinder, round_height, np.where(is_sphere, radius, half_heights.sum(-1)))
-    return float(-(data.geom_xpos[:, 2] - low)[on_robot].min())
+    kinds = mujoco.mjtGeom
+    reach = np.select(
+        [model.geom_type == kind for kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE)],
+        [(up * model.geom_size).sum(-1), radius, radius + length * up[:, 2]],
+        np.where(
+            model.geom_type == kinds.mjGEOM_CYLINDER,
+            radius * np.sqrt(np.maximum(0.0, 1 - up[:, 2] ** 2)) + length * up[:, 2],
+            model.geom_rbound,
+        ),
+    )
+    return float((data.geom_xpos[:, 2] - reach)[geoms].min())
 
 
 def robot_state(index: RobotIndex, qpos: jax.Array, qvel: jax.Array) -> RobotState:

@@ -16,7 +16,7 @@ from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies, BodyPlan, RobotState
 from usarmjx.models.spec import Mount
 from usarmjx.registry import Registry
-from usarmjx.sensors.raycast import Geoms
+from usarmjx.sensors.raycast import Hits
 from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
 
 
@@ -27,15 +27,13 @@ class Sight(struct.PyTreeNode, kw_only=True):
         time: Simulated time [s] ().
         state: The robot's own state.
         bodies: Poses of its bodies.
-        geoms: Everything that rays can hit.
-        slot: The robot's slot, whose own geoms rays pass ().
+        hits: What the rays of the sensors met (rays,).
     """
 
     time: jax.Array
     state: RobotState
     bodies: Bodies
-    geoms: Geoms
-    slot: jax.Array
+    hits: Hits
 
 
 class Reading(struct.PyTreeNode, kw_only=True):
@@ -74,6 +72,7 @@ class Sensor(ABC):
     Attributes:
         kind: Type as on the wire.
         grouped: Whether all of the type share one message (bUseGroup).
+        needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
         plan: The robot class.
         mounts: Where the sensors sit.
         settings: Their settings, one each.
@@ -81,20 +80,26 @@ class Sensor(ABC):
 
     kind: ClassVar[str]
     grouped: ClassVar[bool] = False
+    needs_incidence: ClassVar[bool] = False
     defaults: ClassVar[type] = Common
 
     plan: BodyPlan
     mounts: tuple[Mount, ...]
     settings: tuple[Any, ...]
 
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
+        del bodies
+        return jnp.zeros((0, 3)), jnp.zeros((0, 3))
+
     def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
-        """Return the sensor's memory at the start of an episode; most have none."""
+        """Return the sensor's memory at the start of an episode, before any ray is cast; most have none."""
         del sight, key
         return ()
 
     @abstractmethod
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
-        """Return the new memory and the measured value."""
+        """Return the new memory and the measured value; `sight.hits` are those of this sensor's rays."""
 
     def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
         """Carry out a SET command; return the new memory, or None when the command is not valid."""

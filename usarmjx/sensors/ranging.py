@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.errors import SpecError
+from usarmjx.models.plan import Bodies
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
-from usarmjx.sensors.raycast import cast, cast_incidence
 
 
 @dataclass(frozen=True)
@@ -88,18 +88,22 @@ class Sonar(Sensor):
 
     kind = "Sonar"
     grouped = True
+    needs_incidence = True
     defaults = SonarSettings
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
-        """Measure once (manual 10.2.1)."""
-        pos, mat = self.mount_poses(sight.bodies)
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """All beams' lines, beam by beam."""
+        pos, mat = self.mount_poses(bodies)
         cones = np.stack([cone(settings.beam_angle) for settings in self.settings])
         direction = jnp.einsum("mij,mlj->mli", mat, cones)
         origin = jnp.broadcast_to(pos[:, None], direction.shape)
-        hits = cast_incidence(sight.geoms, origin.reshape(-1, 3), direction.reshape(-1, 3), sight.slot)
-        limit = np.array([math.cos(settings.max_incidence) for settings in self.settings])
-        heard = hits.cosine.reshape(len(limit), -1) >= limit[:, None]
-        distance = jnp.where(heard, hits.distance.reshape(heard.shape), jnp.inf).min(-1)
+        return origin.reshape(-1, 3), direction.reshape(-1, 3)
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Measure once (manual 10.2.1)."""
+        limit = np.array([math.cos(settings.max_incidence) for settings in self.settings], np.float32)
+        heard = sight.hits.cosine.reshape(len(limit), -1) >= limit[:, None]
+        distance = jnp.where(heard, sight.hits.distance.reshape(heard.shape), jnp.inf).min(-1)
         return memory, report(distance[:, None], self.settings, key)[:, 0]
 
 
@@ -157,13 +161,15 @@ class RangeScanner(Sensor):
         """Whether it scans on the SCAN command only."""
         return self.settings[0].scan_interval <= 0
 
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """One line per step of the fan."""
+        pos, mat = self.mount_poses(bodies)
+        direction = fan(self.settings[0]) @ mat[0].T
+        return jnp.broadcast_to(pos[0], direction.shape), direction
+
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""
-        pos, mat = self.mount_poses(sight.bodies)
-        direction = fan(self.settings[0]) @ mat[0].T
-        origin = jnp.broadcast_to(pos[0], direction.shape)
-        distance = cast(sight.geoms, origin, direction, sight.slot)
-        return memory, report(distance[None], self.settings, key)[0]
+        return memory, report(sight.hits.distance[None], self.settings, key)[0]
 
     def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
         """SCAN is valid in both modes; the suite makes the scan due (manual, Table 3)."""

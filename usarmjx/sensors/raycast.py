@@ -51,11 +51,16 @@ class Hits(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         distance: Distance to the surface, infinite where nothing was hit [m] (rays,).
-        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit (rays,).
+        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit, and where it
+            was not asked for (rays,).
     """
 
     distance: jax.Array
     cosine: jax.Array
+
+
+NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))  # type: ignore[arg-type]
+"""Of a robot that casts no rays."""
 
 
 # Each kernel takes a ray in the geom's frame, origin and direction as (3, ...) arrays, and the geom's
@@ -186,8 +191,8 @@ def _distances(kind: int, block: Block, origin: jax.Array, direction: jax.Array,
     return jnp.where(block.owner == viewer, jnp.inf, t)
 
 
-def cast(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> jax.Array:
-    """Return the distance to the first surface that each ray meets, infinite without one [m] (rays,).
+def cast(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> Hits:
+    """Return the distance to the first surface that each ray meets (rays,); no angles.
 
     Args:
         geoms: What there is to hit.
@@ -202,7 +207,8 @@ def cast(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Arra
             nearest = jnp.minimum(nearest, _distances(kind, block, start, along, viewer).min())
         return nearest
 
-    return jax.vmap(one)(origin, direction)
+    distance = jax.vmap(one)(origin, direction)
+    return Hits(distance=distance, cosine=jnp.zeros_like(distance))
 
 
 def _surface_cosine(kind: int, point: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:

@@ -1,7 +1,7 @@
 """All sensors of a robot class, read together, each when it is due."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import jax
@@ -12,9 +12,10 @@ from flax import struct
 import usarmjx.sensors.motion
 import usarmjx.sensors.ranging  # noqa: F401 - both fill SENSORS
 from usarmjx.errors import UnknownNameError
-from usarmjx.models.plan import BodyPlan, body_plan
+from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
+from usarmjx.sensors.raycast import NO_HITS, Geoms, Hits, cast, cast_incidence
 from usarmjx.sensors.settings import resolve
 
 CLOCK_SLACK = 1e-3
@@ -42,10 +43,36 @@ class Suite:
     plan: BodyPlan
     sensors: tuple[Sensor, ...]
 
+    @cached_property
+    def ray_counts(self) -> tuple[int, ...]:
+        """How many rays each sensor casts."""
+        n = len(self.plan.parts)
+        bodies = Bodies(pos=jnp.zeros((n, 3)), mat=jnp.zeros((n, 3, 3)))
+        return tuple(jax.eval_shape(sensor.rays, bodies)[0].shape[0] for sensor in self.sensors)
+
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
+        pairs = [sensor.rays(bodies) for sensor in self.sensors]
+        return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate([along for _, along in pairs])
+
+    def cast(self, geoms: Geoms, bodies: Bodies, slot: jax.Array) -> Hits:
+        """Cast all rays of the robot in `slot` (); angles of incidence only where a sensor needs them."""
+        hits = []
+        for sensor, count in zip(self.sensors, self.ray_counts, strict=True):
+            if count:
+                caster = cast_incidence if sensor.needs_incidence else cast
+                hits.append(caster(geoms, *sensor.rays(bodies), slot))
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
+
     def start(self, sight: Sight, key: jax.Array) -> Memory:
-        """Return the memory of a robot that starts now: everything but a manual scanner is due at once."""
+        """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
+
+        No rays are cast for it: `sight.hits` is not used.
+        """
         own = tuple(s.start(sight, jax.random.fold_in(key, i)) for i, s in enumerate(self.sensors))
-        blank = jax.eval_shape(self._read_all, sight, own, key)[1]
+        rays = jnp.zeros(sum(self.ray_counts))
+        seen = sight.replace(hits=Hits(distance=rays, cosine=rays))
+        blank = jax.eval_shape(self._read_all, seen, own, key)[1]
         due = jnp.array([jnp.inf if sensor.manual else 0.0 for sensor in self.sensors]) + sight.time
         return Memory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
 
@@ -53,7 +80,11 @@ class Suite:
         self, sight: Sight, own: tuple[Any, ...], key: jax.Array
     ) -> tuple[tuple[Any, ...], tuple[jax.Array, ...]]:
         # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
-        pairs = [s.read(sight, own[i], jax.random.fold_in(key, i)) for i, s in enumerate(self.sensors)]
+        ends = np.cumsum(self.ray_counts)
+        pairs = []
+        for i, (sensor, count, end) in enumerate(zip(self.sensors, self.ray_counts, ends, strict=True)):
+            mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], sight.hits)
+            pairs.append(sensor.read(sight.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
         return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
 
     def read(self, sight: Sight, memory: Memory, key: jax.Array) -> tuple[Memory, tuple[Reading, ...]]:
@@ -68,7 +99,10 @@ class Suite:
 
         own = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(own, memory.own, strict=True)))
         last = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(values, memory.last, strict=True)))
-        due = jnp.where(fresh, jnp.where(manual, jnp.inf, sight.time + interval), memory.due)
+        # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.
+        late = sight.time - memory.due >= interval
+        following = jnp.where(manual, jnp.inf, jnp.where(late, sight.time, memory.due) + interval)
+        due = jnp.where(fresh, following, memory.due)
         readings = tuple(Reading(value=value, fresh=fresh[i]) for i, value in enumerate(last))
         return Memory(due=due, own=own, last=last), readings
 

@@ -35,7 +35,7 @@ def walls(
     Raises:
         SpecError: The rows do not have the same length.
     """
-    rows = [line for line in plan.splitlines() if line.strip()]
+    rows = plan.strip("\n").splitlines()  # a row of blanks is a row of open cells
     if len({len(row) for row in rows}) != 1 or len(rows) % 2 == 0:
         raise SpecError("a floor plan needs an odd number of rows of the same length")
     columns, lines = (len(rows[0]) - 1) // 3, (len(rows) - 1) // 2

@@ -108,7 +108,7 @@ YELLOW = ArenaSpec(
     starts=(
         StartPose(tag="PlayerStart", at=(4.5, -1.9, START_HEIGHT)),
         *(
-            StartPose(tag=f"Start{i}", at=(*_cell(*cell), START_HEIGHT), yaw=math.pi / 2 * (i % 4))
+            StartPose(tag=f"Start{i}", at=(*_cell(*cell), START_HEIGHT), yaw=math.pi / 2 * (i % 4 - 1))
             for i, cell in enumerate(START_CELLS, start=1)
         ),
     ),

@@ -1,0 +1,214 @@
+"""A small client for USARSim's Gamebots port; needs only the standard library.
+
+    with UsarsimClient("127.0.0.1", 3000) as robot:
+        robot.init("USARBot.P2AT", "R1", (4.5, 1.9, 1.8))
+        robot.drive(2.0, 2.0)
+        for message in robot:
+            print(message.kind, message.value("Type"))
+
+Metres, radians and seconds; x forward, y right, z down, yaw clockwise seen from above.
+"""
+
+import re
+import select
+import socket
+import time
+from collections import deque
+from dataclasses import dataclass
+
+SEGMENT = re.compile(r"\{([^{}]*)\}")
+NO_ANSWER = {"joint"}  # types that a server carries out without a RES
+
+
+@dataclass(frozen=True)
+class Message:
+    """One line from the server.
+
+    Attributes:
+        kind: NFO, STA, MISSTA, SEN, GEO, CONF or RES.
+        segments: (key, value) of each pair of braces in order; keys may repeat.
+    """
+
+    kind: str
+    segments: tuple[tuple[str, str], ...]
+
+    def values(self, key: str) -> list[str]:
+        """Return all values of a key, in order; the key in any case."""
+        return [value for name, value in self.segments if name.lower() == key.lower()]
+
+    def value(self, key: str) -> str:
+        """Return the first value of a key, "" when there is none."""
+        return next(iter(self.values(key)), "")
+
+    def time(self):
+        """Return the simulated time [s], or None: some sensors send none."""
+        text = self.value("Time")
+        return float(text) if text else None
+
+    def vector(self, key: str) -> tuple[float, ...]:
+        """Return the numbers of `{Location 4.5,1.9,1.8}`, none when the key is absent."""
+        return _numbers(self.value(key))
+
+    def items(self) -> dict[str, dict[str, str]]:
+        """Return name -> field -> text of a message with `{Name F1 Range 2.5} {Name F2 ...}`."""
+        lists = [value.split() for value in self.values("Name")]
+        return {words[0]: dict(zip(words[1::2], words[2::2])) for words in lists if words}  # noqa: B905
+
+    def ranges(self) -> dict[str, float]:
+        """Return name -> distance [m] of a Sonar or IR message."""
+        items = self.items().items()
+        return {name: float(fields["Range"]) for name, fields in items if "Range" in fields}
+
+    def scan(self) -> tuple[float, ...]:
+        """Return the distances [m] of a range scanner, from right to left."""
+        return self.vector("Range")
+
+    def pose(self) -> tuple[float, float, float]:
+        """Return x, y [m] and yaw [rad] of an Odometry, INS or GroundTruth message."""
+        pose = self.vector("Pose") or (*self.vector("Location")[:2], self.vector("Orientation")[2])
+        return pose[0], pose[1], pose[2]
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in text.split(",") if number)
+
+
+def parse_line(line: str) -> Message:
+    """Return the message of one line, such as `SEN {Type Odometry} {Name O} {Pose 0.1,0.0,0.0}`."""
+    pairs = (inside.strip().partition(" ") for inside in SEGMENT.findall(line))
+    segments = tuple((key, value.strip()) for key, _, value in pairs)
+    return Message(line.partition("{")[0].strip(), segments)
+
+
+def format_line(kind: str, segments: dict[str, object]) -> str:
+    """Return the line of a command; vectors become `x,y,z`."""
+
+    def text(value: object) -> str:
+        if isinstance(value, (tuple, list)):
+            return ",".join(text(part) for part in value)
+        return f"{value:.4f}" if isinstance(value, float) else str(value)
+
+    return " ".join([kind, *(f"{{{key} {text(value)}}}" for key, value in segments.items())])
+
+
+class UsarsimClient:
+    """One connection, which is one robot: it leaves the world when the connection closes.
+
+    Args:
+        host: Where the server runs.
+        port: Its Gamebots port.
+        timeout: How long to wait for a connection or an answer [s of real time].
+
+    Attributes:
+        greeting: The server's first line; its "Level" is the arena.
+
+    Raises:
+        OSError: No connection, or no greeting in time (TimeoutError).
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0):
+        self.timeout = timeout
+        self._socket = socket.create_connection((host, port), timeout)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._bytes = b""
+        self._messages = deque()  # received, not yet handed out
+        try:
+            self.greeting = self._wait_for("NFO", "the server's greeting")
+        except OSError:
+            self.close()
+            raise
+
+    def receive(self, timeout: float):
+        """Return the next message, or None after `timeout` seconds of real time without one.
+
+        Raises:
+            ConnectionError: The server has closed the connection.
+        """
+        deadline = time.monotonic() + timeout
+        while not self._messages:
+            if not select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))[0]:
+                return None
+            data = self._socket.recv(65536)
+            if not data:
+                raise ConnectionError("the server has closed the connection")
+            *lines, self._bytes = (self._bytes + data).split(b"\n")
+            self._messages += [parse_line(line.decode("latin-1")) for line in lines if line.strip()]
+        return self._messages.popleft()
+
+    def __iter__(self):
+        """Yield messages until the server closes or is silent for `timeout` seconds."""
+        try:
+            while (message := self.receive(self.timeout)) is not None:
+                yield message
+        except ConnectionError:
+            return
+
+    def send(self, kind: str, **segments: object) -> None:
+        """Send any command: `send("DRIVE", Name="CameraPan", Order=0, Value=0.5)`."""
+        self._socket.sendall((format_line(kind, segments) + "\r\n").encode("latin-1"))
+
+    def start_poses(self) -> list[tuple[str, tuple[float, ...], tuple[float, ...]]]:
+        """Return tag, location and rotation of the arena's start places."""
+        self.send("GETSTARTPOSES")
+        answer = self._wait_for("NFO", "start poses")
+        words = " ".join(f"{key} {value}" for key, value in answer.segments[1:]).split()
+        places, turns = ([_numbers(word) for word in words[i::3]] for i in (1, 2))
+        return list(zip(words[::3], places, turns))  # noqa: B905
+
+    def init(self, class_name: str, name: str, location, rotation=(0.0, 0.0, 0.0)):
+        """Spawn the robot and return its first status.
+
+        Raises:
+            TimeoutError: It does not report: servers say nothing about a class they do not know.
+        """
+        self.send("INIT", ClassName=class_name, Name=name, Location=location, Rotation=rotation)
+        status = self._wait_for("STA", f"a report of the new {class_name}")
+        self._messages.appendleft(status)
+        return status
+
+    def drive(self, left: float, right: float, normalized: bool = False) -> None:
+        """Turn the left and right wheels forward [rad/s, or percent when normalized]."""
+        extra = {"Normalized": True} if normalized else {}
+        self.send("DRIVE", Left=float(left), Right=float(right), **extra)
+
+    def geo(self, type_name: str, name: str = ""):
+        """Return where sensors are mounted, or the size of the robot (type Robot)."""
+        return self._ask("GETGEO", type_name, name)
+
+    def conf(self, type_name: str, name: str = ""):
+        """Return the settings of sensors or of the robot."""
+        return self._ask("GETCONF", type_name, name)
+
+    def set(self, type_name: str, name: str, opcode: str, params: object = ""):
+        """Send an order to a sensor or effecter; return its RES, None for types without one."""
+        extra = {"Params": params} if params != "" else {}
+        self.send("SET", Type=type_name, Name=name, Opcode=opcode, **extra)
+        return None if type_name.lower() in NO_ANSWER else self._wait_for("RES", f"the {opcode}")
+
+    def close(self) -> None:
+        """Close the connection; the robot disappears."""
+        self._socket.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def _ask(self, kind: str, type_name: str, name: str):
+        self.send(kind, Type=type_name, **({"Name": name} if name else {}))
+        return self._wait_for(kind[3:], f"{kind} {type_name}")
+
+    def _wait_for(self, kind: str, what: str):
+        """Return the next message of a kind; what arrives before it is handed out later."""
+        passed, deadline = [], time.monotonic() + self.timeout
+        try:
+            while (left := deadline - time.monotonic()) > 0:
+                message = self.receive(left)
+                if message is not None and message.kind == kind:
+                    return message
+                if message is not None:
+                    passed.append(message)
+        finally:
+            self._messages.extendleft(reversed(passed))
+        raise TimeoutError(f"the server did not send {what} within {self.timeout:g} s")

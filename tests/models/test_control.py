@@ -1,0 +1,180 @@
+"""What the motors are told: clamps, refusals, and orders carried out by C MuJoCo."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from usarmjx.control import Order, drive, idle, righting, servos_of, wheel_speeds
+from usarmjx.models.plan import RobotState, body_plan
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.scene import build_scene
+from usarmjx.models.spec import ArenaSpec, StartPose
+
+PERIOD = 0.02  # s
+FLOAT32_ATOL = 1e-5  # a position difference of 1e-7 rad over a period of 0.02 s
+PAN, TILT = 4, 5  # places of the joints
+CAMERA_SPEED = 0.17  # rad/s, manual 9.3
+TILT_RANGE = (-0.16, 0.40)  # rad, manual 9.3
+OVERSHOOT = 0.005  # rad: how far a C MuJoCo servo may end from its target
+SPEED_MARGIN = 1.1  # of a joint's speed over MaxSpeed: the servo catches up after its start
+
+NOWHERE = ArenaSpec(
+    name="nowhere",
+    starts=(StartPose(tag="only", at=(0.0, 0.0, 0.188)),),
+    extent=((0, 0), (0, 0)),
+)
+
+
+@pytest.fixture(scope="module")
+def run():
+    """`drive` of a P2AT, compiled once: (target, order, joint positions, act, time) -> Drive."""
+    compiled = jax.jit(partial(drive, body_plan(P2AT), period=PERIOD))
+
+    def call(target, order, joint_pos=None, act=None, quat=(1.0, 0.0, 0.0, 0.0), until=0.0):
+        joint_pos = np.zeros(6) if joint_pos is None else joint_pos
+        act = joint_pos if act is None else act
+        command = idle(P2AT).replace(
+            target=jnp.asarray(target, jnp.float32),
+            order=jnp.asarray(order, jnp.int32),
+            flip_until=jnp.float32(until),
+        )
+        state = RobotState(
+            pos=jnp.zeros(3),
+            quat=jnp.asarray(quat, jnp.float32),
+            linear=jnp.zeros(3),
+            angular=jnp.zeros(3),
+            joint_pos=jnp.asarray(joint_pos, jnp.float32),
+            joint_vel=jnp.zeros(6),
+        )
+        return compiled(command, state, jnp.asarray(act, jnp.float32), jnp.float32(1.0))
+
+    call.compiled = compiled
+    return call
+
+
+WHEELS_TURN = [Order.VELOCITY] * 4 + [Order.POSITION] * 2
+ALL_TURN = [Order.VELOCITY] * 6
+
+
+def test_speeds_are_clamped_to_what_the_joints_can_do(run):
+    told = run([1.0, -99.0, 99.0, 5.0, 9.0, -9.0], ALL_TURN)
+    top = P2AT.drive.max_speed
+    np.testing.assert_allclose(told.ctrl, [1.0, -top, top, 5.0, CAMERA_SPEED, -CAMERA_SPEED])
+    assert told.refused == 0
+
+
+def test_positions_are_approached_at_most_at_full_speed_and_met_exactly(run):
+    step = CAMERA_SPEED * PERIOD
+    told = run([0, 0, 0, 0, 3.0, 0.1 + step / 4], WHEELS_TURN, joint_pos=[0, 0, 0, 0, 0, 0.1])
+    assert told.ctrl[PAN] == pytest.approx(CAMERA_SPEED)
+    assert told.ctrl[TILT] == pytest.approx(CAMERA_SPEED / 4, abs=FLOAT32_ATOL)
+
+
+@pytest.mark.parametrize(
+    ("target", "at", "goes_to"),
+    [(9.0, 0.399, TILT_RANGE[1]), (-9.0, -0.159, TILT_RANGE[0]), (9.0, 0.45, TILT_RANGE[1])],
+)
+@pytest.mark.parametrize("order", list(Order))
+def test_ranges_are_kept(run, order, target, at, goes_to):
+    told = run([0, 0, 0, 0, 0, target], [Order.VELOCITY] * 5 + [order], joint_pos=[0] * 5 + [at])
+    after = at + float(told.ctrl[TILT]) * PERIOD
+    assert after == pytest.approx(goes_to, abs=1e-6)
+
+
+def test_an_unlimited_joint_turns_on_and_on(run):
+    told = run([0, 0, 0, 0, 0.1, 0], ALL_TURN, joint_pos=[0, 0, 0, 0, 100.0, 0])
+    assert told.ctrl[PAN] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_counts_as_zero_and_is_counted(run, bad):
+    told = run([bad, 1.0, bad, -1.0, bad, 0.1], WHEELS_TURN)
+    assert told.refused == 3
+    assert np.isfinite(told.ctrl).all()
+    np.testing.assert_allclose(told.ctrl[:5], [0, 1, 0, -1, 0])
+
+
+def test_a_servos_target_leads_its_joint_by_what_full_torque_at_full_speed_needs(run):
+    slack = servos_of(P2AT).slack
+    motor = P2AT.drive
+    # Stiffness times lead, less damping times speed, is the torque.
+    assert slack[0] * motor.stiffness - motor.damping * motor.max_speed == pytest.approx(
+        motor.torque, rel=1e-5
+    )
+    told = run([0] * 6, WHEELS_TURN, joint_pos=np.full(6, 0.2), act=[9, -9, 0.2, 0.3, 9, -9])
+    expected = [0.2 + slack[0], 0.2 - slack[0], 0.2, 0.3, 0.2 + slack[4], 0.2 - slack[5]]
+    np.testing.assert_allclose(told.act, expected, rtol=1e-6)
+
+
+def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):
+    on_its_side = (np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0)  # left side up: rolled to the right
+    still = [0.0] * 6
+    assert not run(still, WHEELS_TURN, quat=on_its_side, until=0.5).wrench.any()  # it is 1.0 s now
+    assert not run(still, WHEELS_TURN, until=2.0).wrench.any()
+    wrench = run(still, WHEELS_TURN, quat=on_its_side, until=2.0).wrench
+    assert not wrench[:3].any()
+    # Back about the axis that it fell over, with twice what tips it over its longer half.
+    twice = 2 * P2AT.mass * 9.81 * P2AT.dimensions[0] / 2
+    np.testing.assert_allclose(wrench[3:], [-twice, 0, 0], atol=1e-3)
+
+
+@pytest.mark.parametrize("roll", [np.pi, np.pi / 2])
+def test_righting_gets_a_robot_back_on_its_wheels(roll):
+    scene = build_scene(NOWHERE, ["P2AT"])
+    data, team = mujoco.MjData(scene.model), scene.teams[0]
+    data.qpos[team.root_qpos[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
+    push = jax.jit(partial(righting, P2AT))
+    for _ in range(300):  # 6 s, twice FlipTime: one push to the feet, and time to come to rest
+        root, dof = data.qpos[team.root_qpos[0]], data.qvel[team.root_dof[0]]
+        state = RobotState(
+            pos=root[:3], quat=root[3:], linear=dof[:3], angular=dof[3:], joint_pos=None, joint_vel=None
+        )  # fmt: skip
+        data.xfrc_applied[team.chassis[0]] = push(state) if data.time < 3.0 else 0.0
+        for _ in range(4):
+            mujoco.mj_step(scene.model, data)
+    assert data.body("r0/chassis").xmat.reshape(3, 3)[2, 2] > 0.999
+    assert abs(data.body("r0/chassis").xpos[2] - 0.26) < 0.005
+
+
+def test_an_idle_robot_brakes_and_holds(run):
+    command = idle(P2AT)
+    assert command.order.tolist() == WHEELS_TURN
+    told = run(command.target, command.order, joint_pos=[3, 4, 5, 6, 0, 0])
+    assert not told.ctrl.any()
+    assert not command.light
+
+
+def test_sides_drive_their_wheels():
+    assert wheel_speeds(P2AT, jnp.float32(1), jnp.float32(2)).tolist() == [1, 2, 1, 2]
+    assert wheel_speeds(P2AT, jnp.zeros(3), jnp.ones((2, 3))).shape == (2, 3, 4)
+
+
+@pytest.mark.oracle
+def test_a_position_order_is_carried_out_at_max_speed_by_c_mujoco(run):
+    scene = build_scene(NOWHERE, ["P2AT"])
+    data, team = mujoco.MjData(scene.model), scene.teams[0]
+    data.qpos[2] = 0.26
+    goal = np.array([0, 0, 0, 0, 0.5, 9.0])  # the tilt's is out of its range
+    fastest, arrived = 0.0, None
+    for step in range(250):
+        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qpos[0]], act=data.act[team.actuator[0]])
+        data.ctrl[team.actuator[0]], data.act[team.actuator[0]] = told.ctrl, told.act
+        for _ in range(4):
+            mujoco.mj_step(scene.model, data)
+        fastest = max(fastest, np.abs(data.qvel[team.dof[0, PAN:]]).max())
+        if arrived is None and abs(data.qpos[team.qpos[0, PAN]] - 0.5) < OVERSHOOT:
+            arrived = (step + 1) * PERIOD
+    camera = data.qpos[team.qpos[0, PAN:]]
+    np.testing.assert_allclose(camera, [0.5, TILT_RANGE[1]], atol=OVERSHOOT)
+    assert fastest <= CAMERA_SPEED * SPEED_MARGIN
+    assert arrived == pytest.approx(0.5 / CAMERA_SPEED, abs=0.2)
+
+
+def test_drive_is_compiled_once(run):
+    run(np.zeros(6), WHEELS_TURN)
+    run(np.ones(6), ALL_TURN, joint_pos=np.ones(6))
+    assert run.compiled._cache_size() == 1

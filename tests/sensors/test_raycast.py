@@ -1,0 +1,231 @@
+"""Every ray kernel and the casts against C MuJoCo, whose normals give the angles too."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from usarmjx.errors import UnsupportedGeomError
+from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.scene import build_scene
+from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, Geoms, cast, cast_incidence, check_types, gather
+
+Geom = mujoco.mjtGeom
+
+RAY_ATOL = 1e-4  # m: float32 over a few metres, and what a range sensor may be off
+COSINE_ATOL = 2e-3  # the hit point's 1e-4 m on the smallest radius, 0.05 m
+GRAZE = 1e-4  # m: rays whose C answer changes when moved by this are left out ...
+JUMP = 3e-3  # ... if by more than this: distance [m] or normal
+FEW = 0.03  # ... and no more than this share of rays
+RAYS = 400
+# The size numbers in use: plane's half lengths, half lengths, radius, radius and half length.
+KINDS = {
+    "plane": Geom.mjGEOM_PLANE,
+    "box": Geom.mjGEOM_BOX,
+    "sphere": Geom.mjGEOM_SPHERE,
+    "capsule": Geom.mjGEOM_CAPSULE,
+    "cylinder": Geom.mjGEOM_CYLINDER,
+}
+
+
+@dataclass
+class Room:
+    """Random geoms, in a C model and as ours; those of `owner` 0 sit on one body, for exclusion."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    geoms: Geoms
+    body: int
+
+    def c(self, origins, directions, exclude=-1):
+        """Distance (infinite for none) and normal of C's first hit for each ray."""
+        distance, normal = np.zeros(len(origins)), np.zeros((len(origins), 3))
+        for i, (o, d) in enumerate(zip(origins, directions, strict=True)):
+            hit = np.zeros(1, np.int32)
+            distance[i] = mujoco.mj_ray(self.model, self.data, o, d, None, 1, exclude, hit, normal[i])
+        return np.where(distance < 0, np.inf, distance), normal
+
+    def oracle(self, origins, directions, exclude=-1):
+        """C's distances and cosines, and which rays graze nothing."""
+        distance, normal = self.c(origins, directions, exclude)
+        clear = np.ones(len(origins), bool)
+        for nudge in np.random.default_rng(3).choice([-GRAZE, GRAZE], (4, 3)):
+            moved, turned = self.c(origins + nudge, directions, exclude)
+            gone = np.isinf(distance) != np.isinf(moved)
+            with np.errstate(invalid="ignore"):
+                far = np.abs(moved - distance) > JUMP
+            clear &= ~(gone | far | (np.abs(turned - normal).max(-1) > JUMP * 3))
+        assert clear.mean() > 1 - FEW
+        return distance, np.abs((normal * directions).sum(-1)), clear
+
+
+def make_room(seed: int, kinds=tuple(KINDS), each: int = 4, padding: int = 2) -> Room:
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec()
+    robot = spec.worldbody.add_body(name="robot", mocap=True)
+    owners = []
+    for kind in kinds:
+        for i in range(each):
+            own = i == 0 and kind != "plane"  # C allows planes only on what does not move
+            size = rng.uniform(0.05, 1.0, 3)
+            if kind == "plane":
+                # The floor is unbounded; a plane that C sees is lit from its front only.
+                size[:2] = 0 if i == 0 else size[:2]
+            quat = rng.normal(size=4)
+            pos = rng.uniform(-3, 3, 3)
+            if kind == "plane" and i == 0:
+                quat, pos = np.array([1.0, 0, 0, 0]), np.array([0, 0, -2.5])
+            (robot if own else spec.worldbody).add_geom(
+                type=KINDS[kind], size=size, pos=pos, quat=quat / np.linalg.norm(quat)
+            )
+            owners.append((spec.geoms[-1], 0 if own else -1))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    body = model.body("robot").id
+    owner = np.where(model.geom_bodyid == body, 0, -1)
+    # Padding: of each type some geoms of a big size, far away, as a batch keeps for other worlds.
+    pad = np.repeat([int(KINDS[kind]) for kind in kinds], padding)
+    far = np.full((len(pad), 3), FAR_AWAY)
+    far[np.repeat([kind == "plane" for kind in kinds], padding)] *= (0, 0, -1)  # below everything
+    kind = np.concatenate([model.geom_type, pad])
+    pos = np.concatenate([data.geom_xpos, far])
+    mat = np.concatenate([data.geom_xmat.reshape(-1, 3, 3), np.tile(np.eye(3), (len(pad), 1, 1))])
+    size = np.concatenate([model.geom_size, np.ones((len(pad), 3))])
+    owner = np.concatenate([owner, np.full(len(pad), -1)])
+    ours = (jnp.asarray(a, jnp.float32) for a in (pos, mat, size))
+    return Room(model, data, gather(kind, *ours, jnp.asarray(owner)), body)
+
+
+def make_rays(room: Room, seed: int, count: int = RAYS):
+    """Rays from everywhere, a third from inside a geom, a fifth parallel to an axis."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions[::5] = rng.permutation(np.repeat([*np.eye(3), *-np.eye(3)], count // 25, 0))[
+        : len(directions[::5])
+    ] if count // 25 * 6 >= len(directions[::5]) else rng.choice([*np.eye(3)], len(directions[::5]))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    origins = rng.uniform(-4, 4, (count, 3))
+    solid = np.flatnonzero(room.model.geom_type != Geom.mjGEOM_PLANE)
+    if len(solid):
+        inside = room.data.geom_xpos[rng.choice(solid, len(origins[1::3]))]
+        origins[1::3] = inside + rng.uniform(-0.02, 0.02, inside.shape)
+    # What ours is given is what C is given.
+    return origins.astype(np.float32).astype(float), directions.astype(np.float32).astype(float)
+
+
+see = jax.jit(cast)
+see_angle = jax.jit(cast_incidence)
+NOBODY = jnp.int32(-2)
+
+
+def ours(function, room, rays, viewer=NOBODY):
+    return function(room.geoms, *(jnp.asarray(a, jnp.float32) for a in rays), viewer)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kernel_matches_c_mujoco(kind):
+    kernel = jax.jit(KERNELS[int(KINDS[kind])])
+    rng = np.random.default_rng(11)
+    missed = met = 0
+    for _ in range(6):
+        room = make_room(int(rng.integers(1 << 30)), (kind,), each=2, padding=0)
+        g = room.model.ngeom - 1  # of the planes the bounded one
+        origins, directions = make_rays(room, int(rng.integers(1 << 30)), 120)
+        lone = Room(room.model, room.data, room.geoms, 0)
+        mat, pos = room.data.geom_xmat[g].reshape(3, 3), room.data.geom_xpos[g]
+        hide = np.arange(room.model.ngeom) != g
+        room.model.geom_rgba[hide, 3] = 0.0  # C's rays pass what is fully transparent
+        room.model.geom_matid[:] = -1
+        distance, _, clear = lone.oracle(origins, directions)
+        local = ((origins - pos) @ mat).T, (directions @ mat).T
+        size = np.tile(room.model.geom_size[g][:, None], len(origins))
+        got = np.asarray(kernel(*(jnp.asarray(a, jnp.float32) for a in (*local, size))))
+        np.testing.assert_allclose(got[clear], distance[clear], atol=RAY_ATOL)
+        missed += np.isinf(distance[clear]).sum()
+        met += np.isfinite(distance[clear]).sum()
+    assert min(missed, met) > 30  # both cases were there
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("seed", range(4))
+def test_casts_match_c_mujoco_in_random_rooms(seed):
+    room = make_room(seed)
+    rays = make_rays(room, 100 + seed)
+    distance, cosine, clear = room.oracle(*rays)
+    met = clear & np.isfinite(distance)
+    assert met.sum() > RAYS / 3
+    np.testing.assert_allclose(ours(see, room, rays)[clear], distance[clear], atol=RAY_ATOL)
+    hits = ours(see_angle, room, rays)
+    np.testing.assert_allclose(hits.distance[clear], distance[clear], atol=RAY_ATOL)
+    np.testing.assert_allclose(hits.cosine[met], cosine[met], atol=COSINE_ATOL)
+    assert not np.asarray(hits.cosine)[np.isinf(hits.distance)].any()
+
+
+@pytest.mark.oracle
+def test_rays_pass_the_viewers_own_geoms():
+    room = make_room(21)
+    rays = make_rays(room, 22)
+    distance, cosine, clear = room.oracle(*rays, exclude=room.body)
+    others, _, _ = room.oracle(*rays)
+    assert (distance[clear] != others[clear]).sum() > 10  # it makes a difference
+    np.testing.assert_allclose(ours(see, room, rays, jnp.int32(0))[clear], distance[clear], atol=RAY_ATOL)
+    hits = ours(see_angle, room, rays, jnp.int32(0))
+    met = clear & np.isfinite(distance)
+    np.testing.assert_allclose(hits.distance[clear], distance[clear], atol=RAY_ATOL)
+    np.testing.assert_allclose(hits.cosine[met], cosine[met], atol=COSINE_ATOL)
+
+
+def test_many_rooms_are_one_compilation():
+    for seed in (31, 32, 33):
+        room = make_room(seed)
+        ours(see, room, make_rays(room, seed))
+    assert see._cache_size() == 1
+
+
+@pytest.mark.parametrize(
+    ("origin", "direction", "distance"),
+    [
+        ((0, 0, 0), (1, 0, 0), 0.5),  # from the centre
+        ((-2, 0, 0), (1, 0, 0), 1.5),
+        ((-2, 0, 0), (-1, 0, 0), np.inf),  # behind
+        ((-2, 0.49, 0), (1, 0, 0), 1.5),  # parallel to two faces, just inside
+        ((-2, 0.51, 0), (1, 0, 0), np.inf),  # just outside
+    ],
+)
+def test_rays_along_the_faces_of_a_box(origin, direction, distance):
+    size = jnp.full(3, 0.5)
+    kernel = KERNELS[int(Geom.mjGEOM_BOX)]
+    assert kernel(jnp.array(origin, float), jnp.array(direction, float), size) == pytest.approx(distance)
+
+
+def test_unknown_type_is_refused_by_type_and_name():
+    types = [Geom.mjGEOM_BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_ELLIPSOID, Geom.mjGEOM_MESH]
+    with pytest.raises(UnsupportedGeomError) as caught:
+        check_types(types, ["crate", "statue", "egg", "bust"])
+    message = str(caught.value)
+    for word in ("mjGEOM_MESH", "mjGEOM_ELLIPSOID", "statue", "egg", "bust"):
+        assert word in message
+    assert "crate" not in message
+    check_types([int(kind) for kind in KINDS.values()], list(KINDS))
+
+
+def test_a_scene_with_such_a_geom_is_refused(monkeypatch):
+    monkeypatch.setitem(
+        __import__("usarmjx.models.compose", fromlist=["GEOM_TYPES"]).GEOM_TYPES,
+        "sphere",
+        Geom.mjGEOM_ELLIPSOID,
+    )
+    egg = Shape(kind="sphere", size=(0.1, 0.2, 0.3), at=(0, 0, 1.0))
+    arena = ArenaSpec(
+        name="nest",
+        shapes=(egg,),
+        starts=(StartPose(tag="only", at=(0, 0, 0)),),
+        extent=((-1, 1), (-1, 1)),
+    )
+    with pytest.raises(UnsupportedGeomError, match=r"mjGEOM_ELLIPSOID.*arena/0"):
+        build_scene(arena, ["P2AT"])

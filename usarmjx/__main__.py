@@ -1,0 +1,5 @@
+"""`python -m usarmjx`."""
+
+from usarmjx.cli import app
+
+app()

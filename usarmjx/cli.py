@@ -1,0 +1,118 @@
+"""The command line. Imports happen inside the commands, so that `--help` answers at once."""
+
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from usarmjx.errors import UsarmjxError
+
+app = typer.Typer(
+    help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+bench_app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
+app.add_typer(bench_app, name="bench")
+
+EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
+ArenaOption = Annotated[str, typer.Option(help="Arena name; `usarmjx list` shows them.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+
+
+class _Failure:
+    """Turns our own exceptions into one line and exit code 2; anything else is a bug and shows itself."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
+        if isinstance(error, UsarmjxError):
+            typer.echo(f"usarmjx: {error}", err=True)
+            raise typer.Exit(2)
+        return False
+
+
+@app.command("list")
+def list_everything() -> None:
+    """List robots, arenas, sensors and engines."""
+    from usarmjx.catalogue import catalogue
+
+    typer.echo(catalogue())
+
+
+@app.command()
+def serve(
+    arena: ArenaOption = "yellow",
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 1,
+    instance: Annotated[int, typer.Option(min=0, help="Which of them to serve.")] = 0,
+    roster: Annotated[
+        str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c needs none.")
+    ] = "P2AT:4,P2DX:4",
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = 3000,
+    max_connections: Annotated[int, typer.Option(min=1, help="Most clients at once.")] = 16,
+    engine: EngineOption = "auto",
+    realtime_factor: Annotated[
+        float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
+    ] = 1.0,
+    seed: SeedOption = 0,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
+) -> None:
+    """Serve one world of a batch over the Gamebots protocol."""
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
+    with _Failure():
+        from usarmjx.server.net import Settings, serve as run
+        from usarmjx.server.worlds import make_world
+
+        world = make_world(
+            arena, engine=engine, worlds=worlds, instance=instance, roster=roster, seats=max_connections, seed=seed
+        )
+        run(world, Settings(host, port, max_connections, realtime_factor))
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the picture and the log.")] = Path("out"),
+    seconds: Annotated[float, typer.Option(min=1.0, help="Simulated seconds to wander.")] = 20.0,
+) -> None:
+    """Run the main job: serve a batch, let the example client drive a P2AT, draw what it did."""
+    with _Failure():
+        from usarmjx.demo import run_demo
+
+        sys.exit(run_demo(out, seconds))
+
+
+@bench_app.command("step")
+def bench_step(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
+    robots: Annotated[int, typer.Option(min=1, help="Robots in each world.")] = 4,
+    robot: Annotated[str, typer.Option(help="Robot class.")] = "P2AT",
+    arena: ArenaOption = "yellow",
+    engine: EngineOption = "auto",
+    substeps: Annotated[int, typer.Option(min=1, help="Physics steps per control step.")] = 10,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps per repeat.")] = 20,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
+    with _Failure():
+        from usarmjx.bench import Case, measure
+
+        case = Case(
+            worlds=worlds,
+            robots=robots,
+            robot=robot,
+            arena=arena,
+            engine=engine,
+            substeps=substeps,
+            steps=steps,
+            repeats=repeats,
+            seed=seed,
+        )
+        typer.echo(measure(case, json))

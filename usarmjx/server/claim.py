@@ -1,0 +1,162 @@
+"""A served world that is one of a running batch: clients claim parked robots of the roster.
+
+The batch's shape is fixed, so INIT can only wake a robot of the asked class that waits; disconnecting
+parks it again. All worlds of the batch run on; only the served one listens to clients.
+"""
+
+import logging
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.batch import Batch
+from usarmjx.control import Command, idle
+from usarmjx.errors import UsageError
+from usarmjx.models.plan import body_plan
+from usarmjx.models.spec import RobotSpec
+from usarmjx.sensors.base import Sight
+from usarmjx.server.host import HostWorld, Robot
+from usarmjx.transforms import Vec3, quat_from_angles
+from usarmjx.world import TeamState, feel, time_of
+
+log = logging.getLogger(__name__)
+
+ROBOT_FIELDS = ("state", "bodies", "hits")
+"""What of a team's `Sight` has a leading axis over robots."""
+
+
+class ClaimedWorld(HostWorld):
+    """World `instance` of a batch.
+
+    Args:
+        batch: The batch; its roster's parked robots can be claimed.
+        instance: Which world to serve.
+
+    Raises:
+        UsageError: The batch has no such world.
+    """
+
+    def __init__(self, batch: Batch, instance: int) -> None:
+        if not 0 <= instance < batch.worlds:
+            raise UsageError(f"instance {instance} is not among worlds 0 to {batch.worlds - 1}")
+        self.arena, self.period, self.robots = batch.scene.arena, batch.scene.physics.period, {}
+        self._batch, self._instance = batch, instance
+        self._state = batch.reset()
+        self._steps = 0
+        self._feel = [jax.jit(partial(feel, batch.scene, team=team)) for team in batch.scene.teams]
+        # Compile everything before the first client comes.
+        self.step()
+        jax.block_until_ready(batch.observe(self._state)[1])
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the world began [s]; it goes on when a world that went bad starts again."""
+        return self._steps * self.period
+
+    def _sight(self, robot: Robot) -> Sight:
+        team, place = self._batch.scene.team_of(robot.slot)
+        world, physics = jax.tree.map(
+            lambda x: x[self._instance], (self._state.worlds, self._batch.physics(self._state))
+        )
+        sight = self._feel[team](world, physics)
+        return sight.replace(**jax.tree.map(lambda x: x[place], {k: getattr(sight, k) for k in ROBOT_FIELDS}))
+
+    def _edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
+        """Replace fields of one robot's part of its team's state."""
+        team, place = self._batch.scene.team_of(robot.slot)
+        members: TeamState = self._state.worlds.teams[team]
+        at = (self._instance, place)
+        new = {
+            name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(members, name), value)
+            for name, value in fields.items()
+        }
+        self._state = self._batch.with_team(self._state, team, members.replace(**new))
+
+    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+        """Wake a parked robot of that class and put it there."""
+        self.check_place(pos)
+        for team, members in zip(self._batch.scene.teams, self._state.worlds.teams, strict=True):
+            parked = np.flatnonzero(~np.asarray(members.active[self._instance]))
+            if team.robot.name == robot.name and parked.size:
+                slot = int(team.slots[parked[0]])
+                return self._wake(slot, robot, name, pos, angles)
+        raise UsageError(f"no parked {robot.name} left in the roster: add more of them to --roster")
+
+    def _wake(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+        lifted = self.lift(name, pos[2] - body_plan(robot).clearance, self.arena.floor)
+        self._put(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
+        team, _ = self._batch.scene.team_of(slot)
+        suite = self._batch.scene.teams[team].suite
+        command = jax.tree.map(np.array, idle(robot))
+        new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
+        world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
+        self._edit(new, active=True, born=world_time, command=command)
+        key = jax.random.fold_in(jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot)
+        self._edit(new, memory=suite.start(self._sight(new), key))
+        self.robots[slot] = new
+        return new
+
+    def _put(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
+        scene = self._batch.scene
+        team, place = scene.team_of(slot)
+        index = scene.teams[team].indices[place]
+        shape = (self._batch.worlds, scene.model.nq)
+        pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
+        pinned_dof = np.zeros((self._batch.worlds, scene.model.nv), bool)
+        root = slice(index.root_qpos, index.root_qpos + 7)
+        pinned[self._instance, root], qpos[self._instance, root] = True, (*pos, *quat)
+        pinned_dof[self._instance, index.root_dof : index.root_dof + 6] = True
+        engine = self._batch.engine
+        self._state = self._state.replace(physics=engine.place(self._state.physics, pinned, pinned_dof, qpos))
+
+    def remove(self, robot: Robot) -> None:
+        """Park the robot again."""
+        if self.robots.pop(robot.slot, None) is not None:
+            self._edit(robot, active=False, command=jax.tree.map(np.array, idle(robot.spec)))
+
+    def tell(self, robot: Robot, command: Command) -> None:
+        """Replace what the robot is told to do."""
+        shift = jnp.asarray(self._world_time() - self.time)
+        robot.command = command
+        self._edit(robot, command=command.replace(flip_until=command.flip_until + shift))
+
+    def _world_time(self) -> float:
+        return float(self._state.worlds.step[self._instance]) * self.period
+
+    def step(self) -> None:
+        """Advance all worlds of the batch by one control step."""
+        before = int(self._state.worlds.episode[self._instance])
+        self._state = self._batch.step(self._state)
+        self._steps += 1
+        if int(self._state.worlds.episode[self._instance]) != before:
+            log.error("the physics of world %d was not finite: it starts again, robots parked", self._instance)
+            self.robots.clear()
+
+    def observe(self, due: list[Robot]) -> None:
+        """Read all sensors of the batch that are due; keep what the served world's clients will want."""
+        del due  # one compiled function reads everybody
+        self._state, readings = self._batch.observe(self._state)
+        for robot in self.robots.values():
+            team, place = self._batch.scene.team_of(robot.slot)
+            mine = jax.device_get(jax.tree.map(lambda x: x[self._instance, place], readings[team]))
+            for sensor, reading in enumerate(mine):
+                if reading.fresh:
+                    robot.pending[sensor] = reading.value
+
+    def joints(self, robot: Robot) -> np.ndarray:
+        """Return the robot's joint positions."""
+        team, place = self._batch.scene.team_of(robot.slot)
+        qpos = self._batch.physics(self._state).qpos[self._instance]
+        return np.asarray(qpos[self._batch.scene.teams[team].qpos[place]])
+
+    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+        """Carry out a SET command on a sensor."""
+        team, place = self._batch.scene.team_of(robot.slot)
+        memory = jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.teams[team].memory)
+        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), memory)
+        if memory is not None:
+            self._edit(robot, memory=memory)
+        return memory is not None

@@ -1,0 +1,122 @@
+"""One served world as the adapter sees it: robots come and go, are told things and report.
+
+Two worlds implement it: `live.LiveWorld` (C MuJoCo, any class at any time) and `claim.ClaimedWorld`
+(one world of a running batch, where robots wait parked).
+"""
+
+import logging
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from usarmjx.control import Command
+from usarmjx.errors import UsageError
+from usarmjx.models.plan import BodyPlan
+from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.transforms import Vec3
+
+log = logging.getLogger(__name__)
+
+REACH = 1000.0
+"""Nobody spawns further from the origin than this [m]: single precision gets coarse there."""
+
+
+@dataclass(eq=False)
+class Robot:
+    """A robot in a served world.
+
+    Attributes:
+        slot: Its place in the world.
+        name: Its name on the wire.
+        suite: Its class's sensors.
+        command: What it is told to do; numpy arrays.
+        born: World time at which it appeared [s].
+        pending: Readings that have not been reported yet, by place in the suite.
+    """
+
+    slot: int
+    name: str
+    suite: Suite
+    command: Command
+    born: float
+    pending: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def plan(self) -> BodyPlan:
+        """Its body plan."""
+        return self.suite.plan
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Its class."""
+        return self.plan.robot
+
+
+class HostWorld(ABC):
+    """A world that clients share. Positions and angles are in our axes."""
+
+    arena: ArenaSpec
+    period: float
+    robots: dict[int, Robot]
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """Simulated time since the world began [s]."""
+
+    def prepare(self, robot: RobotSpec) -> None:
+        """Do what takes long before the first robot of a class can appear; may run beside the loop."""
+        suite_of(robot)
+
+    @abstractmethod
+    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+        """Put a robot of that class there.
+
+        Raises:
+            UsageError: There is no room for it, or the place is out of reach.
+        """
+
+    @abstractmethod
+    def remove(self, robot: Robot) -> None:
+        """Take the robot out of the world."""
+
+    @abstractmethod
+    def tell(self, robot: Robot, command: Command) -> None:
+        """Replace what the robot is told to do."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Advance by one control step."""
+
+    @abstractmethod
+    def observe(self, due: list[Robot]) -> None:
+        """Read the sensors of the robots that are about to report; put fresh readings into `pending`."""
+
+    @abstractmethod
+    def joints(self, robot: Robot) -> np.ndarray:
+        """Return the robot's joint positions [rad or m] (joints,)."""
+
+    @abstractmethod
+    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+        """Carry out a SET command on a sensor; return whether it was valid."""
+
+    @staticmethod
+    def check_place(pos: Vec3) -> None:
+        """Refuse places out of reach.
+
+        Raises:
+            UsageError: Names the place and the reach.
+        """
+        if not all(math.isfinite(v) and abs(v) <= REACH for v in pos):
+            raise UsageError(f"start position {pos} is out of reach: at most {REACH} m from the origin")
+
+    @staticmethod
+    def lift(name: str, low: float, floor: float) -> float:
+        """Return by how much to raise a robot whose lowest point is at `low` [m], and log it."""
+        raised = max(0.0, floor - low)
+        if raised > 0:
+            log.info("%s would start %.3f m inside the floor: raised", name, raised)
+        return raised

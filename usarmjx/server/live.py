@@ -1,0 +1,282 @@
+"""A served world on C MuJoCo: robots of any class are added and removed while it runs.
+
+Nothing here depends on the roster's shape: sensors are compiled once per robot class, against arrays of
+geoms with room for a full house, so that a new robot costs a recompilation of the MuJoCo model (tens of
+milliseconds) and none of the sensors.
+"""
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.control import Command, drive, idle
+from usarmjx.engines.c import buffer_warnings
+from usarmjx.errors import UsageError
+from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
+from usarmjx.models.layout import RobotIndex, index_robot
+from usarmjx.models.plan import Bodies, RobotState, body_plan, body_poses, lowest_point
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.scene import prefix_of
+from usarmjx.sensors.base import Sight
+from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, NO_HITS, Block, Geoms, Hits, cast_incidence
+from usarmjx.sensors.suite import Memory, suite_of
+from usarmjx.server.host import HostWorld, Robot
+from usarmjx.transforms import Vec3, quat_from_angles
+
+log = logging.getLogger(__name__)
+
+RAYS = 512
+"""Robots cast their rays in lots of this size, so that few sizes are ever compiled."""
+
+
+class LiveWorld(HostWorld):
+    """One world on C MuJoCo.
+
+    Args:
+        arena: The arena.
+        physics: Solver and time settings.
+        key: Random key of the world's noise.
+        seats: Most robots at once.
+
+    Attributes:
+        companions: The other worlds of the batch, which are stepped along.
+    """
+
+    def __init__(self, arena: ArenaSpec, physics: Physics, key: jax.Array, seats: int = 16) -> None:
+        self.arena, self.period, self.robots = arena, physics.period, {}
+        self.companions: tuple[LiveWorld, ...] = ()
+        self._physics, self._key, self._seats = physics, key, seats
+        self._spec = new_spec(arena, physics)
+        # We count and reset worlds that go bad; C MuJoCo would do it without a word.
+        self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._model = self._spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._steps = 0
+        self._spawned = 0
+        self._index: dict[int, RobotIndex] = {}
+        self._memory: dict[int, Any] = {}
+        self._homes: dict[int, np.ndarray] = {}
+        self._compiled: dict[str, Compiled] = {}
+        self._room = _rooms(self._model, seats)
+        self._cast = jax.jit(cast_incidence)
+        rays = np.ones((RAYS, 3), np.float32)
+        self._cast(self._geoms(), rays, rays, np.int32(0))  # compiles it, before anyone waits for it
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the world began [s]."""
+        return self._steps * self.period
+
+    def prepare(self, robot: RobotSpec) -> None:
+        """Compile the sensors and the drive of a class; takes seconds the first time."""
+        if robot.name not in self._compiled:
+            self._compiled[robot.name] = Compiled(robot, self.period)
+
+    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+        """Add a robot to the running model; the states of the others are kept bit for bit."""
+        self.check_place(pos)
+        free = [slot for slot in range(self._seats) if slot not in self.robots]
+        if not free:
+            raise UsageError(f"no seat left for another robot: {self._seats} are taken")
+        self.prepare(robot)
+        slot = free[0]
+        add_robot(self._spec, robot, prefix_of(slot), pos)
+        self._recompile()
+        index = self._index[slot] = index_robot(self._model, robot, prefix_of(slot))
+        root = slice(index.root_qpos, index.root_qpos + 7)
+        self._data.qpos[root] = (*pos, *quat_from_angles(*angles))
+        mujoco.mj_kinematics(self._model, self._data)
+        low = lowest_point(self._model, self._data, np.isin(self._model.geom_bodyid, index.body))
+        self._data.qpos[index.root_qpos + 2] += self.lift(name, low, self.arena.floor)
+        self._homes[slot] = self._data.qpos[root].copy()
+        command = jax.tree.map(np.array, idle(robot))
+        new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, born=self.time)
+        self.robots[slot] = new
+        self._spawned += 1
+        self._memory[slot] = self._compiled[robot.name].start(self._sight(new), self._noise(new, self._spawned))
+        return new
+
+    def remove(self, robot: Robot) -> None:
+        """Take a robot out of the running model."""
+        if self.robots.pop(robot.slot, None) is not None:
+            remove_robot(self._spec, prefix_of(robot.slot))
+            for table in (self._index, self._memory, self._homes):
+                table.pop(robot.slot)
+            self._recompile()
+
+    def _recompile(self) -> None:
+        self._model, self._data = self._spec.recompile(self._model, self._data)
+        for slot, robot in self.robots.items():
+            self._index[slot] = index_robot(self._model, robot.spec, prefix_of(slot))
+
+    def tell(self, robot: Robot, command: Command) -> None:
+        """Replace what the robot is told to do."""
+        robot.command = command
+
+    def step(self) -> None:
+        """Advance by one control step; a world that goes bad starts again where its robots appeared."""
+        for world in self.companions:
+            world.step()
+        data = self._data
+        for slot, robot in self.robots.items():
+            index, actuators = self._index[slot], list(self._index[slot].actuator)
+            told = self._command_in_force(robot)
+            driven = self._compiled[robot.spec.name].drive(
+                told, self._state(slot), data.act[actuators].astype(np.float32), np.float32(self.time)
+            )
+            data.ctrl[actuators], data.act[actuators] = driven.ctrl, driven.act
+            data.xfrc_applied[index.body[0]] = driven.wrench
+        before = buffer_warnings(data)
+        mujoco.mj_step(self._model, data, nstep=self._physics.substeps)
+        self._steps += 1
+        if buffer_warnings(data) > before:
+            log.error("contact buffers overflowed: contacts were lost")
+        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            self._start_over()
+
+    def _command_in_force(self, robot: Robot) -> Command:
+        empty = self.time - robot.born >= robot.spec.battery_life
+        return jax.tree.map(np.array, idle(robot.spec)) if empty else robot.command
+
+    def _start_over(self) -> None:
+        log.error("the physics is not finite any more: robots go back to where they appeared")
+        mujoco.mj_resetData(self._model, self._data)
+        for slot, home in self._homes.items():
+            start = self._index[slot].root_qpos
+            self._data.qpos[start : start + 7] = home
+
+    def observe(self, due: list[Robot]) -> None:
+        """Read the sensors of the robots that are about to report."""
+        mujoco.mj_kinematics(self._model, self._data)
+        geoms = self._geoms()
+        for robot in due:
+            compiled = self._compiled[robot.spec.name]
+            state = self._state(robot.slot)
+            bodies, origin, direction = compiled.stretch(state)
+            hits = self._cast(geoms, origin, direction, np.int32(robot.slot))
+            time = np.float32(self.time - robot.born)
+            sight = Sight(time=time, state=state, bodies=bodies, hits=hits)  # type: ignore[arg-type]
+            key = self._noise(robot, self._steps)
+            memory, readings = compiled.read(sight, self._memory[robot.slot], key)
+            self._memory[robot.slot] = memory
+            for place, reading in enumerate(jax.device_get(readings)):
+                if reading.fresh:
+                    robot.pending[place] = reading.value
+
+    def _noise(self, robot: Robot, count: int) -> jax.Array:
+        return jax.random.fold_in(jax.random.fold_in(self._key, count), robot.slot)
+
+    def _state(self, slot: int) -> RobotState:
+        index, qpos, qvel = self._index[slot], self._data.qpos, self._data.qvel
+        q, v = index.root_qpos, index.root_dof
+        parts = (qpos[q : q + 3], qpos[q + 3 : q + 7], qvel[v : v + 3], qvel[v + 3 : v + 6])
+        pos, quat, linear, angular = (part.astype(np.float32) for part in parts)
+        joint_pos, joint_vel = qpos[list(index.qpos)], qvel[list(index.dof)]
+        return RobotState(  # type: ignore[arg-type] - numpy arrays, as good for jitted functions
+            pos=pos,
+            quat=quat,
+            linear=linear,
+            angular=angular,
+            joint_pos=joint_pos.astype(np.float32),
+            joint_vel=joint_vel.astype(np.float32),
+        )
+
+    def _sight(self, robot: Robot) -> Sight:
+        state = self._state(robot.slot)
+        bodies, _, _ = self._compiled[robot.spec.name].stretch(state)
+        time = np.float32(self.time - robot.born)
+        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS)  # type: ignore[arg-type]
+
+    def _geoms(self) -> Geoms:
+        """Return what rays can hit now, padded to the room of a full house."""
+        model, data = self._model, self._data
+        owner_of_body = np.full(model.nbody, -1, np.int32)
+        for slot, index in self._index.items():
+            owner_of_body[list(index.body)] = slot
+        geoms = _blank_geoms(self._room)
+        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
+            members = np.flatnonzero(model.geom_type == kind)
+            n = len(members)
+            block.pos[:n], block.size[:n] = data.geom_xpos[members], model.geom_size[members]
+            block.mat[:n] = data.geom_xmat[members].reshape(-1, 3, 3)
+            block.owner[:n] = owner_of_body[model.geom_bodyid[members]]
+        return geoms
+
+    def joints(self, robot: Robot) -> np.ndarray:
+        """Return the robot's joint positions."""
+        return self._data.qpos[list(self._index[robot.slot].qpos)]
+
+    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+        """Carry out a SET command on a sensor."""
+        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), self._memory[robot.slot])
+        if memory is not None:
+            self._memory[robot.slot] = memory
+        return memory is not None
+
+
+class Compiled:
+    """The functions of one robot class, compiled here and not at their first call.
+
+    The rays, which take longest to compile, are cast by a function that all classes share.
+    """
+
+    def __init__(self, robot: RobotSpec, period: float) -> None:
+        plan, suite = body_plan(robot), suite_of(robot)
+        zeros, joint = np.zeros(3, np.float32), np.zeros(len(plan.parts) - 1, np.float32)
+        quat = np.array([1, 0, 0, 0], np.float32)
+        state = RobotState(  # type: ignore[arg-type]
+            pos=zeros, quat=quat, linear=zeros, angular=zeros, joint_pos=joint, joint_vel=joint
+        )
+        room = RAYS * -(-sum(suite.ray_counts) // RAYS)
+
+        def stretch(state: RobotState) -> tuple[Bodies, jax.Array, jax.Array]:
+            bodies = body_poses(plan, state)
+            origin, direction = suite.rays(bodies)
+            fill = ((0, room - len(origin)), (0, 0))
+            return bodies, jnp.pad(origin, fill), jnp.pad(direction, fill, constant_values=1.0)
+
+        def read(sight: Sight, memory: Memory, key: jax.Array) -> Any:  # noqa: ANN401
+            return suite.read(sight, memory, key)
+
+        self.stretch = _compile(stretch, state)
+        bodies, origin, _ = self.stretch(state)
+        hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
+        sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS)  # type: ignore[arg-type]
+        key = jax.random.key(0)
+        self.start = _compile(suite.start, sight, key)
+        self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
+        command = jax.tree.map(np.array, idle(robot))
+        run = _compile(lambda c, s, a, t: drive(plan, c, s, a, t, period), command, state, joint, np.float32(0))
+        self.drive = lambda *told: jax.device_get(run(*told))
+
+
+def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:  # noqa: ANN401
+    return jax.jit(function).lower(*example).compile()
+
+
+def _rooms(model: mujoco.MjModel, seats: int) -> dict[int, int]:
+    """Return how many geoms of each type there can be: the arena's, and the richest class on every seat."""
+    plans = [body_plan(robot) for _, robot in ROBOTS]
+    most = {kind: max(int((plan.geom_type == kind).sum()) for plan in plans) for kind in KERNELS}
+    return {kind: int((model.geom_type == kind).sum()) + seats * most[kind] for kind in sorted(KERNELS)}
+
+
+def _blank_geoms(room: dict[int, int]) -> Geoms:
+    blocks = tuple(
+        Block(  # type: ignore[arg-type]
+            pos=np.full((n, 3), FAR_AWAY, np.float32),
+            mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)),
+            size=np.zeros((n, 3), np.float32),
+            owner=np.full(n, -1, np.int32),
+        )
+        for n in room.values()
+        if n
+    )
+    return Geoms(blocks=blocks, types=tuple(kind for kind, n in room.items() if n))

@@ -1,0 +1,204 @@
+"""The Gamebots server: the one module that knows sockets and the clock."""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from usarmjx.errors import PeerError, UsageError
+from usarmjx.server.adapter import Client
+from usarmjx.server.commands import Init
+from usarmjx.server.host import HostWorld
+
+log = logging.getLogger(__name__)
+
+CHUNK = 4096
+"""Most bytes taken from a socket at once."""
+BYTES_PER_STEP = 16 * CHUNK
+"""Most bytes that one client may send in a control step; the rest waits in its socket."""
+SOCKET_BACKLOG = 64 * 1024
+"""While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
+RESYNC = 0.5
+"""A server that is further behind the clock than this gives up catching up [s]."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to serve.
+
+    Attributes:
+        host: Address to bind; loopback by default.
+        port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
+        max_connections: Most clients at once (BotAPI.ini: MaxConnections).
+        realtime_factor: Simulated seconds per second; 0 runs as fast as it can.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 3000
+    max_connections: int = 16
+    realtime_factor: float = 1.0
+
+
+class Server:
+    """Serves one world to many clients until told to stop."""
+
+    def __init__(self, world: HostWorld, settings: Settings) -> None:
+        self._world = world
+        self._settings = settings
+        self._clients: dict[Client, asyncio.StreamWriter] = {}
+        self._stepped = asyncio.Event()
+        self._stop = asyncio.Event()
+        # One thread prepares robot classes beside the loop.
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="prepare")
+        self._busy = 0.0
+        self.port = settings.port
+
+    async def run(self) -> None:
+        """Listen and step until SIGINT or SIGTERM.
+
+        Raises:
+            UsageError: The port is taken or the address is not ours.
+        """
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Not in a thread that may not set signal handlers, nor on platforms without them.
+            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
+                loop.add_signal_handler(number, self._stop.set)
+        try:
+            server = await asyncio.start_server(self._talk, self._settings.host, self._settings.port)
+        except OSError as error:
+            raise UsageError(f"cannot listen on {self._settings.host}:{self._settings.port}: {error}") from error
+        self.port = server.sockets[0].getsockname()[1]
+        print(f"usarmjx: listening on {self._settings.host}:{self.port}", flush=True)  # noqa: T201 - for scripts
+        try:
+            await self._pace()
+        finally:
+            server.close()
+            for writer in list(self._clients.values()):
+                writer.close()
+            self._beside.shutdown(wait=False, cancel_futures=True)
+
+    def stop(self) -> None:
+        """End `run` after the present step."""
+        self._stop.set()
+
+    async def _pace(self) -> None:
+        period, factor = self._world.period, self._settings.realtime_factor
+        began, start = time.perf_counter(), self._world.time
+        deadline = began
+        while not self._stop.is_set():
+            self._tick()
+            self._stepped.set()
+            self._stepped.clear()
+            if factor <= 0:
+                await asyncio.sleep(0)
+                continue
+            deadline += period / factor
+            behind = time.perf_counter() - deadline
+            if behind > RESYNC:
+                log.warning("%.2f s behind the clock: giving up catching up", behind)
+                deadline += behind
+            await asyncio.sleep(max(0.0, -behind))
+        spent = max(time.perf_counter() - began, 1e-9)
+        reached = (self._world.time - start) / spent
+        share = self._busy / spent
+        print(  # noqa: T201 - the account a person wants at the end
+            f"usarmjx: stopped after {self._world.time - start:.1f} simulated s; real-time factor "
+            f"{reached:.2f}, busy {100 * share:.0f} % of the time",
+            flush=True,
+        )
+
+    def _tick(self) -> None:
+        began = time.perf_counter()
+        self._world.step()
+        due = [client for client in self._clients if client.due() and not client.lost]
+        if due:
+            self._world.observe([client.robot for client in due if client.robot is not None])
+        for client in due:
+            self._guarded(client, client.report)
+        for client, writer in list(self._clients.items()):
+            if client.lost:
+                log.warning("a client's robot is gone: its connection is closed")
+                writer.close()
+            self._flush(client, writer)
+        self._busy += time.perf_counter() - began
+
+    def _guarded(self, client: Client, action: object) -> None:
+        try:
+            action()  # type: ignore[operator]
+        except PeerError as error:
+            log.warning("dropping a client: %s", error)
+            self._clients[client].transport.abort()
+
+    def _flush(self, client: Client, writer: asyncio.StreamWriter) -> None:
+        if not writer.is_closing() and writer.transport.get_write_buffer_size() < SOCKET_BACKLOG:
+            data = client.session.data_to_send()
+            if data:
+                writer.write(data)
+
+    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        peer = "{}:{}".format(*writer.get_extra_info("peername")[:2])
+        if len(self._clients) >= self._settings.max_connections:
+            log.warning("%s: refused, %d connections are open", peer, len(self._clients))
+            writer.close()
+            return
+        client = Client(self._world, peer)
+        self._clients[client] = writer
+        log.info("%s: connected", peer)
+        try:
+            self._flush(client, writer)
+            await self._listen(client, reader, writer)
+        except (ConnectionError, PeerError) as error:
+            log.warning("%s: %s", peer, error)
+        except asyncio.CancelledError:
+            log.info("%s: the server stops", peer)  # the end of this task; nobody waits for its result
+        finally:
+            del self._clients[client]
+            client.leave()
+            writer.close()
+            log.info("%s: disconnected", peer)
+
+    async def _listen(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        budget = BYTES_PER_STEP
+        while not writer.is_closing():
+            data = await reader.read(CHUNK)
+            await self._obey(client, client.session.receive_data(data) if data else client.session.receive_eof())
+            client.log_faults()
+            self._flush(client, writer)
+            if not data:
+                return
+            budget -= len(data)
+            if budget <= 0:
+                await self._stepped.wait()
+                budget = BYTES_PER_STEP
+
+    async def _obey(self, client: Client, commands: list) -> None:
+        while commands:
+            for command in commands:
+                if not isinstance(command, Init):
+                    client.handle(command)
+            answer = await self._init(client, commands[-1]) if client.session.awaits_answer else None
+            commands = client.session.answer_init(answer) if answer is not None else []
+
+    async def _init(self, client: Client, init: Init) -> bool:
+        spec = client.class_of(init)
+        if spec is None:
+            return False
+        await asyncio.get_running_loop().run_in_executor(self._beside, self._world.prepare, spec)
+        return client.spawn(init, spec)
+
+
+def serve(world: HostWorld, settings: Settings) -> None:
+    """Serve a world until SIGINT or SIGTERM.
+
+    Raises:
+        UsageError: The port is taken or the address is not ours.
+    """
+
+    async def main() -> None:
+        await Server(world, settings).run()
+
+    asyncio.run(main())

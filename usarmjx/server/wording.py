@@ -1,0 +1,201 @@
+"""Which message each kind of sensor speaks, and what GEO and CONF say of it: tables, no state."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from usarmjx.models.spec import Link, Mount, RobotSpec
+from usarmjx.sensors.base import Sensor
+from usarmjx.server import reports
+from usarmjx.server.descriptions import (
+    Field,
+    GroundVehicleConfiguration,
+    GroundVehicleGeometry,
+    LinkConfiguration,
+    LinkGeometry,
+    conf_ground_vehicle,
+    conf_items,
+    conf_mispkg,
+    conf_nothing,
+    geo_ground_vehicle,
+    geo_items,
+    geo_mispkg,
+    geo_nothing,
+)
+from usarmjx.server.frames import angles, full_turn, vector
+from usarmjx.server.grammar import Message
+
+# Reports: (sensor, its value, time or None) -> message.
+
+
+def _sonar(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    pairs = [(mount.name, float(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_range(sensor.kind, time, pairs)
+
+
+def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.Scan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
+    return reports.sen_scanner(sensor.kind, time, scan)
+
+
+def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    x, y, heading = value.tolist()
+    return reports.sen_odometry(time, sensor.mounts[0].name, (x, -y, -heading))
+
+
+def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ins(time, sensor.mounts[0].name, vector(value[:3]), full_turn(angles(value[3:])))
+
+
+def _ground_truth(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ground_truth(time, sensor.mounts[0].name, vector(value[:3]), full_turn(angles(value[3:])))
+
+
+def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    ticks = [(mount.name, int(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_encoder(time, ticks)
+
+
+REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
+    "Sonar": _sonar,
+    "RangeScanner": _scanner,
+    "Odometry": _odometry,
+    "INS": _ins,
+    "GroundTruth": _ground_truth,
+    "Encoder": _encoder,
+}
+
+# CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
+CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
+    "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
+    "RangeScanner": (
+        ("MaxRange", "max_range"),
+        ("MinRange", "min_range"),
+        ("Resolution", "resolution"),
+        ("Fov", "scan_fov"),
+        ("Paning", "yaw"),
+        ("Tilting", "pitch"),
+    ),
+    "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
+    "INS": (("ScanInterval", "scan_interval"),),
+    "GroundTruth": (("ScanInterval", "scan_interval"),),
+    "Encoder": (("Resolution", "resolution"),),
+}
+
+
+def sensor_report(sensor: Sensor, value: np.ndarray, time: float) -> Message:
+    """Return the SEN message of a reading, with its time if the sensor is set so."""
+    return REPORTS[sensor.kind](sensor, value, time if sensor.settings[0].with_time_stamp else None)
+
+
+def _same(asked: str, name: str) -> bool:
+    return not asked or asked.lower() == name.lower()
+
+
+def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
+    """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any."""
+    if kind.lower() == "robot":
+        return [
+            geo_ground_vehicle(
+                GroundVehicleGeometry(
+                    name=robot.name,
+                    dimensions=robot.dimensions,
+                    cog=robot.cog,
+                    wheel_radius=robot.wheel_radius,
+                    wheel_separation=robot.wheel_separation,
+                    wheel_base=robot.wheel_base,
+                )
+            )
+        ]
+    answers = []
+    for mounts in (robot.sensors, robot.cameras):
+        matching = [m for m in mounts if m.kind.lower() == kind.lower() and _same(name, m.name)]
+        if matching:
+            answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
+    packages = [p for p in robot.packages if kind.lower() == "mispkg" and _same(name, p.name)]
+    if packages:
+        links = [
+            (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links]) for p in packages
+        ]
+        answers.append(geo_mispkg(links))
+    return answers or [geo_nothing(kind, name)]
+
+
+def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
+    settings: Any = sensor.settings[place]
+    keys = CONFIGURATION[sensor.kind]
+    return [("Name", sensor.mounts[place].name), *((key, getattr(settings, field)) for key, field in keys)]
+
+
+def _camera_fields(mount: Mount) -> list[Field]:
+    options: dict[str, Any] = dict(mount.options)
+    keys = ("CameraDefFov", "CameraMinFov", "CameraMaxFov")
+    return [*((key, options[key]) for key in keys), ("CameraFov", options["CameraDefFov"])]
+
+
+def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: str) -> list[Message]:
+    """Return the answers to GETCONF, as `geometry` does for GETGEO."""
+    if kind.lower() == "robot":
+        return [
+            conf_ground_vehicle(
+                GroundVehicleConfiguration(
+                    name=robot.name,
+                    steering=robot.steering,
+                    mass=robot.mass,
+                    max_speed=robot.drive.max_speed,
+                    max_torque=robot.max_torque,
+                )
+            )
+        ]
+    answers = []
+    fields = [
+        _sensor_fields(sensor, place)
+        for sensor in sensors
+        for place, mount in enumerate(sensor.mounts)
+        if sensor.kind.lower() == kind.lower() and _same(name, mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
+    cameras = [m for m in robot.cameras if m.kind.lower() == kind.lower() and _same(name, m.name)]
+    if cameras:
+        answers.append(conf_items(kind, [_camera_fields(m) for m in cameras]))
+    packages = [p for p in robot.packages if kind.lower() == "mispkg" and _same(name, p.name)]
+    if packages:
+        answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
+    return answers or [conf_nothing(kind, name)]
+
+
+def _link_configuration(link: Link) -> LinkConfiguration:
+    return LinkConfiguration(
+        link=link.number,
+        joint=link.joint,
+        max_speed=link.max_speed,
+        max_torque=link.max_torque,
+        min_range=link.min_range,
+        max_range=link.max_range,
+    )
+
+
+def package_report(robot: RobotSpec, joints: np.ndarray, time: float) -> list[Message]:
+    """Return the MISSTA messages of a robot's mission packages."""
+    messages, first = [], len(robot.wheels)
+    for package in robot.packages:
+        values = joints[first : first + len(package.links)]
+        first += len(package.links)
+        links = [(k.number, float(v), k.max_torque) for k, v in zip(package.links, values, strict=True)]
+        messages.append(reports.missta(time, package.name, links))
+    return messages
+
+
+def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:
+    """Return the joint of a mission package's link, None when there is none; names match without case."""
+    joint = len(robot.wheels)
+    for candidate in robot.packages:
+        for link in candidate.links:
+            if candidate.name.lower() == package.lower() and link.number == number:
+                return joint
+            joint += 1
+    return None
+
