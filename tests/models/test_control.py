@@ -11,8 +11,8 @@ import pytest
 from usarmjx.control import Order, drive, idle, righting, servos_of, wheel_speeds
 from usarmjx.models.plan import RobotState, body_plan
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.scene import build_scene
 from usarmjx.models.spec import ArenaSpec, StartPose
+from usarmjx.scene import build_scene
 
 PERIOD = 0.02  # s
 FLOAT32_ATOL = 1e-5  # a position difference of 1e-7 rad over a period of 0.02 s
@@ -31,20 +31,19 @@ NOWHERE = ArenaSpec(
 
 @pytest.fixture(scope="module")
 def run():
-    """`drive` of a P2AT, compiled once: (target, order, joint positions, act, time) -> Drive."""
+    """`drive` of a P2AT, compiled once, as a function of plain numbers, at 1 s."""
     compiled = jax.jit(partial(drive, body_plan(P2AT), period=PERIOD))
 
-    def call(target, order, joint_pos=None, act=None, quat=(1.0, 0.0, 0.0, 0.0), until=0.0):
-        joint_pos = np.zeros(6) if joint_pos is None else joint_pos
+    def call(target, order, joint_pos=(0.0,) * 6, act=None, **lying):
         act = joint_pos if act is None else act
         command = idle(P2AT).replace(
             target=jnp.asarray(target, jnp.float32),
             order=jnp.asarray(order, jnp.int32),
-            flip_until=jnp.float32(until),
+            flip_until=jnp.float32(lying.get("until", 0.0)),
         )
         state = RobotState(
             pos=jnp.zeros(3),
-            quat=jnp.asarray(quat, jnp.float32),
+            quat=jnp.asarray(lying.get("quat", (1, 0, 0, 0)), jnp.float32),
             linear=jnp.zeros(3),
             angular=jnp.zeros(3),
             joint_pos=jnp.asarray(joint_pos, jnp.float32),

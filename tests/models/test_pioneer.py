@@ -188,7 +188,7 @@ def test_camera_axes_follow_from_the_manuals_orientations():
     ],
 )
 def test_camera_pans_left_and_tilts_up(stand, pan, tilt, looks):
-    robot, model, _ = stand
+    _, model, _ = stand
     data = mujoco.MjData(model)
     data.joint("it/CameraPanTilt_Link1").qpos = pan
     data.joint("it/CameraPanTilt_Link2").qpos = tilt

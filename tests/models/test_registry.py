@@ -32,7 +32,7 @@ def test_listing_is_sorted_and_without_aliases(birds: Registry[int]):
     ("name", "aliases"), [("swift", ()), ("APUS", ()), ("Wren", ("CROW",)), ("Wren", ("apus",))]
 )
 def test_taken_names_are_refused_and_nothing_is_added(birds: Registry[int], name, aliases):
-    with pytest.raises(UsageError, match="bird '.*' is registered already"):
+    with pytest.raises(UsageError, match=r"bird '.*' is registered already"):
         birds.add(name, 3, aliases=aliases)
     assert birds.names() == ["Crow", "Swift"]
     assert birds.get("Swift") == 1

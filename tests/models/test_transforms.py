@@ -67,9 +67,7 @@ def test_quaternion_is_the_one_mujoco_reads(roll, pitch, yaw):
 @given(turns, pitches, turns)
 def test_flipped_angles_turn_flipped_vectors(roll, pitch, yaw):
     ours = mat_from_angles(*flip_angles((roll, pitch, yaw)))
-    np.testing.assert_allclose(
-        ours, FLIP @ mat_from_angles(roll, pitch, yaw) @ FLIP, atol=DOUBLE_ATOL
-    )
+    np.testing.assert_allclose(ours, FLIP @ mat_from_angles(roll, pitch, yaw) @ FLIP, atol=DOUBLE_ATOL)
 
 
 @pytest.mark.oracle

@@ -85,9 +85,7 @@ def footprint(shape):
 def reached(shapes):
     """The grid cells that a P2AT's centre reaches from the first start without touching `shapes`."""
     (x0, x1), (y0, y1) = YELLOW.extent
-    x, y = np.meshgrid(
-        np.arange(x0 + GRID / 2, x1, GRID), np.arange(y0 + GRID / 2, y1, GRID), indexing="ij"
-    )
+    x, y = np.meshgrid(np.arange(x0 + GRID / 2, x1, GRID), np.arange(y0 + GRID / 2, y1, GRID), indexing="ij")
     free = np.ones_like(x, bool)
     for shape in shapes:
         half_x, half_y = footprint(shape)

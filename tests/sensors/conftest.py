@@ -35,16 +35,11 @@ def scanner(name: str, **keys: object) -> Mount:
 
 
 def encoder(name: str, parent: str, direction: tuple, **keys: object) -> Mount:
-    return Mount(
-        kind="Encoder", name=name, parent=parent, direction=direction, options=options(**keys)
-    )
+    return Mount(kind="Encoder", name=name, parent=parent, direction=direction, options=options(**keys))
 
 
 # Rear wheels further out than the front ones, so that left-most is not simply the first.
-WHEELS = tuple(
-    replace(w, at=(w.at[0], w.at[1] * 1.3, w.at[2])) if "R" in w.name[4:6] and w.at[0] < 0 else w
-    for w in P2AT.wheels
-)
+WHEELS = tuple(replace(w, at=(w.at[0], w.at[1] * 1.3, w.at[2])) if w.at[0] < 0 else w for w in P2AT.wheels)
 BENCH = replace(
     P2AT,
     name="Bench",
@@ -54,7 +49,7 @@ BENCH = replace(
         sonar("Clean", Noise=0.0),
         sonar("Noisy", Noise=0.3, MinRange=1.0, MaxRange=3.0),
         sonar("Curved", Noise=0.0, OutputCurve=CURVE),
-        sonar("Keen", Noise=0.0, max_incidence=1.58),
+        sonar("Keen", Noise=0.0, MaxIncidence=1.58),
         scanner("Clean", ScanInterval=0.5),
         scanner("Tilted", bYaw=False, bPitch=True, ScanInterval=0.02),
         scanner("Manual", ScanInterval=0.0),
@@ -90,6 +85,10 @@ BENCH = replace(
 )
 
 
+# Each function runs a few times: XLA's optimiser would take longer than it saves.
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
 def arena(boxes: tuple = (), posts: tuple = (), floor: float = 0.0) -> Any:
     """A floor, boxes (centre, half lengths, yaw) and upright posts (centre, radius, half height).
 
@@ -116,14 +115,13 @@ class Bench:
     def __post_init__(self) -> None:
         self.suite: Suite = suite_of(self.robot)
         self.joints = len(body_plan(self.robot).parts) - 1
-        self._start = jax.jit(self.suite.start)
-        self._read = jax.jit(self.suite.read)
-        self._bodies = jax.jit(partial(body_poses, body_plan(self.robot)))
+        self._start = quick_jit(self.suite.start)
+        self._read = quick_jit(self.suite.read)
+        self._bodies = quick_jit(partial(body_poses, body_plan(self.robot)))
+        self._cast = quick_jit(self.suite.cast)
         self.open = arena()
 
-    def sight(
-        self, time=0.0, at=(0.0, 0.0, 0.26), angles=(0.0, 0.0, 0.0), wheels=(), geoms=None
-    ) -> Sight:
+    def sight(self, time=0.0, at=(0.0, 0.0, 0.26), angles=(0.0, 0.0, 0.0), wheels=(), geoms=None) -> Sight:
         """What the robot senses at a pose, with its joints in `wheels`' positions and then zero."""
         joints = np.zeros(self.joints, np.float32)
         joints[: len(wheels)] = wheels
@@ -135,13 +133,9 @@ class Bench:
             joint_pos=jnp.asarray(joints),
             joint_vel=jnp.zeros(self.joints),
         )
-        return Sight(
-            time=jnp.float32(time),
-            state=state,
-            bodies=self._bodies(state),
-            geoms=self.open if geoms is None else geoms,
-            slot=jnp.int32(0),
-        )
+        bodies = self._bodies(state)
+        hits = self._cast(self.open if geoms is None else geoms, bodies, jnp.int32(0))
+        return Sight(time=jnp.float32(time), state=state, bodies=bodies, hits=hits)
 
     def start(self, sight: Sight, seed: int = 0) -> Memory:
         return self._start(sight, jax.random.key(seed))

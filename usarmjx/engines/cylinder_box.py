@@ -6,8 +6,8 @@ cylinder and a box have five kinds: box face, flat disc, side of the cylinder ag
 (radial), side against a box edge (cross product), rim against a box edge (one angle, searched).
 The contacts then come from clipping the two touching features against each other.
 
-Everything is computed in the frame of the box with sums of products: a matrix product would run in
-TensorFloat-32 on recent GPUs, which is worth a millimetre at room scale.
+Everything is computed in the frame of the box with sums of products: a matrix product may run in
+TensorFloat-32 on recent GPUs, whose 10-bit fraction is worth a millimetre at room scale.
 """
 
 from importlib import import_module, metadata
@@ -196,9 +196,7 @@ def _on_face(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     # with its deepest point a hair beyond the face a tilted cylinder is clipped far off
     clipped = rim + first * along
     sound = hit & (_dot(clipped, n) - plane - gap < 0.1 * jnp.abs(gap))
-    points = jnp.stack([
-        jnp.where(sound, clipped, clamp(rim)), second, middle + left * across
-    ])
+    points = jnp.stack([jnp.where(sound, clipped, clamp(rim)), second, middle + left * across])
     heights = _dot(points, n) - plane
     gaps = heights.at[0].set(gap)
     wide = hit & (right > left)
@@ -268,15 +266,17 @@ def _on_edge(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     third = base + (1 - TRIM) * reach * into
     third_depth = _depth(pair, third, n)
     near_face = jnp.abs(n[order[1]]) < NEAR_FACE
-    gaps = jnp.stack([
-        first_gap,
-        jnp.where(crossed & (gap < 0) & (depths[far] > 0), -depths[far], INACTIVE),
-        jnp.where(
-            crossed & (gap < 0) & near_face & (reach > 0) & (third_depth > 0),
-            -third_depth,
-            INACTIVE,
-        ),
-    ])
+    gaps = jnp.stack(
+        [
+            first_gap,
+            jnp.where(crossed & (gap < 0) & (depths[far] > 0), -depths[far], INACTIVE),
+            jnp.where(
+                crossed & (gap < 0) & near_face & (reach > 0) & (third_depth > 0),
+                -third_depth,
+                INACTIVE,
+            ),
+        ]
+    )
     return gaps, jnp.stack([first, second, third]) + 0.5 * gaps[:, None] * n
 
 

@@ -74,6 +74,8 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.solver = mujoco.mjtSolver.mjSOL_CG
     option.impratio = physics.impratio
+    # One contact per pair of convex geoms: with several, wheels stick at the edge of a 4 cm board.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     option.iterations = physics.iterations
     option.ls_iterations = physics.ls_iterations
     floor = Shape(kind="box", size=FLOOR_SIZE, at=(0.0, 0.0, arena.floor), surface="ground", rgba=FLOOR_RGBA)

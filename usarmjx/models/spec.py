@@ -44,15 +44,15 @@ HULL, WHEEL, FIXED = 1, 2, 4
 """Collision bits. Fixed things do not touch each other; nor do wheels: a robot's hull covers its wheels, and
 cylinder against cylinder is the least reliable pair of MJX-JAX."""
 
-# Friction 0.6 holds a robot on slopes up to 31 degrees. Walls are slick and have the last word, so that
+# Friction 0.8 holds a robot on slopes up to 38 degrees. Walls are slick and have the last word, so that
 # a robot that pushes one spins its wheels instead of climbing it.
 SURFACES = {
-    "ground": Surface(friction=0.6, priority=0, contype=FIXED, conaffinity=HULL | WHEEL),
+    "ground": Surface(friction=0.8, priority=0, contype=FIXED, conaffinity=HULL | WHEEL),
     "wall": Surface(friction=0.3, priority=2, contype=FIXED, conaffinity=HULL | WHEEL),
     "hull": Surface(friction=0.3, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
-    "wheel": Surface(friction=0.6, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
+    "wheel": Surface(friction=0.8, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
     "caster": Surface(friction=0.01, priority=1, contype=WHEEL, conaffinity=HULL | FIXED),
-    "fixture": Surface(friction=0.0, priority=0, contype=0, conaffinity=0),  # seen, but never touched
+    "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
 
 

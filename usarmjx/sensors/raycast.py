@@ -238,8 +238,10 @@ def cast_incidence(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer
     def one(start: jax.Array, along: jax.Array) -> Hits:
         nearest, cosine = jnp.asarray(jnp.inf), jnp.asarray(0.0)
         for kind, block in zip(geoms.types, geoms.blocks, strict=True):
-            best = jnp.argmin(_distances(kind, block, start, along, viewer))
-            geom = jax.tree.map(lambda x, i=best: jax.lax.dynamic_index_in_dim(x, i), block)
+            geom = block
+            if len(block.owner) > 1:
+                best = jnp.argmin(_distances(kind, block, start, along, viewer))
+                geom = jax.tree.map(lambda x, i=best: jax.lax.dynamic_index_in_dim(x, i), block)
             distance = _distances(kind, geom, start, along, viewer)[0]
             local, turned = geom.mat[0].T @ (start - geom.pos[0]), geom.mat[0].T @ along
             reach = jnp.where(jnp.isfinite(distance), distance, 0.0)

@@ -143,7 +143,7 @@ P2AT = RobotSpec(
         )
     ),
     # Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground.
-    drive=SkidSteer(max_speed=5.385, torque=4.0),
+    drive=SkidSteer(max_speed=5.385, torque=5.0, armature=0.15),
     packages=(_pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
     sensors=(*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X), _sick(P2AT_SCANNER), *POSE_SENSORS),
     cameras=(CAMERA,),
