@@ -14,6 +14,7 @@ import select
 import socket
 import time
 from collections import deque
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 SEGMENT = re.compile(r"\{([^{}]*)\}")
@@ -91,7 +92,7 @@ def format_line(kind: str, segments: dict[str, object]) -> str:
     return " ".join([kind, *(f"{{{key} {text(value)}}}" for key, value in segments.items())])
 
 
-class UsarsimClient:
+class UsarsimClient(AbstractContextManager):
     """One connection, which is one robot: it leaves the world when the connection closes.
 
     Args:
@@ -185,15 +186,12 @@ class UsarsimClient:
         self.send("SET", Type=type_name, Name=name, Opcode=opcode, **extra)
         return None if type_name.lower() in NO_ANSWER else self._wait_for("RES", f"the {opcode}")
 
+    def __exit__(self, *_):
+        self.close()
+
     def close(self) -> None:
         """Close the connection; the robot disappears."""
         self._socket.close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
     def _ask(self, kind: str, type_name: str, name: str):
         self.send(kind, Type=type_name, **({"Name": name} if name else {}))

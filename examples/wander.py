@@ -81,7 +81,7 @@ class Memory:
         x, y, yaw = pose
         cos, sin = math.cos(yaw), math.sin(yaw)
         for px, py in points:
-            if HALF_LENGTH < px and math.hypot(px, py) < NEAR:
+            if px > HALF_LENGTH and math.hypot(px, py) < NEAR:
                 self.points.append((now, x + px * cos - py * sin, y + px * sin + py * cos))
         while self.points and self.points[0][0] < now - REMEMBER:
             self.points.popleft()
@@ -94,11 +94,12 @@ class Memory:
         return [(dx * cos + dy * sin, dy * cos - dx * sin) for dx, dy in offsets]
 
 
-def steer(points: list[Point], remembered: list[Point] = (), turning: int = 0) -> tuple[float, float, int]:
+def steer(points: list[Point], remembered: list[Point], turning: int = 0) -> tuple[float, float, int]:
     """Decide how to drive from the points that the sonars have hit.
 
     Args:
         points: x and y of each on the robot [m].
+        remembered: Likewise, of what they have hit before.
         turning: What the last decision returned: -1 turning left in place, 1 right, 0 driving.
 
     Returns:
@@ -132,7 +133,7 @@ def room_beside(points: list[Point], side: int) -> float:
 
 def freer_side(points: list[Point]) -> int:
     """Return -1 when there is more room in front on the left, else 1."""
-    balance = sum(max(-2.0, min(2.0, y)) for x, y in points if x > 0)
+    balance = sum(max(-4.0, min(4.0, y)) for x, y in points if x > 0)
     return -1 if balance < 0 else 1
 
 
@@ -143,7 +144,7 @@ class Log:
     Attributes:
         track: Per report time [s], truth, odometry and INS as (x [m], y [m], yaw [rad]).
         scan: Ranges [m] of the last laser scan, its fov [rad], where the scanner is on the robot,
-            and the robot's true pose then.
+            and the robot's true pose then (None when the run ended before it came).
         min_clearance: Least distance from hull to echo [m].
         messages: How many of each kind came.
     """
@@ -200,13 +201,15 @@ class Wanderer:
             self.began = self.now
         if kind in ("Odometry", "INS", "GroundTruth"):
             self.poses[kind] = message.pose()
+        if kind == "RangeScanner":
+            at, fov = self.scanner[message.value("Name")], float(message.value("FOV"))
+            self.log.scan = {"ranges": message.scan(), "fov": fov, "at": at, "pose": None}
         if kind == "GroundTruth" and len(self.poses) == 3:
             poses = (self.poses[name] for name in ("GroundTruth", "Odometry", "INS"))
             self.log.track.append([self.now, *poses])
-        if kind == "RangeScanner" and "GroundTruth" in self.poses:
-            ranges, fov = message.scan(), float(message.value("FOV"))
-            at, pose = self.scanner[message.value("Name")], self.poses["GroundTruth"]
-            self.log.scan = {"ranges": ranges, "fov": fov, "at": at, "pose": pose}
+            # It ends a report, so a scan before it is of the same moment.
+            if self.log.scan and not self.log.scan["pose"]:
+                self.log.scan["pose"] = self.poses["GroundTruth"]
         return message.ranges() if kind == "Sonar" else {}
 
     def decide(self, ranges: dict[str, float]) -> None:

@@ -79,8 +79,7 @@ class CPair:
         mujoco.mj_collision(m, d)
         sign = [1 if c.geom1 == 0 else -1 for c in d.contact[: d.ncon]]
         found = [
-            (c.dist, c.pos.copy(), s * c.frame[:3])
-            for c, s in zip(d.contact[: d.ncon], sign, strict=True)
+            (c.dist, c.pos.copy(), s * c.frame[:3]) for c, s in zip(d.contact[: d.ncon], sign, strict=True)
         ]
         return sorted(found, key=lambda contact: contact[0])
 
@@ -170,9 +169,7 @@ def poses() -> Poses:
     pair = CPair(MULTICCD_OFF)
     deepest = [(pair.contacts(*one) or [(1.0, None, np.zeros(3))])[0] for one in drawn]
     cylinder, box = as_geoms([p for p, _ in drawn], [s for _, s in drawn])
-    return Poses(
-        cylinder, box, np.array([d[0] for d in deepest]), np.array([d[2] for d in deepest])
-    )
+    return Poses(cylinder, box, np.array([d[0] for d in deepest]), np.array([d[2] for d in deepest]))
 
 
 def angles(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -204,9 +201,7 @@ def test_all_contacts_lie_between_the_surfaces(poses: Poses) -> None:
     offset = pos - np.asarray(poses.cylinder.pos)[:, None]
     along = np.sum(offset * axis, axis=-1)
     radial = np.linalg.norm(offset - along[..., None] * axis, axis=-1)
-    local = np.einsum(
-        "nji,nkj->nki", np.asarray(poses.box.mat), pos - np.asarray(poses.box.pos)[:, None]
-    )
+    local = np.einsum("nji,nkj->nki", np.asarray(poses.box.mat), pos - np.asarray(poses.box.pos)[:, None])
     beyond = np.max(np.abs(local) - np.asarray(poses.box.size)[:, None], axis=-1)
     reach = np.maximum(np.abs(along) - sizes[:, 1:2], radial - sizes[:, 0:1])
     active = dist < 0
@@ -236,9 +231,7 @@ AT_ORIGIN = np.array([0, 0, 0, 1.0, 0, 0, 0])
 def test_lying_contacts_are_those_of_default_c(center: list, attitude: np.ndarray) -> None:
     pose, size = np.array([*center, *attitude]), np.array([RADIUS, HALF_WIDTH, 0])
     expected = CPair(0).contacts([pose, AT_ORIGIN], [size, BIG])
-    dist, pos, frame = (
-        np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
-    )
+    dist, pos, frame = (np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]])))
     order = np.flatnonzero(dist < 0)
     assert len(order) == len(expected) == 2
     for wanted, point, normal in expected:
@@ -256,9 +249,7 @@ def test_flat_disc_stands_on_three_points(center: list, tilt: float) -> None:
     pose = np.array([*center, 0.2 + HALF_WIDTH - 0.002, *attitude])
     size = np.array([RADIUS, HALF_WIDTH, 0])
     expected = CPair(MULTICCD_OFF).contacts([pose, AT_ORIGIN], [size, BIG])[0]
-    dist, pos, frame = (
-        np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]]))
-    )
+    dist, pos, frame = (np.asarray(x[0]) for x in collide(*as_geoms([[pose, AT_ORIGIN]], [[size, BIG]])))
     assert np.all(dist < 0)
     np.testing.assert_allclose(dist.min(), expected[0], atol=DEPTH_ATOL)
     np.testing.assert_allclose(frame[:, 0], np.broadcast_to([0, 0, -1], (3, 3)), atol=2e-3)

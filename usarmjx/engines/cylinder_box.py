@@ -238,9 +238,7 @@ def _on_edge(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     sine_square = jnp.maximum(1 - cosine**2, PARALLEL**2)
     offset = origin - pair.center - pair.radius * steepest
     at = (_dot(offset, pair.axis) - cosine * _dot(offset, edge)) / sine_square
-    crossing = (
-        pair.center + pair.radius * steepest + jnp.clip(at, -pair.half, pair.half) * pair.axis
-    )
+    crossing = pair.center + pair.radius * steepest + jnp.clip(at, -pair.half, pair.half) * pair.axis
     is_crossing = (jnp.abs(slope) < PARALLEL) & (sine_square > 10 * PARALLEL**2)
     lowest = jnp.where(is_crossing, crossing, lowest)
     deepest = jnp.where(

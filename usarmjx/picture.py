@@ -1,0 +1,142 @@
+"""A picture of what a robot did: the arena's plan, its path, and where its sensors believed it was.
+
+A log is what `examples/wander.py` writes. Its numbers are in USARSim's axes (y right, z down, yaw
+clockwise); the picture is in ours, as the arena's description (y left, z up).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from usarmjx.models.spec import ArenaSpec, Shape
+from usarmjx.transforms import mat_from_angles
+
+DPI = 120
+WIDTH = 11.0  # inches; the height follows from the arena's shape
+NO_ECHO = 0.99
+"""A scan's beam that reads more than this share of the longest reading may have hit nothing."""
+
+PAPER, WALL, GROUND = "#f7f5ef", "#3b3a36", "#cdbf9f"
+TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
+
+
+def tracks(log: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the logged poses in our axes and in the world's frame.
+
+    Odometry starts at zero and the INS with an error of its own, so both are laid on the true start.
+
+    Returns:
+        x, y [m] and yaw [rad] per report under "truth", "odometry" and "ins" (reports, 3).
+    """
+    wire = np.array([report[1:] for report in log["track"]], float).reshape(-1, 3, 3)
+    truth, odometry, ins = np.moveaxis(wire * (1, -1, -1), 1, 0)
+    return {"truth": truth, "odometry": _laid_on(odometry, truth), "ins": _laid_on(ins, truth)}
+
+
+def _laid_on(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return an estimate moved rigidly so that it starts at the true start (n, 3)."""
+    if not len(truth):
+        return estimate
+    turn = truth[0, 2] - estimate[0, 2]
+    cos, sin = math.cos(turn), math.sin(turn)
+    moved = (estimate[:, :2] - estimate[0, :2]) @ np.array([[cos, sin], [-sin, cos]])
+    return np.column_stack([moved + truth[0, :2], estimate[:, 2] + turn])
+
+
+def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
+    """Return where the beams of a logged laser scan ended, in our axes [m] (hits, 2).
+
+    The first beam is the rightmost (wire yaw +fov/2), the others follow counter-clockwise. Beams as
+    long as the longest may have met nothing and are left out.
+    """
+    ranges = np.array(scan["ranges"], float)
+    (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
+    angle = yaw + at_yaw + np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges))
+    start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
+    start_y = y + at_x * math.sin(yaw) + at_y * math.cos(yaw)
+    points = np.column_stack([start_x + ranges * np.cos(angle), -start_y - ranges * np.sin(angle)])
+    return points[ranges < NO_ECHO * scan.get("max_range", 20.0)]
+
+
+def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
+    """Draw a run as a PNG file.
+
+    Args:
+        arena: Where it took place.
+        log: "track" with one row per report (time, truth, odometry, INS; poses as x, y, yaw), and
+            "scan" with the last laser scan, or nothing in it.
+        path: File to write; its folder exists.
+    """
+    (x0, x1), (y0, y1) = arena.extent
+    height = WIDTH * (y1 - y0) / (x1 - x0) + 1.0
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(
+        aspect="equal",
+        facecolor=PAPER,
+        xlim=(x0 - 0.3, x1 + 0.3),
+        ylim=(y0 - 0.3, y1 + 0.3),
+        xlabel="x [m]",
+        ylabel="y [m]",
+    )
+    axes.set_title(_title(arena, log["track"]), loc="left", fontsize=11)
+    _draw_shapes(axes, arena.shapes)
+    _draw_run(axes, log)
+    axes.spines[:].set_visible(False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
+    figure.savefig(path, format="png")
+
+
+def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
+    lasted = track[-1][0] - track[0][0] if track else 0.0
+    return f"{arena.name}: {lasted:.1f} simulated seconds"
+
+
+def _draw_shapes(axes: Axes, shapes: Sequence[Shape]) -> None:
+    """Draw walls dark and the rest lighter, each as its outline on the floor."""
+    for colour, edge, members in (
+        (GROUND, "#a8987a", [shape for shape in shapes if shape.surface != "wall"]),
+        (WALL, WALL, [shape for shape in shapes if shape.surface == "wall"]),
+    ):
+        patches = [_outline(shape) for shape in members]
+        axes.add_collection(
+            PatchCollection(patches, facecolor=colour, edgecolor=edge, linewidth=0.8, zorder=2)
+        )
+
+
+def _outline(shape: Shape) -> Rectangle:
+    """Return the rectangle that a solid covers, seen from above; its tilt shortens it."""
+    half = (*shape.size, shape.size[0], shape.size[0])[:3] if shape.kind != "box" else shape.size
+    roll, pitch, yaw = shape.rotation
+    along, across = (np.abs(mat_from_angles(roll, pitch, 0.0)) @ np.array(half))[:2]
+    corner = (shape.at[0] - along, shape.at[1] - across)
+    return Rectangle(corner, 2 * along, 2 * across, angle=math.degrees(yaw), rotation_point="center")
+
+
+def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
+    if log.get("scan"):
+        hits = scan_points(log["scan"])
+        axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=4, label="last laser scan", zorder=5)
+    paths = tracks(log)
+    for name, colour, style, label in (
+        ("truth", TRUTH, "-", "driven path"),
+        ("odometry", ODOMETRY, "--", "odometry"),
+        ("ins", INS, ":", "INS"),
+    ):
+        x, y = paths[name][:, 0], paths[name][:, 1]
+        wide = 2.4 if name == "truth" else 1.6
+        axes.plot(x, y, style, color=colour, lw=wide, label=label, zorder=4)
+    truth = paths["truth"]
+    if len(truth):
+        axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=2, ms=9, label="start", zorder=6)
+        heading = (3, 0, math.degrees(truth[-1, 2]) - 90)
+        axes.plot(*truth[-1, :2], marker=heading, color=TRUTH, ms=13, ls="", label="end", zorder=6)
