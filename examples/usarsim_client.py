@@ -18,17 +18,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 SEGMENT = re.compile(r"\{([^{}]*)\}")
-NO_ANSWER = {"joint"}  # types that a server carries out without a RES
 
 
 @dataclass(frozen=True)
 class Message:
-    """One line from the server.
-
-    Attributes:
-        kind: NFO, STA, MISSTA, SEN, GEO, CONF or RES.
-        segments: (key, value) of each pair of braces in order; keys may repeat.
-    """
+    """One line from the server: SEN, STA ... and (key, value) per pair of braces; keys may repeat."""
 
     kind: str
     segments: tuple[tuple[str, str], ...]
@@ -84,7 +78,7 @@ def parse_line(line: str) -> Message:
 def format_line(kind: str, segments: dict[str, object]) -> str:
     """Return the line of a command; vectors become `x,y,z`."""
 
-    def text(value: object) -> str:
+    def text(value):
         if isinstance(value, (tuple, list)):
             return ",".join(text(part) for part in value)
         return f"{value:.4f}" if isinstance(value, float) else str(value)
@@ -98,13 +92,10 @@ class UsarsimClient(AbstractContextManager):
     Args:
         host: Where the server runs.
         port: Its Gamebots port.
-        timeout: How long to wait for a connection or an answer [s of real time].
+        timeout: How long to wait for a connection or an answer [s of real time]; then TimeoutError.
 
     Attributes:
         greeting: The server's first line; its "Level" is the arena.
-
-    Raises:
-        OSError: No connection, or no greeting in time (TimeoutError).
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0):
@@ -169,8 +160,7 @@ class UsarsimClient(AbstractContextManager):
 
     def drive(self, left: float, right: float, normalized: bool = False) -> None:
         """Turn the left and right wheels forward [rad/s, or percent when normalized]."""
-        extra = {"Normalized": True} if normalized else {}
-        self.send("DRIVE", Left=float(left), Right=float(right), **extra)
+        self.send("DRIVE", Left=left, Right=right, **({"Normalized": True} if normalized else {}))
 
     def geo(self, type_name: str, name: str = ""):
         """Return where sensors are mounted, or the size of the robot (type Robot)."""
@@ -182,9 +172,10 @@ class UsarsimClient(AbstractContextManager):
 
     def set(self, type_name: str, name: str, opcode: str, params: object = ""):
         """Send an order to a sensor or effecter; return its RES, None for types without one."""
-        extra = {"Params": params} if params != "" else {}
-        self.send("SET", Type=type_name, Name=name, Opcode=opcode, **extra)
-        return None if type_name.lower() in NO_ANSWER else self._wait_for("RES", f"the {opcode}")
+        last = {"Params": params} if params != "" else {}
+        self.send("SET", Type=type_name, Name=name, Opcode=opcode, **last)
+        # A server moves joints without a RES.
+        return None if type_name.lower() == "joint" else self._wait_for("RES", f"a RES to {opcode}")
 
     def __exit__(self, *_):
         self.close()

@@ -24,6 +24,9 @@ WIDTH = 11.0  # inches; the height follows from the arena's shape
 NO_ECHO = 0.99
 """A scan's beam that reads more than this share of the longest reading may have hit nothing."""
 
+ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
+"""Marker of the last pose, pointing forward (corners, 2)."""
+
 PAPER, WALL, GROUND = "#f7f5ef", "#3b3a36", "#cdbf9f"
 TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
 
@@ -138,5 +141,6 @@ def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
     truth = paths["truth"]
     if len(truth):
         axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=2, ms=9, label="start", zorder=6)
-        heading = (3, 0, math.degrees(truth[-1, 2]) - 90)
-        axes.plot(*truth[-1, :2], marker=heading, color=TRUTH, ms=13, ls="", label="end", zorder=6)
+        cos, sin = math.cos(truth[-1, 2]), math.sin(truth[-1, 2])
+        arrow = ARROW @ np.array([[cos, sin], [-sin, cos]])
+        axes.plot(*truth[-1, :2], marker=arrow, color=TRUTH, ms=15, ls="", label="end", zorder=6)

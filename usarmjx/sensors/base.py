@@ -111,6 +111,17 @@ class Sensor(ABC):
         """Whether the sensor measures only when told to (SCAN)."""
         return False
 
+    def check(self) -> None:
+        """Find what is wrong with mounts and settings while the scene is built.
+
+        Raises:
+            SpecError: A mount on a part that the robot does not have, or sensors that report together but
+                do not measure together.
+        """
+        self.bodies_of_mounts()
+        if len({settings.scan_interval for settings in self.settings}) > 1:
+            raise SpecError(f"all {self.kind} sensors report together and need the same ScanInterval")
+
     def bodies_of_mounts(self) -> np.ndarray:
         """Return the body that each mount sits on (mounts,).
 

@@ -61,10 +61,17 @@ class Odometry(Sensor):
             raise SpecError(f"Odometry {self.mounts[0].name}: no wheel {name!r}; wheels: {', '.join(names)}")
         return names.index(name)
 
-    def _ticks(self, sight: Sight) -> jax.Array:
+    def check(self) -> None:
+        """Find what is wrong; see `Sensor.check`."""
+        super().check()
+        self._pair()
+
+    def _pair(self) -> np.ndarray:
         settings = self.settings[0]
-        pair = np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
-        return jnp.trunc(sight.state.joint_pos[pair] / settings.encoder_resolution)
+        return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
+
+    def _ticks(self, sight: Sight) -> jax.Array:
+        return jnp.trunc(sight.state.joint_pos[self._pair()] / self.settings[0].encoder_resolution)
 
     def start(self, sight: Sight, key: jax.Array) -> OdometryMemory:
         """Here and now are the reference."""
@@ -219,10 +226,14 @@ class Encoder(Sensor):
         axis = self.plan.axis[self.plan.parts.index(mount.parent)]
         return float(np.dot(looks_along, axis))
 
+    def check(self) -> None:
+        """Find what is wrong; see `Sensor.check`."""
+        super().check()
+        if (self.bodies_of_mounts() == 0).any():
+            raise SpecError("an encoder needs a part that turns, not the chassis")
+
     def _angles(self, sight: Sight) -> jax.Array:
         bodies = self.bodies_of_mounts()
-        if (bodies == 0).any():
-            raise SpecError("an encoder needs a part that turns, not the chassis")
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
         return sight.state.joint_pos[bodies - 1] * sign
 

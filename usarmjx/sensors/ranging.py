@@ -156,6 +156,11 @@ class RangeScanner(Sensor):
     kind = "RangeScanner"
     defaults = ScannerSettings
 
+    def check(self) -> None:
+        """Find what is wrong; see `Sensor.check`."""
+        super().check()
+        fan(self.settings[0])
+
     @property
     def manual(self) -> bool:
         """Whether it scans on the SCAN command only."""

@@ -21,7 +21,7 @@ def resolve(kind: type[T], overrides: Options, owner: str) -> T:
 
     Raises:
         UnknownNameError: A key that this sensor does not have; lists those it has.
-        UsageError: A number where the setting is true or false, or the like.
+        UsageError: A value of another kind than the setting's: text for a number, a number for true or false.
     """
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     values: dict[str, object] = {}
@@ -29,8 +29,11 @@ def resolve(kind: type[T], overrides: Options, owner: str) -> T:
         name = field_name(key)
         if name not in fields:
             raise UnknownNameError(f"{owner} has no setting {key!r}; known: {', '.join(sorted(fields))}")
-        default = fields[name].default
-        if isinstance(default, bool) != isinstance(value, bool):
-            raise UsageError(f"{owner}: setting {key} is {value!r}, expected {type(default).__name__}")
+        wanted = fields[name].default
+        number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
+        allowed = (int, float) if number else type(wanted)
+        if not isinstance(value, allowed) or isinstance(value, bool) != isinstance(wanted, bool):
+            kind = "a number" if number else type(wanted).__name__
+            raise UsageError(f"{owner}: setting {key} is {value!r}, expected {kind}")
         values[name] = value
     return kind(**values)

@@ -156,6 +156,6 @@ def suite_of(robot: RobotSpec) -> Suite:
         kind = SENSORS.get(mounts[0].kind)
         settings = tuple(resolve(kind.defaults, m.options, f"{m.kind} {m.name}") for m in mounts)
         sensor = kind(plan=plan, mounts=mounts, settings=settings)
-        sensor.bodies_of_mounts()
+        sensor.check()
         sensors.append(sensor)
     return Suite(plan=plan, sensors=tuple(sensors))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from usarmjx.control import FLIP_TIME, Command, Order
-from usarmjx.errors import UnknownNameError, UsageError
+from usarmjx.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
 from usarmjx.scene import start_height
@@ -175,14 +175,21 @@ class Client:
         if self.battery_empty:
             return
         place = robot.suite.find(command.type, command.name)
-        done = False
-        if place is not None:
-            values = to_vector(command.params) if command.params else ()
+        values, done = self._numbers(command.params), False
+        if place is not None and values is not None:
             if command.opcode.upper() == "POSE" and len(values) == 6:
                 values = (*vector(values[:3]), *angles(values[3:]))
             done = self._world.order(robot, place, command.opcode, values)
         status = "OK" if done else "Failed"
         self.session.send(reports.res(self._world.time, command.type, command.name, status))
+
+    def _numbers(self, params: str) -> tuple[float, ...] | None:
+        """Return the numbers of a SET; None, logged, when one is not finite: the client stays."""
+        try:
+            return to_vector(params)
+        except PeerError as error:
+            log.warning("%s: %s", self._peer, error)
+            return None
 
     def _geometry(self, command: wire.GetGeo) -> None:
         if not self.battery_empty:

@@ -28,6 +28,8 @@ _VALUE = re.compile(r"[^\r\n{}]*")
 # original's Windows servers did not know them either.
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
 _NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
+# The original's floats were of single precision, and so are the simulation's.
+_LARGEST = 3.4e38
 # A number less than a hundredth of the last place short of a printable one is taken as that one.
 # 0.29 * 10000 can be just under 2900, and a float32 0.13 from the simulation is 0.12999999523;
 # cut blindly they would read 0.2899 and 0.1299. The original computed in float32 throughout, where
@@ -122,7 +124,7 @@ def to_float(text: str) -> float:
     """
     found = _NUMBER.match(text)
     value = float(found.group(1)) if found else 0.0
-    if _NOT_FINITE.match(text) or not math.isfinite(value):
+    if _NOT_FINITE.match(text) or not abs(value) <= _LARGEST:
         raise PeerError(f"{clip(text)} is not a finite number")
     return value
 

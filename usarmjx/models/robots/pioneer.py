@@ -120,9 +120,11 @@ P2AT = RobotSpec(
     origin_height=0.26,  # manual 5.3.6
     chassis=(
         # Body between the wheels; carries all mass that is not wheels and camera (chosen: low, as the
-        # batteries lie at the bottom, though the captured COG is the origin).
-        Shape(kind="box", size=(0.24, 0.20, 0.075), at=(0.0, 0.0, 0.10), mass=9.5, rgba=RED),
-        # Deck over body and wheels, up to the captured height: what meets walls and other robots.
+        # batteries lie at the bottom, though the captured COG is the origin). It reaches just past the
+        # tyres, so that this, near axle height, is what meets a wall: pushing with the tyres they would
+        # climb it, pushing with the deck the robot would turn over backwards.
+        Shape(kind="box", size=(0.276, 0.20, 0.05), at=(0.0, 0.0, 0.11), mass=9.5, rgba=RED),
+        # Deck over body and wheels, up to the captured height: what meets other robots beside it.
         Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0125), at=(0.0, 0.0, -0.0188), rgba=BLACK),
         _sick_housing(P2AT_SCANNER),
     ),
@@ -143,7 +145,7 @@ P2AT = RobotSpec(
         )
     ),
     # Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground.
-    drive=SkidSteer(max_speed=5.385, torque=5.0, armature=0.15),
+    drive=SkidSteer(max_speed=5.385, torque=4.0, armature=0.15),
     packages=(_pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
     sensors=(*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X), _sick(P2AT_SCANNER), *POSE_SENSORS),
     cameras=(CAMERA,),
@@ -166,7 +168,8 @@ P2DX = RobotSpec(
     payload=20.0,
     origin_height=0.20,  # manual 5.3.6
     chassis=(
-        Shape(kind="box", size=(0.20, 0.145, 0.065), at=(-0.01, 0.0, 0.085), mass=7.0, rgba=RED),
+        # Its mass lies behind the axle (chosen), so that braking does not lift the caster far.
+        Shape(kind="box", size=(0.17, 0.145, 0.065), at=(-0.05, 0.0, 0.085), mass=7.0, rgba=RED),
         Shape(kind="box", size=(0.22, 0.19, 0.012), at=(0.0, 0.0, -0.008), rgba=BLACK),
         Shape(kind="sphere", size=(P2DX_CASTER,), at=(-0.16, 0.0, 0.20 - P2DX_CASTER), surface="caster", rgba=BLACK),
         _sick_housing(P2DX_SCANNER),
@@ -175,7 +178,7 @@ P2DX = RobotSpec(
         Wheel(name=name, at=(0.0, y, 0.20 - P2DX_WHEEL), radius=P2DX_WHEEL, width=0.037, mass=0.75, side=side)
         for name, y, side in (("LeftFWheel", -P2DX_TRACK / 2, "left"), ("RightFWheel", P2DX_TRACK / 2, "right"))
     ),
-    drive=SkidSteer(max_speed=1.8 / P2DX_WHEEL, torque=2.5, armature=0.03),
+    drive=SkidSteer(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03),
     packages=(_pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT
     sensors=(
         *_front_ring(P2DX_RING_X),

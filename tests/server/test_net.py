@@ -1,0 +1,336 @@
+"""The server on real sockets: pace, guests that misbehave, and the end.
+
+A world is served from a thread of this process; only the signals need processes of their own. Times that
+matter are simulated; wall-clock limits are far above what an idle machine needs.
+"""
+
+import asyncio
+import contextlib
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import jax
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.arenas import FLAT
+from usarmjx.cli import app
+from usarmjx.models.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.live import LiveWorld
+from usarmjx.server.net import Server, Settings
+
+PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
+STA_TIME = re.compile(rb"STA \{Type GroundVehicle\} \{Time ([\d.]+)\}")
+
+
+class Peer:
+    """A client: a socket and the lines that came out of it."""
+
+    def __init__(self, port, text=""):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._rest = b""
+        if text:
+            self.say(text)
+
+    def say(self, text):
+        self.socket.sendall(text.encode() + b"\r\n")
+
+    def line(self):
+        """The next line; b"" when the server has closed the connection."""
+        while b"\r\n" not in self._rest:
+            try:
+                data = self.socket.recv(65536)
+            except ConnectionError:
+                data = b""
+            if not data:
+                return b""
+            self._rest += data
+        line, self._rest = self._rest.split(b"\r\n", 1)
+        return line
+
+    def until(self, *starts):
+        """The next line that starts so."""
+        while line := self.line():
+            if line.startswith(starts):
+                return line
+        raise AssertionError("the server hung up")
+
+    def sta_times(self, count):
+        """Simulated times of the next status lines."""
+        return [float(STA_TIME.match(self.until(b"STA"))[1]) for _ in range(count)]
+
+    def close(self):
+        self.socket.close()
+
+    def reset(self):
+        """Break the connection off instead of closing it."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.socket.close()
+
+
+@contextlib.contextmanager
+def serving(world, **settings):
+    """A running server's (port, Server)."""
+    started, box = threading.Event(), {}
+
+    async def main():
+        box["loop"] = asyncio.get_running_loop()
+        box["server"] = Server(world, Settings(port=0, **settings))
+        task = asyncio.create_task(box["server"].run())
+        while not box["server"].port and not task.done():
+            await asyncio.sleep(0.01)
+        started.set()
+        await task
+
+    thread = threading.Thread(target=lambda: asyncio.run(main()), daemon=True)
+    thread.start()
+    assert started.wait(PATIENCE)
+    try:
+        yield box["server"].port, box["server"]
+    finally:
+        box["loop"].call_soon_threadsafe(box["server"].stop)
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def world():
+    world = LiveWorld(FLAT, Physics(), jax.random.key(1), seats=16)
+    world.prepare(ROBOTS.get("P2AT"))
+    return world
+
+
+@pytest.fixture(scope="module")
+def port(world):
+    with serving(world) as (port, _):
+        yield port
+
+
+@pytest.fixture
+def bystander(port):
+    """A robot that drives in peace; afterwards its reports must have come in step."""
+    peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Name Bystander} {Start S0}")
+    before = peer.sta_times(2)
+    yield peer
+    times = before[-1:] + peer.sta_times(5)
+    np.testing.assert_allclose(np.diff(times), 0.2, atol=0.011)  # two decimals
+    peer.close()
+
+
+def test_greeting_and_reports(port):
+    peer = Peer(port)
+    assert peer.line() == b"NFO {Gametype BotDeathMatch} {Level flat} {TimeLimit 0}"
+    peer.say("INIT {ClassName USARBot.P2AT} {Name R1}")
+    np.testing.assert_allclose(np.diff(peer.sta_times(6)), 0.2, atol=0.011)
+    peer.close()
+
+
+def test_half_a_line_and_then_silence(port, bystander):
+    rude = Peer(port)
+    rude.socket.sendall(b"INIT {ClassName USARB")
+    bystander.sta_times(3)
+    rude.socket.sendall(b"ot.P2AT} {Start S1}\n")
+    assert rude.until(b"STA")
+    rude.close()
+
+
+def test_a_flood_of_junk(port, bystander):
+    vandal, random = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}"), np.random.default_rng(0)
+    vandal.socket.settimeout(0.2)
+    lines = b"DRIVE {Left nan}\r\nGETGEO {Type X}\r\n{{{}}}\r\n" * 200
+    for _ in range(40):
+        with contextlib.suppress(OSError):  # full: the server takes only so much at a time
+            vandal.socket.sendall(random.bytes(20_000) + b"\n" + lines)
+    assert len(bystander.sta_times(3)) == 3
+    vandal.close()
+
+
+def test_one_line_without_an_end(port, bystander):
+    vandal = Peer(port)
+    vandal.socket.settimeout(0.2)
+    for _ in range(100):
+        with contextlib.suppress(OSError):
+            vandal.socket.sendall(b"x" * 65536)
+    bystander.sta_times(2)
+    vandal.close()
+
+
+def test_who_asks_and_never_reads_is_dropped(port, bystander):
+    deaf = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}")
+    deaf.until(b"STA")
+    deaf.socket.settimeout(1.0)
+    deadline = time.monotonic() + PATIENCE
+    dropped = False
+    while not dropped and time.monotonic() < deadline:
+        try:
+            deaf.socket.sendall(b"GETCONF {Type Sonar}\r\n" * 500)
+        except TimeoutError:
+            continue
+        except ConnectionError:
+            dropped = True
+    assert dropped, "else its answers would pile up for ever"
+    assert len(bystander.sta_times(2)) == 2
+
+
+def test_a_connection_that_breaks_in_the_middle_of_a_line(port, bystander):
+    peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}")
+    peer.until(b"STA")
+    peer.socket.sendall(b"DRIVE {Left 1")
+    peer.reset()
+    bystander.sta_times(2)
+
+
+def test_who_leaves_during_init_leaves_no_robot(port, world, bystander):
+    for end in (Peer.close, Peer.reset):
+        end(Peer(port, "INIT {ClassName USARBot.P2AT} {Start S2}"))
+    bystander.sta_times(3)
+    assert [robot.name for robot in world.robots.values()] == ["Bystander"]
+
+
+def test_a_disconnected_robot_is_gone_and_its_seat_is_free(port, world, bystander):
+    for _ in range(3):
+        peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1} {Name Guest}")
+        peer.until(b"STA")
+        assert {robot.name for robot in world.robots.values()} == {"Bystander", "Guest"}
+        peer.close()
+        bystander.sta_times(3)
+        assert {robot.name for robot in world.robots.values()} == {"Bystander"}
+
+
+def test_two_robots_hear_each_other(port):
+    first = Peer(port, "INIT {ClassName USARBot.P2AT} {Location 0,0,-0.3}")
+    alone = first.until(b"SEN {Time").decode()
+    assert "F4 Range 5.0000" in alone
+    second = Peer(port, "INIT {ClassName USARBot.P2AT} {Location 1,0,-0.3} {Rotation 0,0,3.1416}")
+    heard = [float(re.search(rb"F4 Range ([\d.]+)", peer.until(b"SEN {Time"))[1]) for peer in (second, second)]
+    first.sta_times(2)
+    heard += [float(re.search(rb"F4 Range ([\d.]+)", first.until(b"SEN {Time"))[1])]
+    assert all(value < 1.0 for value in heard), heard
+    first.close()
+    second.close()
+
+
+def test_a_newcomer_does_not_hold_up_the_others(port, bystander, record_property):
+    """The class is prepared, so that all it costs is a new MuJoCo model: tens of milliseconds when idle."""
+    stop, arrivals = threading.Event(), []
+
+    def watch():
+        while not stop.is_set():
+            bystander.until(b"STA")
+            arrivals.append(time.monotonic())
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    for i in range(1, 4):
+        newcomer = Peer(port, f"INIT {{ClassName USARBot.P2AT}} {{Start S{i}}}")
+        newcomer.until(b"STA")
+        newcomer.close()
+    stop.set()
+    thread.join(PATIENCE)
+    gap = np.diff(arrivals).max()
+    record_property("longest_gap_s", float(gap))
+    assert gap < 1.0
+
+
+def test_a_crowd_at_the_door(world):
+    with serving(world) as (port, _):
+        guests = [Peer(port) for _ in range(16)]
+        assert all(guest.line().startswith(b"NFO") for guest in guests)
+        late = Peer(port)
+        assert late.line() == b"", "the seventeenth is refused"
+        guests.pop().close()
+        deadline, greeting = time.monotonic() + PATIENCE, b""
+        while not greeting and time.monotonic() < deadline:
+            again = Peer(port)
+            greeting = again.line()
+        assert greeting.startswith(b"NFO"), "somebody left"
+        for guest in (*guests, again, late):
+            guest.close()
+
+
+def test_realtime_factor_zero_runs_ahead_of_the_clock(world):
+    with serving(world, realtime_factor=0.0) as (port, _):
+        peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S0}")
+        (start,), began = peer.sta_times(1), time.monotonic()
+        end = peer.sta_times(40)[-1]
+        assert end - start == pytest.approx(8.0, abs=0.02)
+        assert end - start > time.monotonic() - began
+        peer.close()
+
+
+def test_realtime_factor_one_keeps_the_clock(port):
+    peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S0}")
+    peer.sta_times(1)
+    (start,), began = peer.sta_times(1), time.monotonic()
+    end = peer.sta_times(10)[-1]
+    # It may fall behind on a busy machine, but never run ahead by more than it catches up (0.5 s).
+    assert end - start < time.monotonic() - began + 0.6
+    peer.close()
+
+
+def test_the_server_hangs_up_when_it_stops(world):
+    with serving(world) as (port, _):
+        peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S0}")
+        peer.until(b"STA")
+    while line := peer.line():
+        assert line
+    assert not world.robots
+
+
+def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
+    monkeypatch.setattr("usarmjx.server.worlds.make_world", lambda *args, **kwargs: world)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1]
+        result = CliRunner().invoke(app, ["serve", "--port", str(number)])
+    assert result.exit_code == 2
+    assert re.fullmatch(rf"usarmjx: cannot listen on 127\.0\.0\.1:{number}: .*\n", result.stderr)
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory):
+    """Two servers of their own, started together: (process, port) by the signal that will end each."""
+    cache = str(tmp_path_factory.mktemp("cache"))
+    command = [sys.executable, "-m", "usarmjx", "serve", "--port", "0", "--engine", "c"]
+    running = {
+        number: subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "XDG_CACHE_HOME": cache, "JAX_PLATFORMS": "cpu"},
+        )
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    yield running
+    for process in running.values():
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_with_an_account_and_exit_code_0(processes, number):
+    process = processes[number]
+    first = process.stdout.readline()
+    port = int(re.fullmatch(r"usarmjx: listening on 127\.0\.0\.1:(\d+)\n", first)[1])
+    assert port > 0
+    peer = Peer(port)
+    assert peer.line().startswith(b"NFO")
+    process.send_signal(number)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, err
+    assert re.fullmatch(
+        r"usarmjx: stopped after [\d.]+ simulated s; real-time factor [\d.]+, busy \d+ % of the time\n", out
+    )
+    assert "Traceback" not in err
+    peer.close()
