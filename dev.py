@@ -230,9 +230,7 @@ VERBS = {
         "the tests that compare us with C MuJoCo and closed forms",
         lambda *args: [pytest("-m", "oracle", *args)],
     ),
-    "bench": Verb(
-        "benchmarks (arguments go to `usarmjx bench`)", lambda *args: [usarmjx("bench", *args)]
-    ),
+    "bench": Verb("benchmarks (arguments go to `usarmjx bench`)", lambda *args: [usarmjx("bench", *args)]),
     "docs": Verb(
         "the documents' examples and links",
         lambda *args: [pytest("tests/test_docs.py", *args)],

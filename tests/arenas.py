@@ -5,7 +5,11 @@ import math
 from usarmjx.models.spec import ArenaSpec, Shape, StartPose
 
 RAMP = Shape(
-    kind="box", size=(0.6, 0.6, 0.1), at=(1.05, 0.0, 0.055), rotation=(0.0, -math.radians(15), 0.0), surface="ground"
+    kind="box",
+    size=(0.6, 0.6, 0.1),
+    at=(1.05, 0.0, 0.055),
+    rotation=(0.0, -math.radians(15), 0.0),
+    surface="ground",
 )
 STEP = Shape(kind="box", size=(0.1, 0.5, 0.02), at=(-0.6, 2.0, 0.02), surface="ground")
 WALL = Shape(kind="box", size=(0.05, 2.0, 0.5), at=(-2.0, 0.0, 0.5), surface="wall")

@@ -157,9 +157,7 @@ def test_failed_installation_is_reported_and_repeated(checkout: FakeCheckout):
     assert len(checkout.ensure("dev")) == 1
 
 
-def test_interrupted_installation_is_repeated(
-    checkout: FakeCheckout, monkeypatch: pytest.MonkeyPatch
-):
+def test_interrupted_installation_is_repeated(checkout: FakeCheckout, monkeypatch: pytest.MonkeyPatch):
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 

@@ -42,7 +42,9 @@ class Rig:
     """Robots of one class on a floor with some solids, by default at the origin, on a tilt if asked."""
 
     def __init__(self, name, *solids, places=((0.0, 0.0, 0.0),), roll=0.0, tilt=0.0):
-        starts = tuple(StartPose(tag=f"S{i}", at=(x, y, 0.2), yaw=yaw) for i, (x, y, yaw) in enumerate(places))
+        starts = tuple(
+            StartPose(tag=f"S{i}", at=(x, y, 0.2), yaw=yaw) for i, (x, y, yaw) in enumerate(places)
+        )
         arena = ArenaSpec(name="track", starts=starts, extent=((-3, 3), (-3, 3)), shapes=solids)
         scene = build_scene(arena, [name] * len(places))
         self.robot, self.model = scene.teams[0].robot, scene.model
@@ -71,7 +73,9 @@ class Rig:
         for index, command in zip(self.indices, self.commands, strict=True):
             actuators, state = list(index.actuator), robot_state(index, data.qpos, data.qvel)
             state = jax.tree.map(np.float32, state)
-            told = self._control(command, state, data.act[actuators].astype(np.float32), np.float32(data.time))
+            told = self._control(
+                command, state, data.act[actuators].astype(np.float32), np.float32(data.time)
+            )
             data.ctrl[actuators], data.act[actuators] = told.ctrl, told.act
             data.xfrc_applied[index.body[0]] = told.wrench
         mujoco.mj_step(self.model, data, nstep=Physics().substeps)
@@ -165,7 +169,10 @@ def test_a_robot_at_rest_stays_where_it_is(name, tilt, yaw):
 def test_p2at_climbs_boards_and_steps(height, length):
     near = 0.6
     step = Shape(
-        kind="box", size=(length / 2, 1.0, height / 2), at=(near + length / 2, 0.0, height / 2), surface="ground"
+        kind="box",
+        size=(length / 2, 1.0, height / 2),
+        at=(near + length / 2, 0.0, height / 2),
+        surface="ground",
     )
     rig = Rig("P2AT", step).tell(3.0, 3.0)
     log = rig.run(5.0)
@@ -249,9 +256,18 @@ def wall(x, y, half_x, half_y):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_brawl_in_a_small_room_stays_on_the_ground(seed):
     """Four robots at full throttle in 2.4 m, with a ramp and a step to be pushed onto."""
-    walls = (wall(1.25, 0, 0.05, 1.3), wall(-1.25, 0, 0.05, 1.3), wall(0, 1.25, 1.3, 0.05), wall(0, -1.25, 1.3, 0.05))
+    walls = (
+        wall(1.25, 0, 0.05, 1.3),
+        wall(-1.25, 0, 0.05, 1.3),
+        wall(0, 1.25, 1.3, 0.05),
+        wall(0, -1.25, 1.3, 0.05),
+    )
     ramp = Shape(
-        kind="box", size=(0.4, 0.4, 0.2), at=(0.8, 0.8, 0.0), rotation=(0, -math.radians(15), 0), surface="ground"
+        kind="box",
+        size=(0.4, 0.4, 0.2),
+        at=(0.8, 0.8, 0.0),
+        rotation=(0, -math.radians(15), 0),
+        surface="ground",
     )
     step = Shape(kind="box", size=(0.3, 0.3, 0.025), at=(-0.8, -0.8, 0.025), surface="ground")
     places = ((0.6, 0.0, 0.0), (-0.6, 0.3, 1.3), (0.2, -0.75, 2.6), (-0.1, 0.8, 3.9))

@@ -122,7 +122,9 @@ def test_a_partial_reset_leaves_the_other_worlds_bit_exact(jax_batch, driven):
     qpos = np.asarray(jax_batch.physics(after).qpos)
     np.testing.assert_array_equal(qpos[0], np.asarray(jax_batch.physics(driven).qpos)[0])
     np.testing.assert_array_equal(qpos[1], np.asarray(jax_batch.physics(jax_batch.reset()).qpos)[1])
-    for new, old in zip(jax.tree.leaves(after.worlds.teams), jax.tree.leaves(driven.worlds.teams), strict=True):
+    for new, old in zip(
+        jax.tree.leaves(after.worlds.teams), jax.tree.leaves(driven.worlds.teams), strict=True
+    ):
         np.testing.assert_array_equal(np.asarray(new)[0], np.asarray(old)[0])
     assert np.asarray(after.worlds.episode).tolist() == [0, 1]
 

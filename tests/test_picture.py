@@ -112,7 +112,8 @@ def test_parts_lie_where_they_belong(tmp_path: Path):
 
 def test_empty_run_is_drawn(tmp_path: Path):
     path = tmp_path / "run.png"
-    picture.arena_picture(YELLOW, {"track": [], "scan": {}}, path)
+    unplaced = {"ranges": [1.0], "fov": 1.0, "at": (0.0, 0.0, 0.0), "pose": None}
+    picture.arena_picture(YELLOW, {"track": [], "scan": unplaced}, path)
     assert len(coloured(imread(path), picture.WALL)) > 5000
 
 

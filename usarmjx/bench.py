@@ -120,7 +120,11 @@ def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         left, right = _random_speeds(batch, jax.random.fold_in(key, i))
         sides = [left if wheel.side == "left" else right for wheel in team.robot.wheels]
-        ctrl = jnp.zeros((batch.worlds, batch.scene.model.nu)).at[:, team.actuator[:, :wheels]].set(jnp.stack(sides, -1))
+        ctrl = (
+            jnp.zeros((batch.worlds, batch.scene.model.nu))
+            .at[:, team.actuator[:, :wheels]]
+            .set(jnp.stack(sides, -1))
+        )
         now = batch.engine.state(physics)
         act = now.act.at[:, team.actuator].set(now.qpos[:, team.qpos])
         return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act))
@@ -205,11 +209,12 @@ def _summary(record: dict[str, Any]) -> str:
     case = record["case"]
     return "\n".join(
         [
-            f"{case['worlds']} worlds x {case['robots']} {case['robot']}, engine {case['engine']} on {record['device']}",
+            f"{case['worlds']} worlds x {case['robots']} {case['robot']}, "
+            f"engine {case['engine']} on {record['device']}",
             f"bare physics  {record['bare_robot_steps_per_s']:12,.0f} robot-steps/s",
             f"whole step    {record['robot_steps_per_s']:12,.0f} robot-steps/s  ({record['in_the_step']})",
             f"ratio         {record['whole_to_bare']:12.2f}",
-            f"mj_step       {record['cpu_mujoco_robot_steps_per_s']:12,.0f} robot-steps/s on one CPU core, bare",
+            f"mj_step       {record['cpu_mujoco_robot_steps_per_s']:12,.0f} robot-steps/s, bare, one core",
             f"compile [s]   bare {record['compile_s']['bare']:.1f}, whole {record['compile_s']['whole']:.1f}",
             f"faults        {record['faults']}",
         ]

@@ -20,7 +20,9 @@ def catalogue() -> str:
             f"{len(s.mounts)} {s.kind}" if len(s.mounts) > 1 else s.kind for s in suite_of(robot).sensors
         )
         speed = robot.drive.max_speed * robot.wheel_radius
-        lines.append(f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, {speed:.2f} m/s")
+        lines.append(
+            f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, {speed:.2f} m/s"
+        )
         lines.append(f"  {'':10} {sensors}")
     lines.append("Arenas:")
     for name, arena in ARENAS:
@@ -30,13 +32,19 @@ def catalogue() -> str:
     lines.append("Engines:")
     for name, _ in ENGINES:
         lines.append(f"  {name:5} {_availability(name)}")
-    lines.append(f"  auto is {choose_engine('auto', 'serve')} for serve, {choose_engine('auto', 'train')} for bench")
+    lines.append(
+        f"  auto is {choose_engine('auto', 'serve')} for serve, {choose_engine('auto', 'train')} for bench"
+    )
     return "\n".join(lines)
 
 
 def _availability(engine: str) -> str:
     if engine == "warp" and importlib.util.find_spec("warp") is None:
         return "not installed: pip install usarmjx[cuda] (NVIDIA GPU) or usarmjx[warp] (CPU, slow)"
-    where = {"c": "CPU, one world after the other", "jax": "JAX's default device", "warp": "NVIDIA GPU; slow on a CPU"}
+    where = {
+        "c": "CPU, one world after the other",
+        "jax": "JAX's default device",
+        "warp": "NVIDIA GPU; slow on a CPU",
+    }
     devices = f"; JAX sees {jax.devices()[0].device_kind}" if engine == "jax" else ""
     return where[engine] + devices

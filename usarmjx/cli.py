@@ -66,11 +66,18 @@ def serve(
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
     with _Failure():
-        from usarmjx.server.net import Settings, serve as run
+        from usarmjx.server.net import Settings
+        from usarmjx.server.net import serve as run
         from usarmjx.server.worlds import make_world
 
         world = make_world(
-            arena, engine=engine, worlds=worlds, instance=instance, roster=roster, seats=max_connections, seed=seed
+            arena,
+            engine=engine,
+            worlds=worlds,
+            instance=instance,
+            roster=roster,
+            seats=max_connections,
+            seed=seed,
         )
         run(world, Settings(host, port, max_connections, realtime_factor))
 

@@ -10,8 +10,9 @@ import numpy as np
 from flax import struct
 
 from usarmjx.models.compose import LINK_DAMPING, LINK_STIFFNESS
-from usarmjx.models.plan import BodyPlan, RobotState, mat_from_quat
+from usarmjx.models.plan import BodyPlan, RobotState
 from usarmjx.models.spec import RobotSpec
+from usarmjx.rotations import mat_from_quat
 
 GRAVITY = 9.81
 FLIP_TIME = 3.0

@@ -1,13 +1,13 @@
 """The exception tree of usarmjx.
 
-    UsarmjxError
-    ├── UsageError              our caller's fault: propagates
-    │   ├── UnknownNameError    a name that no registry entry has
-    │   ├── SpecError           a robot, arena or scene description that cannot be built
-    │   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
-    │   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
-    │   └── EngineError         the engine cannot run here, or overflowed its buffers
-    └── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
+UsarmjxError
+├── UsageError              our caller's fault: propagates
+│   ├── UnknownNameError    a name that no registry entry has
+│   ├── SpecError           a robot, arena or scene description that cannot be built
+│   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
+│   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
+│   └── EngineError         the engine cannot run here, or overflowed its buffers
+└── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
 """
 
 

@@ -21,8 +21,8 @@ from usarmjx.transforms import mat_from_angles
 
 DPI = 120
 WIDTH = 11.0  # inches; the height follows from the arena's shape
-NO_ECHO = 0.99
-"""A scan's beam that reads more than this share of the longest reading may have hit nothing."""
+SCANNER_RANGE = 20.0
+"""What the P2AT's scanner reads where it hits nothing (captured CONF: MaxRange) [m]."""
 
 ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
 """Marker of the last pose, pointing forward (corners, 2)."""
@@ -57,8 +57,8 @@ def _laid_on(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     """Return where the beams of a logged laser scan ended, in our axes [m] (hits, 2).
 
-    The first beam is the rightmost (wire yaw +fov/2), the others follow counter-clockwise. Beams as
-    long as the longest may have met nothing and are left out.
+    The first beam is the rightmost (wire yaw +fov/2), the others follow counter-clockwise. Beams
+    that met nothing are left out.
     """
     ranges = np.array(scan["ranges"], float)
     (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
@@ -66,7 +66,7 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
     start_y = y + at_x * math.sin(yaw) + at_y * math.cos(yaw)
     points = np.column_stack([start_x + ranges * np.cos(angle), -start_y - ranges * np.sin(angle)])
-    return points[ranges < NO_ECHO * scan.get("max_range", 20.0)]
+    return points[ranges < SCANNER_RANGE]
 
 
 def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
@@ -126,7 +126,7 @@ def _outline(shape: Shape) -> Rectangle:
 
 
 def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
-    if log.get("scan"):
+    if log["scan"].get("pose"):  # a run may end between a scan and the pose of its moment
         hits = scan_points(log["scan"])
         axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=4, label="last laser scan", zorder=5)
     paths = tracks(log)

@@ -63,22 +63,22 @@ class Team:
 
     @cached_property
     def root_qpos(self) -> np.ndarray:
-        """qpos addresses of the free joints (n, 7)."""
+        """Qpos addresses of the free joints (n, 7)."""
         return np.array([index.root_qpos + np.arange(7) for index in self.indices])
 
     @cached_property
     def root_dof(self) -> np.ndarray:
-        """qvel addresses of the free joints (n, 6)."""
+        """Qvel addresses of the free joints (n, 6)."""
         return np.array([index.root_dof + np.arange(6) for index in self.indices])
 
     @cached_property
     def qpos(self) -> np.ndarray:
-        """qpos addresses of the joints (n, joints)."""
+        """Qpos addresses of the joints (n, joints)."""
         return np.array([index.qpos for index in self.indices])
 
     @cached_property
     def dof(self) -> np.ndarray:
-        """qvel addresses of the joints (n, joints)."""
+        """Qvel addresses of the joints (n, joints)."""
         return np.array([index.dof for index in self.indices])
 
     @cached_property
@@ -94,7 +94,7 @@ class Team:
 
 @dataclass(frozen=True, eq=False)
 class ArenaGeoms:
-    """Floor and arena geoms: MuJoCo types (n,), world positions (n, 3), orientations (n, 3, 3), sizes (n, 3)."""
+    """Floor and arena geoms: MuJoCo types (n,), positions (n, 3), orientations (n, 3, 3), sizes (n, 3)."""
 
     kind: np.ndarray
     pos: np.ndarray

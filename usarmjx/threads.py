@@ -17,7 +17,7 @@ _started_before_us = False
 
 def guard() -> None:
     """Make sure that JAX's CPU thread pool will be large enough, however few cores there are."""
-    global _started_before_us  # noqa: PLW0603 - a fact about this process
+    global _started_before_us
     asked = os.environ.get("NPROC", "")
     size = int(asked) if asked.isdecimal() else 0
     if max(size, 0 if asked else os.cpu_count() or 1) >= ENOUGH:

@@ -11,16 +11,11 @@ The functions take numpy or JAX arrays alike: `xp` is the array module.
 from types import ModuleType
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 Vec3 = tuple[float, float, float]
 Array = Any
 """A numpy or a JAX array."""
-
-MIN_NORM = 1e-9
-"""Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
 
 
 def flip_vector(vector: Vec3) -> Vec3:
@@ -63,23 +58,3 @@ def quat_from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
     w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
     return np.array([w, x, y, z])
-
-
-def rotation_vector(mat: jax.Array) -> jax.Array:
-    """Return the rotation vector (axis times angle) [rad] (3,) of a rotation matrix (3, 3).
-
-    Exact for turns below half a turn; a simulation step turns by far less.
-    """
-    skew = jnp.array([mat[2, 1] - mat[1, 2], mat[0, 2] - mat[2, 0], mat[1, 0] - mat[0, 1]]) / 2
-    sine = jnp.linalg.norm(skew)
-    angle = jnp.arctan2(sine, (jnp.trace(mat) - 1) / 2)
-    return skew * jnp.where(sine > MIN_NORM, angle / jnp.maximum(sine, MIN_NORM), 1.0)
-
-
-def mat_from_rotation_vector(vector: jax.Array) -> jax.Array:
-    """Return the rotation matrix (3, 3) of a rotation vector [rad] (3,): Rodrigues' formula."""
-    angle = jnp.linalg.norm(vector)
-    x, y, z = vector / jnp.maximum(angle, MIN_NORM)
-    zero = jnp.zeros_like(x)
-    skew = jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    return jnp.eye(3) + jnp.sin(angle) * skew + (1 - jnp.cos(angle)) * (skew @ skew)

@@ -17,7 +17,7 @@ from usarmjx.models.plan import Bodies, RobotState, body_poses, geom_poses
 from usarmjx.scene import Scene, Team, parking_place, start_height
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.raycast import FAR_AWAY, NO_HITS, Geoms, gather
-from usarmjx.sensors.suite import Memory
+from usarmjx.sensors.suite import NO_MEMORY, Memory
 
 RUNAWAY_SPEED = 5.0
 """A chassis faster than this did not get there by driving: counted as a fault of the physics [m/s]."""
@@ -102,7 +102,9 @@ def first_episode(scene: Scene, key: jax.Array, *, shuffle: bool = False) -> tup
     """Return a new world and the qpos (nq,) it starts from; see `restart`."""
     zero = jnp.zeros((), jnp.int32)
     status = Status(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
-    return restart(scene, World(key=key, episode=zero - 1, step=zero, teams=(), status=status), shuffle=shuffle)
+    return restart(
+        scene, World(key=key, episode=zero - 1, step=zero, teams=(), status=status), shuffle=shuffle
+    )
 
 
 def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World, jax.Array]:
@@ -115,15 +117,13 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
     """
     world = world.replace(episode=world.episode + 1, step=jnp.zeros((), jnp.int32), teams=())
     qpos = _start_qpos(scene, world, shuffle)
-    physics = PhysicsState(
-        qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na)
-    )
+    physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
     teams = []
     for team in scene.teams:
         n = len(team.slots)
         active = jnp.array([not scene.roster[slot].parked for slot in team.slots])
         command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle(team.robot))
-        teams.append(TeamState(command=command, active=active, born=jnp.zeros(n), memory=None))  # type: ignore[arg-type]
+        teams.append(TeamState(command=command, active=active, born=jnp.zeros(n), memory=NO_MEMORY))
     world = world.replace(teams=tuple(teams))
     key = episode_key(world, START_STREAM)
     teams = [
@@ -158,12 +158,12 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
 def _map_robots(function: Any, sight: Sight, team: Team, key: jax.Array, *rest: Any) -> Any:  # noqa: ANN401
     """Map function(sight, *rest, key) over a team's robots, with a key folded by each robot's slot."""
     keys = jax.vmap(partial(jax.random.fold_in, key))(team.slots)
-    shared = Sight(time=None, state=0, bodies=0, hits=0)  # type: ignore[arg-type]
+    shared: Any = Sight(time=None, state=0, bodies=0, hits=0)  # type: ignore - axes, not values
     return jax.vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sight, *rest, keys)
 
 
 def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight:
-    """Return what a team's robots sense of themselves, no rays cast; leading axis over robots, but for time."""
+    """Return what a team's robots sense of themselves, no rays cast; leading axis over robots."""
     states = team_states(team, physics)
     bodies = jax.vmap(partial(body_poses, team.plan))(states)
     blind = jax.tree.map(lambda x: jnp.zeros((len(team.slots), *x.shape)), NO_HITS)
@@ -175,9 +175,7 @@ def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]
     sights = [feel(scene, world, physics, team) for team in scene.teams]
     geoms = _visible(scene, world, [sight.bodies for sight in sights])
     return tuple(
-        sight.replace(
-            hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots))
-        )
+        sight.replace(hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots)))
         for team, sight in zip(scene.teams, sights, strict=True)
     )
 
@@ -185,7 +183,12 @@ def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]
 def _visible(scene: Scene, world: World, bodies: list[Bodies]) -> Geoms:
     """Return all geoms that rays can hit: floor and arena, and the robots in use."""
     arena = scene.arena_geoms
-    kinds, pos, mat, size = [arena.kind], [jnp.asarray(arena.pos)], [jnp.asarray(arena.mat)], [jnp.asarray(arena.size)]
+    kinds, pos, mat, size = (
+        [arena.kind],
+        [jnp.asarray(arena.pos)],
+        [jnp.asarray(arena.mat)],
+        [jnp.asarray(arena.size)],
+    )
     owner = [jnp.full(len(arena.kind), -1)]
     for team, state, body in zip(scene.teams, world.teams, bodies, strict=True):
         n, g = len(team.slots), len(team.plan.geom_type)
@@ -195,8 +198,9 @@ def _visible(scene: Scene, world: World, bodies: list[Bodies]) -> Geoms:
         mat.append(team_mat.reshape(-1, 3, 3))
         size.append(jnp.tile(team.plan.geom_size, (n, 1)))
         owner.append(jnp.repeat(jnp.asarray(team.slots), g))
+    kind = np.concatenate(kinds)
     return gather(
-        np.concatenate(kinds), *(jnp.concatenate(parts) for parts in (pos, mat, size)), jnp.concatenate(owner)
+        kind, jnp.concatenate(pos), jnp.concatenate(mat), jnp.concatenate(size), jnp.concatenate(owner)
     )
 
 
@@ -245,7 +249,9 @@ def _mark(mask: jax.Array, places: np.ndarray, where: jax.Array) -> jax.Array:
 
 def settle(scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array) -> tuple[World, jax.Array]:
     """Count the step and what went wrong in it; return also whether the physics is still finite ()."""
-    finite = jnp.isfinite(physics.qpos).all() & jnp.isfinite(physics.qvel).all() & jnp.isfinite(physics.act).all()
+    finite = (
+        jnp.isfinite(physics.qpos).all() & jnp.isfinite(physics.qvel).all() & jnp.isfinite(physics.act).all()
+    )
     fast = jnp.zeros((), bool)
     for team, state in zip(scene.teams, world.teams, strict=True):
         speed = jnp.linalg.norm(physics.qvel[team.root_dof[:, :3]], axis=-1)
@@ -259,7 +265,9 @@ def settle(scene: Scene, world: World, physics: PhysicsState, overflow: jax.Arra
     return world.replace(step=world.step + 1, status=status), finite
 
 
-def observe(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
+def observe(
+    scene: Scene, world: World, physics: PhysicsState
+) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
     """Read the sensors that are due; per team and sensor a reading with a leading axis over robots."""
     sights = look(scene, world, physics)
     key = jax.random.fold_in(episode_key(world, NOISE_STREAM), world.step)

@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from usarmjx.rotations import mat_from_rotation_vector, rotation_vector
 from usarmjx.transforms import (
     angles_from_mat,
     flip_angles,
     flip_vector,
     mat_from_angles,
-    mat_from_rotation_vector,
     quat_from_angles,
-    rotation_vector,
 )
 
 DOUBLE_ATOL = 1e-9  # a few roundings of float64, amplified near the poles

@@ -73,7 +73,11 @@ class House:
             for command in commands:
                 if not client.session.awaits_answer or command is not commands[-1]:
                     client.handle(command)
-            commands = client.session.answer_init(self._init(client, commands[-1])) if client.session.awaits_answer else []
+            commands = (
+                client.session.answer_init(self._init(client, commands[-1]))
+                if client.session.awaits_answer
+                else []
+            )
         client.log_faults()
         return heard(client)
 
@@ -104,7 +108,9 @@ def heard(client):
 
 def pick(lines, start):
     """The last of the lines that start so."""
-    return [line for line in lines if re.match(rf"(\w+ )({{Time [^}}]*}} )?({{Type )?{start}|{start}", line)][-1]
+    return [line for line in lines if re.match(rf"(\w+ )({{Time [^}}]*}} )?({{Type )?{start}|{start}", line)][
+        -1
+    ]
 
 
 def numbers(line, key):
@@ -193,9 +199,7 @@ def test_ground_truth_at_the_manuals_start(house, robot):
 
 
 def test_robots_without_a_name_get_one_each(house):
-    names = [
-        house.connect(f"INIT {{ClassName USARBot.P2AT}} {{Start Start{i}}}").robot.name for i in (1, 2)
-    ]
+    names = [house.connect(f"INIT {{ClassName USARBot.P2AT}} {{Start Start{i}}}").robot.name for i in (1, 2)]
     assert names == ["P2AT_0", "P2AT_1"]
 
 
@@ -242,7 +246,11 @@ def test_an_init_that_cannot_be_is_logged_and_another_one_works(house, caplog, l
 def test_commands_before_init_do_nothing(house):
     client = house.connect()
     heard(client)
-    for line in ("DRIVE {Left 1} {Right 1}", "GETGEO {Type Robot}", "SET {Type INS} {Name INS} {Opcode POSE}"):
+    for line in (
+        "DRIVE {Left 1} {Right 1}",
+        "GETGEO {Type Robot}",
+        "SET {Type INS} {Name INS} {Opcode POSE}",
+    ):
         assert house.say(client, line) == []
 
 
@@ -543,7 +551,10 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
             r"CONF {Type RangeScanner} {Name Scanner1} {MaxRange 20\.0000} {MinRange 0\.1000} "
             r"{Resolution 0\.0174} {Fov 3\.1415} {Paning True} {Tilting False}",
         ),
-        ("GETCONF {Type MisPkg} {Name camerapantilt}", r"CONF {Type MisPkg} {Name CameraPanTilt} {Link 1} .*"),
+        (
+            "GETCONF {Type MisPkg} {Name camerapantilt}",
+            r"CONF {Type MisPkg} {Name CameraPanTilt} {Link 1} .*",
+        ),
         ("GETCONF {Type RFID}", r"CONF {Type RFID}"),
     ],
 )
@@ -585,10 +596,41 @@ def test_a_departure_leaves_the_others_bit_identical(house, robot):
 
 
 WORDS = st.sampled_from(
-    [b"INIT ", b"DRIVE ", b"SET ", b"GETGEO ", b"GETCONF ", b"MISPKG ", b"GETSTARTPOSES", b"STOP ", b"{ClassName "]
-    + [b"USARBot.P2AT}", b"{Name ", b"CameraPanTilt} ", b"{Type ", b"INS} ", b"Odometry} ", b"Sonar} ", b"Robot} "]
-    + [b"{Opcode POSE} ", b"{Opcode RESET} ", b"{Params 1,2,3,1,1,1} ", b"{Params 9e37,-9e37,0,1e30,1e30,9e37} "]
-    + [b"{Left 1e38} ", b"{Right -3e38} ", b"{Flip True} ", b"{Light 1} ", b"{Normalized True} ", b"{Link 1} "]
+    [
+        b"INIT ",
+        b"DRIVE ",
+        b"SET ",
+        b"GETGEO ",
+        b"GETCONF ",
+        b"MISPKG ",
+        b"GETSTARTPOSES",
+        b"STOP ",
+        b"{ClassName ",
+    ]
+    + [
+        b"USARBot.P2AT}",
+        b"{Name ",
+        b"CameraPanTilt} ",
+        b"{Type ",
+        b"INS} ",
+        b"Odometry} ",
+        b"Sonar} ",
+        b"Robot} ",
+    ]
+    + [
+        b"{Opcode POSE} ",
+        b"{Opcode RESET} ",
+        b"{Params 1,2,3,1,1,1} ",
+        b"{Params 9e37,-9e37,0,1e30,1e30,9e37} ",
+    ]
+    + [
+        b"{Left 1e38} ",
+        b"{Right -3e38} ",
+        b"{Flip True} ",
+        b"{Light 1} ",
+        b"{Normalized True} ",
+        b"{Link 1} ",
+    ]
     + [b"{Value 3e38} ", b"{Order 10} ", b"{Order 1} ", b"{", b"}", b"\r", b"\n", b"\r\n", b"\x85\xa0", b"\0"]
     + [b"{Rotation 1e30,2,3} ", b"{Start Start5} "]
 )
@@ -616,7 +658,14 @@ def test_junk_never_raises_and_never_disturbs_a_neighbour(house, chunks):
     first = heard(neighbour)
     house.leave(vandal)
     house.run()
-    assert [line.split()[0] for line in first] == ["STA", *["SEN"] * 5, "MISSTA", "STA", *["SEN"] * 4, "MISSTA"]
+    assert [line.split()[0] for line in first] == [
+        "STA",
+        *["SEN"] * 5,
+        "MISSTA",
+        "STA",
+        *["SEN"] * 4,
+        "MISSTA",
+    ]
     for pattern, line in zip(P2AT_REPORT, first, strict=False):
         assert re.fullmatch(pattern, line), line
     truth = look(heard(neighbour))[2]

@@ -59,9 +59,7 @@ UNDERSTOOD = [
     pytest.param("GETGEO {Type MisPkg}", GetGeo("MisPkg"), id="manual 9.4 GETGEO MisPkg"),
     pytest.param("GETGEO {Type Robot}", GetGeo("Robot"), id="manual 9.4 GETGEO Robot"),
     pytest.param("GETGEO {Type Effecter}", GetGeo("Effecter"), id="manual 9.4 GETGEO Effecter"),
-    pytest.param(
-        "GETCONF {Type RangeScanner}", GetConf("RangeScanner"), id="manual 9.4 GETCONF scanner"
-    ),
+    pytest.param("GETCONF {Type RangeScanner}", GetConf("RangeScanner"), id="manual 9.4 GETCONF scanner"),
     pytest.param("GETCONF {Type MisPkg}", GetConf("MisPkg"), id="manual 9.4 GETCONF MisPkg"),
     pytest.param("GETCONF {Type Robot}", GetConf("Robot"), id="manual 9.4 GETCONF Robot"),
     pytest.param("GETCONF {Type Effecter}", GetConf("Effecter"), id="manual 9.4 GETCONF Effecter"),
@@ -94,9 +92,7 @@ UNDERSTOOD = [
         Set("Camera", "Camera", "Zoom"),
         id="Player's malformed zoom",
     ),
-    pytest.param(
-        "DRIVE {Left 1,00} {Right -2,50}", Drive(1.0, -2.0), id="decimal comma of LCM's proxy"
-    ),
+    pytest.param("DRIVE {Left 1,00} {Right -2,50}", Drive(1.0, -2.0), id="decimal comma of LCM's proxy"),
     pytest.param(
         "DRIVE {Left 50.0} {Right 50.0} {Normalized True} {Light False} {Flip False}",
         Drive(50.0, 50.0, normalized=True, light=False),

@@ -28,9 +28,7 @@ from usarmjx.server.grammar import (
 KINDS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True)
 CHARACTERS = [chr(code) for code in range(256) if chr(code) not in " \t\r\n{}"]
 KEYS = st.text(st.sampled_from(CHARACTERS), min_size=1, max_size=12)
-VALUES = st.text(st.sampled_from([*CHARACTERS, " ", "\t"]), max_size=40).map(
-    lambda text: text.strip(" \t")
-)
+VALUES = st.text(st.sampled_from([*CHARACTERS, " ", "\t"]), max_size=40).map(lambda text: text.strip(" \t"))
 MESSAGES = st.builds(
     Message, KINDS, st.lists(st.tuples(KEYS, VALUES), max_size=6).map(lambda pairs: tuple(pairs))
 )

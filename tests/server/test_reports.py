@@ -72,9 +72,7 @@ CAPTURED = [
         id="captured Sonar",
     ),
     pytest.param(
-        r.sen_scanner(
-            "RangeScanner", 5608.85, r.Scan("Scanner1", math.radians(1), math.pi, [11.3059, 20.0])
-        ),
+        r.sen_scanner("RangeScanner", 5608.85, r.Scan("Scanner1", math.radians(1), math.pi, [11.3059, 20.0])),
         "SEN {Time 5608.85} {Type RangeScanner} {Name Scanner1} {Resolution 0.0174} {FOV 3.1415}"
         " {Range 11.3059,20.0000}",
         id="captured RangeScanner",
@@ -170,9 +168,7 @@ CAPTURED = [
         id="captured CONF of a RangeScanner, without its ranges",
     ),
     pytest.param(
-        d.conf_items(
-            "Odometry", [[("Name", "O"), ("ScanInterval", 0.2), ("EncoderResolution", 0.0099)]]
-        ),
+        d.conf_items("Odometry", [[("Name", "O"), ("ScanInterval", 0.2), ("EncoderResolution", 0.0099)]]),
         "CONF {Type Odometry} {Name O} {ScanInterval 0.2000} {EncoderResolution 0.0099}",
         id="captured CONF of an Odometry",
     ),
@@ -192,9 +188,7 @@ CAPTURED = [
         id="captured CONF of a GroundTruth, asked for in lower case",
     ),
     pytest.param(d.geo_nothing("RFID"), "GEO {Type RFID}", id="captured GEO of nothing"),
-    pytest.param(
-        d.geo_nothing("Sonar", "F99"), "GEO {Type Sonar} {Name F99}", id="captured GEO of no name"
-    ),
+    pytest.param(d.geo_nothing("Sonar", "F99"), "GEO {Type Sonar} {Name F99}", id="captured GEO of no name"),
     pytest.param(d.conf_nothing("Gripper"), "CONF {Type Gripper}", id="captured CONF of nothing"),
     pytest.param(
         d.conf_nothing("Sonar", "F99"),
@@ -317,9 +311,7 @@ MANUAL = [
         id="manual 9.3 GEO GroundVehicle",
     ),
     pytest.param(
-        d.geo_items(
-            "Camera", [("Camera", (0.082, 0.0002, 0.0613), (0.0, -0.00001, 0.0), "CameraTilt")]
-        ),
+        d.geo_items("Camera", [("Camera", (0.082, 0.0002, 0.0613), (0.0, -0.00001, 0.0), "CameraTilt")]),
         "GEO {Type Camera} {Name Camera Location 0.0820,0.0002,0.0613"
         " Orientation 0.0000,-0.0000,0.0000 Mount CameraTilt}",
         {},

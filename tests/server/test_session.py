@@ -66,9 +66,7 @@ def session_in(phase):
 def test_the_server_speaks_first():
     session = RobotSession(GREETING)
     assert session.phase is Phase.GREETED
-    assert session.data_to_send() == (
-        b"NFO {Gametype BotDeathMatch} {Level DM-Test} {TimeLimit 0}\r\n"
-    )
+    assert session.data_to_send() == (b"NFO {Gametype BotDeathMatch} {Level DM-Test} {TimeLimit 0}\r\n")
     assert session.data_to_send() == b""
 
 
@@ -137,9 +135,7 @@ def test_an_answer_without_a_question_changes_nothing():
 
 def test_a_second_init_is_ignored_and_the_robot_stays():
     session = session_in(Phase.ACTIVE)
-    assert talk(session, [b"INIT {ClassName USARBot.Zerg}\r\nDRIVE {Left 1}\r\n"]) == [
-        Drive(left=1.0)
-    ]
+    assert talk(session, [b"INIT {ClassName USARBot.Zerg}\r\nDRIVE {Left 1}\r\n"]) == [Drive(left=1.0)]
     assert session.phase is Phase.ACTIVE
     assert session.take_faults() == ["Init is ignored when active"]
 

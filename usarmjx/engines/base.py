@@ -10,6 +10,7 @@ from flax import struct
 
 from usarmjx.errors import UnsupportedFeatureError
 from usarmjx.models.compose import Physics
+from usarmjx.transforms import Array
 
 GeomType = mujoco.mjtGeom
 
@@ -40,12 +41,12 @@ class Inputs(struct.PyTreeNode, kw_only=True):
         qpos: Positions of the pinned coordinates; the others are ignored (worlds, nq).
     """
 
-    ctrl: jax.Array
-    act: jax.Array
-    xfrc_applied: jax.Array
-    pinned: jax.Array
-    pinned_dof: jax.Array
-    qpos: jax.Array
+    ctrl: Array
+    act: Array
+    xfrc_applied: Array
+    pinned: Array
+    pinned_dof: Array
+    qpos: Array
 
 
 class Engine(ABC):
@@ -80,11 +81,11 @@ class Engine(ABC):
         """Return the state after one control step."""
 
     @abstractmethod
-    def reset(self, own: Any, mask: jax.Array, qpos: jax.Array) -> Any:  # noqa: ANN401
+    def reset(self, own: Any, mask: Array, qpos: Array) -> Any:  # noqa: ANN401
         """Return the state with the masked worlds (worlds,) at rest at qpos (worlds, nq)."""
 
     @abstractmethod
-    def place(self, own: Any, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> Any:  # noqa: ANN401
+    def place(self, own: Any, pinned: Array, pinned_dof: Array, qpos: Array) -> Any:  # noqa: ANN401
         """Return the state with some coordinates put elsewhere, at rest; masks and qpos as in `Inputs`."""
 
     @abstractmethod

@@ -10,6 +10,7 @@ import numpy as np
 
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.compose import Physics
+from usarmjx.transforms import Array
 
 EVERYTHING = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
@@ -38,7 +39,7 @@ def buffer_warnings(data: mujoco.MjData) -> int:
     return int(sum(data.warning[w].number for w in full))
 
 
-def _pin(data: mujoco.MjData, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> None:
+def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:
     np.copyto(data.qpos, qpos, where=pinned)
     data.qvel[pinned_dof] = 0.0
     data.qacc_warmstart[pinned_dof] = 0.0
@@ -99,7 +100,7 @@ class CEngine(Engine):
         data.xfrc_applied[:] = told.xfrc_applied[world]
         _pin(data, told.pinned[world], told.pinned_dof[world], told.qpos[world])
 
-    def place(self, own: CState, pinned: np.ndarray, pinned_dof: np.ndarray, qpos: np.ndarray) -> CState:
+    def place(self, own: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
         """Put the pinned coordinates at qpos, at rest."""
         new = CState(*(array.copy() for array in own))
         data = self._datas[0]
@@ -109,7 +110,7 @@ class CEngine(Engine):
             self._save(data, new, int(world))
         return new
 
-    def reset(self, own: CState, mask: np.ndarray, qpos: np.ndarray) -> CState:
+    def reset(self, own: CState, mask: Array, qpos: Array) -> CState:
         """Put the masked worlds at rest at qpos; the others are untouched."""
         new = CState(*(array.copy() for array in own))
         data = self._datas[0]

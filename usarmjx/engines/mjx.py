@@ -1,6 +1,6 @@
 """MJX on JAX's own kernels (`jax`) or on NVIDIA Warp's (`warp`)."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.errors import EngineError
 from usarmjx.models.compose import Physics
+from usarmjx.transforms import Array
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
 # all of its iterations, which the capped CG solver does on nearly every step.
@@ -46,7 +47,7 @@ class MjxEngine(Engine):
         step = jax.vmap(mjx.step, in_axes=(None, 0))
         return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(self.mx, d), data)
 
-    def place(self, own: mjx.Data, pinned: jax.Array, pinned_dof: jax.Array, qpos: jax.Array) -> mjx.Data:
+    def place(self, own: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
         """Put the pinned coordinates at qpos, at rest."""
         return own.replace(
             qpos=jnp.where(pinned, qpos, own.qpos),
@@ -54,7 +55,7 @@ class MjxEngine(Engine):
             qacc_warmstart=jnp.where(pinned_dof, 0.0, own.qacc_warmstart),
         )
 
-    def reset(self, own: mjx.Data, mask: jax.Array, qpos: jax.Array) -> mjx.Data:
+    def reset(self, own: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
         """Put the masked worlds at rest at qpos; the others keep every bit."""
 
         def clear(value: jax.Array) -> jax.Array:
@@ -108,9 +109,11 @@ class WarpEngine(MjxEngine):
 
     def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
         try:
-            import warp  # noqa: F401, PLC0415 - optional
+            import warp  # noqa: F401 - optional
         except ImportError as missing:
-            raise EngineError("engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]") from missing
+            raise EngineError(
+                "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
+            ) from missing
         super().__init__(model, physics, worlds)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:

@@ -5,7 +5,6 @@ body per wheel and one per mission package link, each with one joint of the same
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -128,7 +127,7 @@ def _flip(shape: Shape) -> Shape:
     return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
 
 
-def _add_geom(body: Any, name: str, shape: Shape, kind: mujoco.mjtGeom | None = None) -> None:
+def _add_geom(body: mujoco.MjsBody, name: str, shape: Shape, kind: mujoco.mjtGeom | None = None) -> None:
     surface = SURFACES[shape.surface]
     body.add_geom(
         name=name,
@@ -146,7 +145,9 @@ def _add_geom(body: Any, name: str, shape: Shape, kind: mujoco.mjtGeom | None = 
     )
 
 
-def _add_wheel(spec: mujoco.MjSpec, chassis: Any, robot: RobotSpec, wheel: Wheel, prefix: str) -> None:
+def _add_wheel(
+    spec: mujoco.MjSpec, chassis: mujoco.MjsBody, robot: RobotSpec, wheel: Wheel, prefix: str
+) -> None:
     body = chassis.add_body(name=prefix + wheel.name, pos=flip_vector(wheel.at))
     drive = robot.drive
     body.add_joint(name=prefix + wheel.name, axis=[0, 1, 0], armature=drive.armature)
@@ -165,7 +166,7 @@ def _add_servo(spec: mujoco.MjSpec, name: str, stiffness: float, damping: float,
 
 
 def link_frames(package: MissionPackage) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return each link frame in the chassis frame, USARSim's axes: number -> (position (3,), matrix (3, 3))."""
+    """Return each link's position (3,) and matrix (3, 3) in the chassis frame, USARSim's axes."""
     frames = {-1: (np.zeros(3), np.eye(3))}
     for link in package.links:
         at, mat = frames[link.parent]
@@ -173,7 +174,7 @@ def link_frames(package: MissionPackage) -> dict[int, tuple[np.ndarray, np.ndarr
     return frames
 
 
-def _add_package(spec: mujoco.MjSpec, chassis: Any, package: MissionPackage, prefix: str) -> None:
+def _add_package(spec: mujoco.MjSpec, chassis: mujoco.MjsBody, package: MissionPackage, prefix: str) -> None:
     """Parts are parallel to the chassis at rest (captured mounts show it); joints turn about link z."""
     frames = link_frames(package)
     bodies = {-1: chassis}

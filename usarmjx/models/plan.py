@@ -17,6 +17,8 @@ from flax import struct
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.layout import RobotIndex, index_robot, joint_names
 from usarmjx.models.spec import CHASSIS, ArenaSpec, RobotSpec
+from usarmjx.rotations import mat_from_quat
+from usarmjx.transforms import Array
 
 
 class RobotState(struct.PyTreeNode, kw_only=True):
@@ -31,12 +33,12 @@ class RobotState(struct.PyTreeNode, kw_only=True):
         joint_vel: Joint velocities [rad/s or m/s] (joints,).
     """
 
-    pos: jax.Array
-    quat: jax.Array
-    linear: jax.Array
-    angular: jax.Array
-    joint_pos: jax.Array
-    joint_vel: jax.Array
+    pos: Array
+    quat: Array
+    linear: Array
+    angular: Array
+    joint_pos: Array
+    joint_vel: Array
 
 
 class Bodies(struct.PyTreeNode, kw_only=True):
@@ -47,8 +49,8 @@ class Bodies(struct.PyTreeNode, kw_only=True):
         mat: Orientations (bodies, 3, 3).
     """
 
-    pos: jax.Array
-    mat: jax.Array
+    pos: Array
+    mat: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,17 +150,6 @@ def robot_state(index: RobotIndex, qpos: jax.Array, qvel: jax.Array) -> RobotSta
         joint_pos=qpos[np.array(index.qpos)],
         joint_vel=qvel[np.array(index.dof)],
     )
-
-
-def mat_from_quat(quat: jax.Array) -> jax.Array:
-    """Return the rotation matrix (..., 3, 3) of w-first quaternions (..., 4), normalised first."""
-    w, x, y, z = jnp.moveaxis(quat / jnp.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
-    rows = (
-        jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-        jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-        jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-    )
-    return jnp.stack(rows, -2)
 
 
 def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:

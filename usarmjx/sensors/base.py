@@ -17,7 +17,7 @@ from usarmjx.models.plan import Bodies, BodyPlan, RobotState
 from usarmjx.models.spec import Mount
 from usarmjx.registry import Registry
 from usarmjx.sensors.raycast import Hits
-from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
+from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles
 
 
 class Sight(struct.PyTreeNode, kw_only=True):
@@ -30,7 +30,7 @@ class Sight(struct.PyTreeNode, kw_only=True):
         hits: What the rays of the sensors met (rays,).
     """
 
-    time: jax.Array
+    time: Array
     state: RobotState
     bodies: Bodies
     hits: Hits
@@ -131,7 +131,9 @@ class Sensor(ABC):
         parts = self.plan.parts
         for mount in self.mounts:
             if mount.parent not in parts:
-                raise SpecError(f"{mount.kind} {mount.name}: no part {mount.parent!r}; parts: {', '.join(parts)}")
+                raise SpecError(
+                    f"{mount.kind} {mount.name}: no part {mount.parent!r}; parts: {', '.join(parts)}"
+                )
         return np.array([parts.index(mount.parent) for mount in self.mounts])
 
     def mount_poses(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:

@@ -13,9 +13,10 @@ from flax import struct
 
 from usarmjx.errors import SpecError
 from usarmjx.models.spec import Mount
+from usarmjx.rotations import mat_from_rotation_vector, rotation_vector
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.noise import relative_normal, relative_uniform
-from usarmjx.transforms import angles_from_mat, mat_from_angles, mat_from_rotation_vector, rotation_vector
+from usarmjx.transforms import angles_from_mat, mat_from_angles
 
 AXLE_LEFT = np.array([0.0, 1.0, 0.0])
 """The axis about which a wheel's positive angle rolls forward."""
@@ -188,11 +189,14 @@ class Ins(Sensor):
         memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=sight.time)
         return memory, jnp.concatenate([position, angles_from_mat(estimate, jnp)])
 
-    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: InsMemory) -> InsMemory | None:
+    def order(
+        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: InsMemory
+    ) -> InsMemory | None:
         """POSE sets the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and ends the drift."""
         if opcode.upper() != "POSE" or len(params) != 6:
             return None
-        mat = mat_from_angles(*jnp.asarray(params[3:]), jnp)
+        roll, pitch, yaw = jnp.asarray(params[3:])
+        mat = mat_from_angles(roll, pitch, yaw, jnp)
         return memory.replace(pos=jnp.asarray(params[:3]), mat=mat, drift_rate=jnp.zeros(6))
 
 
@@ -245,10 +249,14 @@ class Encoder(Sensor):
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(sight) - memory
         keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(self.settings)))
-        noise, resolution = (np.array([getattr(s, n) for s in self.settings], np.float32) for n in ("noise", "resolution"))
+        noise, resolution = (
+            np.array([getattr(s, n) for s in self.settings], np.float32) for n in ("noise", "resolution")
+        )
         return memory, jnp.trunc(jax.vmap(relative_uniform)(keys, angles, noise) / resolution)
 
-    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: jax.Array) -> jax.Array | None:
+    def order(
+        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: jax.Array
+    ) -> jax.Array | None:
         """RESET sets the counts to zero (manual, Table 5)."""
         return self.start(sight, jnp.zeros(0)) if opcode.upper() == "RESET" else None
 

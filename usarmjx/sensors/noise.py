@@ -3,11 +3,13 @@
 import jax
 import jax.numpy as jnp
 
+from usarmjx.transforms import Array
+
 Curve = tuple[tuple[float, float], ...]
 """Points (input, output) of an OutputCurve, inputs ascending."""
 
 
-def relative_uniform(key: jax.Array, data: jax.Array, amplitude: jax.Array | float) -> jax.Array:
+def relative_uniform(key: jax.Array, data: jax.Array, amplitude: Array | float) -> jax.Array:
     """Return data + random(amplitude) * data, random in [-amplitude, amplitude] (manual 10.2.2)."""
     return data * (1 + jax.random.uniform(key, data.shape, minval=-amplitude, maxval=amplitude))
 

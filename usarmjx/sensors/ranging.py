@@ -39,7 +39,8 @@ def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Ar
     the reading is MaxRange exactly; the distortion curve comes last.
     """
     low, high, noise = (
-        np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range", "noise")
+        np.array([[getattr(s, name)] for s in settings], np.float32)
+        for name in ("min_range", "max_range", "noise")
     )
     keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
     hit = distance < high
@@ -169,7 +170,7 @@ class RangeScanner(Sensor):
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """One line per step of the fan."""
         pos, mat = self.mount_poses(bodies)
-        direction = fan(self.settings[0]) @ mat[0].T
+        direction = jnp.asarray(fan(self.settings[0])) @ mat[0].T
         return jnp.broadcast_to(pos[0], direction.shape), direction
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401

@@ -14,6 +14,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.errors import UnsupportedGeomError
+from usarmjx.transforms import Array
 
 TINY = 1e-12
 """Stands in for a zero component of a direction, so that slabs parallel to a ray divide safely."""
@@ -33,10 +34,10 @@ class Block(struct.PyTreeNode, kw_only=True):
         owner: Robot slot that the geom belongs to; -1 for the arena (geoms,).
     """
 
-    pos: jax.Array
-    mat: jax.Array
-    size: jax.Array
-    owner: jax.Array
+    pos: Array
+    mat: Array
+    size: Array
+    owner: Array
 
 
 class Geoms(struct.PyTreeNode, kw_only=True):
@@ -55,11 +56,11 @@ class Hits(struct.PyTreeNode, kw_only=True):
             was not asked for (rays,).
     """
 
-    distance: jax.Array
-    cosine: jax.Array
+    distance: Array
+    cosine: Array
 
 
-NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))  # type: ignore[arg-type]
+NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
 """Of a robot that casts no rays."""
 
 
@@ -87,7 +88,7 @@ def ray_plane(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.A
 
 def ray_box(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
     """Distance to a box with half lengths `size`: the slab method."""
-    near, far = -jnp.inf, jnp.inf
+    near, far = jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)
     for axis in range(3):
         step = jnp.where(jnp.abs(direction[axis]) < TINY, TINY, direction[axis])
         a, b = (-size[axis] - origin[axis]) / step, (size[axis] - origin[axis]) / step
@@ -123,7 +124,7 @@ def _tube(origin: jax.Array, direction: jax.Array, radius: jax.Array) -> tuple[j
     return jnp.where(hit, middle - half, jnp.inf), jnp.where(hit, middle + half, jnp.inf)
 
 
-def _within(t: jax.Array, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def _within(t: jax.Array, z: jax.Array, low: jax.Array | float, high: jax.Array | float) -> jax.Array:
     return jnp.where((z >= low) & (z <= high), t, jnp.inf)
 
 
@@ -180,7 +181,9 @@ def gather(geom_type: np.ndarray, pos: jax.Array, mat: jax.Array, size: jax.Arra
     return Geoms(blocks=blocks, types=tuple(types))
 
 
-def _distances(kind: int, block: Block, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> jax.Array:
+def _distances(
+    kind: int, block: Block, origin: jax.Array, direction: jax.Array, viewer: jax.Array
+) -> jax.Array:
     """Distance of every geom of a block along one ray (geoms,), the viewer's own left out."""
     # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
     # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
@@ -202,7 +205,7 @@ def cast(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Arra
     """
 
     def one(start: jax.Array, along: jax.Array) -> jax.Array:
-        nearest = jnp.inf
+        nearest = jnp.asarray(jnp.inf)
         for kind, block in zip(geoms.types, geoms.blocks, strict=True):
             nearest = jnp.minimum(nearest, _distances(kind, block, start, along, viewer).min())
         return nearest

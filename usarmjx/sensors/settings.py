@@ -33,7 +33,7 @@ def resolve(kind: type[T], overrides: Options, owner: str) -> T:
         number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
         allowed = (int, float) if number else type(wanted)
         if not isinstance(value, allowed) or isinstance(value, bool) != isinstance(wanted, bool):
-            kind = "a number" if number else type(wanted).__name__
-            raise UsageError(f"{owner}: setting {key} is {value!r}, expected {kind}")
+            expected = "a number" if number else type(wanted).__name__
+            raise UsageError(f"{owner}: setting {key} is {value!r}, expected {expected}")
         values[name] = value
     return kind(**values)

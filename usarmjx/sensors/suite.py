@@ -36,6 +36,10 @@ class Memory(struct.PyTreeNode, kw_only=True):
     last: tuple[jax.Array, ...]
 
 
+NO_MEMORY = Memory(due=jnp.zeros(0), own=(), last=())
+"""Of a robot whose sensors have not started."""
+
+
 @dataclass(frozen=True, eq=False)
 class Suite:
     """The sensors of a robot class, in the order in which they report."""
@@ -53,7 +57,9 @@ class Suite:
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
         pairs = [sensor.rays(bodies) for sensor in self.sensors]
-        return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate([along for _, along in pairs])
+        return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate(
+            [along for _, along in pairs]
+        )
 
     def cast(self, geoms: Geoms, bodies: Bodies, slot: jax.Array) -> Hits:
         """Cast all rays of the robot in `slot` (); angles of incidence only where a sensor needs them."""

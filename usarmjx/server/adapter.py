@@ -52,8 +52,9 @@ class Client:
         }
 
     def handle(self, command: wire.Command) -> None:
-        """Carry out any command but INIT."""
-        self._handlers[type(command)](command)
+        """Carry out any command but INIT; nothing if the robot is lost: its place may be another's."""
+        if not self.lost:
+            self._handlers[type(command)](command)
 
     def log_faults(self) -> None:
         """Log what was wrong with the client's lines since the last call."""
@@ -86,7 +87,9 @@ class Client:
     def _place(self, init: wire.Init, spec: RobotSpec) -> tuple[Vec3, Vec3]:
         starts = {start.tag.lower(): start for start in self._world.arena.starts}
         if init.start and init.start.lower() not in starts:
-            raise UsageError(f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}")
+            raise UsageError(
+                f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}"
+            )
         if init.start or init.location is None:
             start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
             return (*start.at[:2], start_height(self._world.arena, spec)), (0.0, 0.0, start.yaw)

@@ -17,6 +17,7 @@ from usarmjx.control import Command, idle
 from usarmjx.errors import UsageError
 from usarmjx.models.plan import body_plan
 from usarmjx.models.spec import RobotSpec
+from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.transforms import Vec3, quat_from_angles
@@ -49,7 +50,19 @@ class ClaimedWorld(HostWorld):
         self._feel = [jax.jit(partial(feel, batch.scene, team=team)) for team in batch.scene.teams]
         # Compile everything before the first client comes.
         self.step()
-        jax.block_until_ready(batch.observe(self._state)[1])
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Let one robot of each class come, be read and be told something, and forget it all."""
+        before = self._state
+        for team in self._batch.scene.teams:
+            pos = (0.0, 0.0, self.arena.floor + team.plan.clearance + PARKING_HEIGHT)
+            robot = self._wake(int(team.slots[0]), team.robot, "nobody", pos, (0.0, 0.0, 0.0))
+            self.observe([robot])
+            self.tell(robot, robot.command)
+            self.joints(robot)
+            self.remove(robot)
+        self._state = before
 
     @property
     def time(self) -> float:
@@ -94,7 +107,9 @@ class ClaimedWorld(HostWorld):
         new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
         self._edit(new, active=True, born=world_time, command=command)
-        key = jax.random.fold_in(jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot)
+        key = jax.random.fold_in(
+            jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
+        )
         self._edit(new, memory=suite.start(self._sight(new), key))
         self.robots[slot] = new
         return new
@@ -114,7 +129,8 @@ class ClaimedWorld(HostWorld):
 
     def remove(self, robot: Robot) -> None:
         """Park the robot again."""
-        if self.robots.pop(robot.slot, None) is not None:
+        if self.robots.get(robot.slot) is robot:  # its slot may be another's by now
+            del self.robots[robot.slot]
             self._edit(robot, active=False, command=jax.tree.map(np.array, idle(robot.spec)))
 
     def tell(self, robot: Robot, command: Command) -> None:
@@ -132,7 +148,9 @@ class ClaimedWorld(HostWorld):
         self._state = self._batch.step(self._state)
         self._steps += 1
         if int(self._state.worlds.episode[self._instance]) != before:
-            log.error("the physics of world %d was not finite: it starts again, robots parked", self._instance)
+            log.error(
+                "the physics of world %d was not finite: it starts again, robots parked", self._instance
+            )
             self.robots.clear()
 
     def observe(self, due: list[Robot]) -> None:
@@ -141,7 +159,8 @@ class ClaimedWorld(HostWorld):
         self._state, readings = self._batch.observe(self._state)
         for robot in self.robots.values():
             team, place = self._batch.scene.team_of(robot.slot)
-            mine = jax.device_get(jax.tree.map(lambda x: x[self._instance, place], readings[team]))
+            at = (self._instance, place)
+            mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[team]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
                     robot.pending[sensor] = reading.value

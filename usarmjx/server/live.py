@@ -7,7 +7,6 @@ milliseconds) and none of the sensors.
 
 import logging
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
@@ -100,12 +99,15 @@ class LiveWorld(HostWorld):
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, born=self.time)
         self.robots[slot] = new
         self._spawned += 1
-        self._memory[slot] = self._compiled[robot.name].start(self._sight(new), self._noise(new, self._spawned))
+        self._memory[slot] = self._compiled[robot.name].start(
+            self._sight(new), self._noise(new, self._spawned)
+        )
         return new
 
     def remove(self, robot: Robot) -> None:
         """Take a robot out of the running model."""
-        if self.robots.pop(robot.slot, None) is not None:
+        if self.robots.get(robot.slot) is robot:
+            del self.robots[robot.slot]
             remove_robot(self._spec, prefix_of(robot.slot))
             for table in (self._index, self._memory, self._homes):
                 table.pop(robot.slot)
@@ -162,7 +164,7 @@ class LiveWorld(HostWorld):
             bodies, origin, direction = compiled.stretch(state)
             hits = self._cast(geoms, origin, direction, np.int32(robot.slot))
             time = np.float32(self.time - robot.born)
-            sight = Sight(time=time, state=state, bodies=bodies, hits=hits)  # type: ignore[arg-type]
+            sight = Sight(time=time, state=state, bodies=bodies, hits=hits)
             key = self._noise(robot, self._steps)
             memory, readings = compiled.read(sight, self._memory[robot.slot], key)
             self._memory[robot.slot] = memory
@@ -179,7 +181,7 @@ class LiveWorld(HostWorld):
         parts = (qpos[q : q + 3], qpos[q + 3 : q + 7], qvel[v : v + 3], qvel[v + 3 : v + 6])
         pos, quat, linear, angular = (part.astype(np.float32) for part in parts)
         joint_pos, joint_vel = qpos[list(index.qpos)], qvel[list(index.dof)]
-        return RobotState(  # type: ignore[arg-type] - numpy arrays, as good for jitted functions
+        return RobotState(
             pos=pos,
             quat=quat,
             linear=linear,
@@ -192,7 +194,7 @@ class LiveWorld(HostWorld):
         state = self._state(robot.slot)
         bodies, _, _ = self._compiled[robot.spec.name].stretch(state)
         time = np.float32(self.time - robot.born)
-        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS)  # type: ignore[arg-type]
+        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS)
 
     def _geoms(self) -> Geoms:
         """Return what rays can hit now, padded to the room of a full house."""
@@ -231,7 +233,7 @@ class Compiled:
         plan, suite = body_plan(robot), suite_of(robot)
         zeros, joint = np.zeros(3, np.float32), np.zeros(len(plan.parts) - 1, np.float32)
         quat = np.array([1, 0, 0, 0], np.float32)
-        state = RobotState(  # type: ignore[arg-type]
+        state = RobotState(
             pos=zeros, quat=quat, linear=zeros, angular=zeros, joint_pos=joint, joint_vel=joint
         )
         room = RAYS * -(-sum(suite.ray_counts) // RAYS)
@@ -248,12 +250,14 @@ class Compiled:
         self.stretch = _compile(stretch, state)
         bodies, origin, _ = self.stretch(state)
         hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
-        sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS)  # type: ignore[arg-type]
+        sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS)
         key = jax.random.key(0)
         self.start = _compile(suite.start, sight, key)
         self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
         command = jax.tree.map(np.array, idle(robot))
-        run = _compile(lambda c, s, a, t: drive(plan, c, s, a, t, period), command, state, joint, np.float32(0))
+        run = _compile(
+            lambda c, s, a, t: drive(plan, c, s, a, t, period), command, state, joint, np.float32(0)
+        )
         self.drive = lambda *told: jax.device_get(run(*told))
 
 
@@ -270,7 +274,7 @@ def _rooms(model: mujoco.MjModel, seats: int) -> dict[int, int]:
 
 def _blank_geoms(room: dict[int, int]) -> Geoms:
     blocks = tuple(
-        Block(  # type: ignore[arg-type]
+        Block(
             pos=np.full((n, 3), FAR_AWAY, np.float32),
             mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)),
             size=np.zeros((n, 3), np.float32),

@@ -17,8 +17,8 @@ log = logging.getLogger(__name__)
 
 CHUNK = 4096
 """Most bytes taken from a socket at once."""
-BYTES_PER_STEP = 16 * CHUNK
-"""Most bytes that one client may send in a control step; the rest waits in its socket."""
+TURN = 1e-3
+"""Once a client's lines have taken this long in a control step, the rest of them wait for the next [s]."""
 SOCKET_BACKLOG = 64 * 1024
 """While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
 RESYNC = 0.5
@@ -40,6 +40,19 @@ class Settings:
     port: int = 3000
     max_connections: int = 16
     realtime_factor: float = 1.0
+
+
+@dataclass
+class Turn:
+    """What a client has used of a control step.
+
+    Attributes:
+        step: World time of that step [s].
+        spent: How long its lines have taken [s].
+    """
+
+    step: float = -1.0
+    spent: float = 0.0
 
 
 class Server:
@@ -70,9 +83,11 @@ class Server:
         try:
             server = await asyncio.start_server(self._talk, self._settings.host, self._settings.port)
         except OSError as error:
-            raise UsageError(f"cannot listen on {self._settings.host}:{self._settings.port}: {error}") from error
+            raise UsageError(
+                f"cannot listen on {self._settings.host}:{self._settings.port}: {error}"
+            ) from error
         self.port = server.sockets[0].getsockname()[1]
-        print(f"usarmjx: listening on {self._settings.host}:{self.port}", flush=True)  # noqa: T201 - for scripts
+        print(f"usarmjx: listening on {self._settings.host}:{self.port}", flush=True)
         try:
             await self._pace()
         finally:
@@ -105,7 +120,7 @@ class Server:
         spent = max(time.perf_counter() - began, 1e-9)
         reached = (self._world.time - start) / spent
         share = self._busy / spent
-        print(  # noqa: T201 - the account a person wants at the end
+        print(
             f"usarmjx: stopped after {self._world.time - start:.1f} simulated s; real-time factor "
             f"{reached:.2f}, busy {100 * share:.0f} % of the time",
             flush=True,
@@ -158,28 +173,40 @@ class Server:
         finally:
             del self._clients[client]
             client.leave()
-            writer.close()
+            if writer.transport.get_write_buffer_size():
+                writer.transport.abort()  # it does not read: closing would wait for it for ever
+            else:
+                writer.close()
             log.info("%s: disconnected", peer)
 
     async def _listen(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        budget = BYTES_PER_STEP
+        turn = Turn()
         while not writer.is_closing():
             data = await reader.read(CHUNK)
-            await self._obey(client, client.session.receive_data(data) if data else client.session.receive_eof())
+            began = time.perf_counter()
+            commands = client.session.receive_data(data) if data else client.session.receive_eof()
+            await self._charge(turn, began)
+            await self._obey(client, commands, turn)
             client.log_faults()
             self._flush(client, writer)
             if not data:
                 return
-            budget -= len(data)
-            if budget <= 0:
-                await self._stepped.wait()
-                budget = BYTES_PER_STEP
 
-    async def _obey(self, client: Client, commands: list) -> None:
+    async def _charge(self, turn: Turn, began: float) -> None:
+        """Let a client that has used up its turn wait: no one may keep the world from stepping."""
+        if turn.step != self._world.time:
+            turn.step, turn.spent = self._world.time, 0.0
+        turn.spent += time.perf_counter() - began
+        if turn.spent > TURN:
+            await self._stepped.wait()
+
+    async def _obey(self, client: Client, commands: list, turn: Turn) -> None:
         while commands:
             for command in commands:
                 if not isinstance(command, Init):
+                    began = time.perf_counter()
                     client.handle(command)
+                    await self._charge(turn, began)
             answer = await self._init(client, commands[-1]) if client.session.awaits_answer else None
             commands = client.session.answer_init(answer) if answer is not None else []
 

@@ -37,8 +37,7 @@ def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
     """
     count = ("StartPoses", str(len(poses)))
     words = [
-        f"{word(tag)} {raw_list(location)} {raw_list(orientation)}"
-        for tag, location, orientation in poses
+        f"{word(tag)} {raw_list(location)} {raw_list(orientation)}" for tag, location, orientation in poses
     ]
     if not words:
         return Message("NFO", (count,))
@@ -167,9 +166,7 @@ def sen_ins(time: float | None, name: str, location: Vector, orientation: Vector
     return _sen(_precise(time), "INS", *_raw_pose(name, location, orientation))
 
 
-def sen_ground_truth(
-    time: float | None, name: str, location: Vector, orientation: Vector
-) -> Message:
+def sen_ground_truth(time: float | None, name: str, location: Vector, orientation: Vector) -> Message:
     """Return the true location [m] and orientation [rad]."""
     return _sen(_precise(time), "GroundTruth", *_raw_pose(name, location, orientation))
 
@@ -190,6 +187,4 @@ def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message
 
 def res(time: float, type_name: str, name: str, status: str) -> Message:
     """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
-    return Message(
-        "RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status))
-    )
+    return Message("RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status)))

@@ -46,11 +46,15 @@ def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
 
 
 def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
-    return reports.sen_ins(time, sensor.mounts[0].name, vector(value[:3]), full_turn(angles(value[3:])))
+    return reports.sen_ins(
+        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+    )
 
 
 def _ground_truth(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
-    return reports.sen_ground_truth(time, sensor.mounts[0].name, vector(value[:3]), full_turn(angles(value[3:])))
+    return reports.sen_ground_truth(
+        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+    )
 
 
 def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
@@ -117,7 +121,8 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
     packages = [p for p in robot.packages if kind.lower() == "mispkg" and _same(name, p.name)]
     if packages:
         links = [
-            (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links]) for p in packages
+            (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
+            for p in packages
         ]
         answers.append(geo_mispkg(links))
     return answers or [geo_nothing(kind, name)]
@@ -198,4 +203,3 @@ def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:
                 return joint
             joint += 1
     return None
-

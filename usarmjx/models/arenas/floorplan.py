@@ -8,7 +8,8 @@ WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 
 def _runs(cells: list[bool]) -> list[tuple[int, int]]:
     """Return (start, stop) of each run of true cells, so that a straight wall is one box."""
-    runs, start = [], None
+    runs: list[tuple[int, int]] = []
+    start = None
     for i, filled in enumerate([*cells, False]):
         if filled and start is None:
             start = i
@@ -39,7 +40,7 @@ def walls(
     if len({len(row) for row in rows}) != 1 or len(rows) % 2 == 0:
         raise SpecError("a floor plan needs an odd number of rows of the same length")
     columns, lines = (len(rows[0]) - 1) // 3, (len(rows) - 1) // 2
-    boxes = []
+    boxes: list[Shape] = []
 
     def add(x0: float, y0: float, x1: float, y1: float) -> None:
         half = ((x1 - x0 + thickness) / 2, (y1 - y0 + thickness) / 2, height / 2)

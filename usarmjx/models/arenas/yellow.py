@@ -46,7 +46,9 @@ def _cell(column: int, row: int) -> tuple[float, float]:
     return (ORIGIN[0] + (column + 0.5) * CELL, ORIGIN[1] + (row + 0.5) * CELL)
 
 
-def _block(column: int, row: int, size: tuple[float, float, float], offset: tuple[float, float] = (0, 0)) -> Shape:
+def _block(
+    column: int, row: int, size: tuple[float, float, float], offset: tuple[float, float] = (0, 0)
+) -> Shape:
     """A box of full lengths `size` standing on the floor, in reach of wheels."""
     x, y = _cell(column, row)
     half = (size[0] / 2, size[1] / 2, size[2] / 2)

@@ -56,13 +56,17 @@ def _sick(at: tuple[float, float, float]) -> Mount:
 
 def _sick_housing(at: tuple[float, float, float]) -> Shape:
     """A box of the LMS200's size (data sheet: 155 x 156 x 210 mm; the optics sit in its upper half)."""
-    return Shape(kind="box", size=(0.0775, 0.078, 0.08), at=(at[0], at[1], at[2] - 0.03), rgba=(0.2, 0.3, 0.7, 1))
+    return Shape(
+        kind="box", size=(0.0775, 0.078, 0.08), at=(at[0], at[1], at[2] - 0.03), rgba=(0.2, 0.3, 0.7, 1)
+    )
 
 
 def _pan_tilt(location: tuple[float, float, float]) -> MissionPackage:
     """CameraPanTilt with the captured frames: pan about the vertical, tilt up positive (manual 9.3)."""
     pan = Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK)
-    head = Shape(kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK)
+    head = Shape(
+        kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
+    )
     return MissionPackage(
         name="CameraPanTilt",
         links=(
@@ -171,12 +175,25 @@ P2DX = RobotSpec(
         # Its mass lies behind the axle (chosen), so that braking does not lift the caster far.
         Shape(kind="box", size=(0.17, 0.145, 0.065), at=(-0.05, 0.0, 0.085), mass=7.0, rgba=RED),
         Shape(kind="box", size=(0.22, 0.19, 0.012), at=(0.0, 0.0, -0.008), rgba=BLACK),
-        Shape(kind="sphere", size=(P2DX_CASTER,), at=(-0.16, 0.0, 0.20 - P2DX_CASTER), surface="caster", rgba=BLACK),
+        Shape(
+            kind="sphere",
+            size=(P2DX_CASTER,),
+            at=(-0.16, 0.0, 0.20 - P2DX_CASTER),
+            surface="caster",
+            rgba=BLACK,
+        ),
         _sick_housing(P2DX_SCANNER),
     ),
     wheels=tuple(
-        Wheel(name=name, at=(0.0, y, 0.20 - P2DX_WHEEL), radius=P2DX_WHEEL, width=0.037, mass=0.75, side=side)
-        for name, y, side in (("LeftFWheel", -P2DX_TRACK / 2, "left"), ("RightFWheel", P2DX_TRACK / 2, "right"))
+        Wheel(
+            name=name,
+            at=(0.0, y, 0.20 - P2DX_WHEEL),
+            radius=P2DX_WHEEL,
+            width=0.037,
+            mass=0.75,
+            side="left" if y < 0 else "right",
+        )
+        for name, y in (("LeftFWheel", -P2DX_TRACK / 2), ("RightFWheel", P2DX_TRACK / 2))
     ),
     drive=SkidSteer(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03),
     packages=(_pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT

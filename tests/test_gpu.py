@@ -1,0 +1,79 @@
+"""What only a GPU can show; skipped elsewhere."""
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arenas import COURSE
+from usarmjx.batch import Batch
+from usarmjx.engines import choose_engine
+from usarmjx.scene import Entry, build_scene
+
+pytestmark = pytest.mark.gpu
+
+PARITY = 5e-3
+"""As on the CPU (tests/test_engines.py): single precision through contacts over 0.4 m [m]."""
+RAY = 1e-3
+"""Ranges against C [m]; TensorFloat-32 anywhere in the chain would miss it by several mm at 10 m."""
+
+
+def test_auto_takes_warp_for_everything():
+    assert choose_engine("auto", "serve") == choose_engine("auto", "train") == "warp"
+
+
+def test_warp_on_the_gpu_drives_as_c_mujoco_does():
+    scene = build_scene(COURSE, ["P2AT", "P2AT"])
+    poses = {}
+    for engine in ("warp", "c"):
+        batch = Batch(scene, 64 if engine == "warp" else 1, engine=engine, seed=3)
+        state = batch.drive(batch.reset(), 0, 4.0, 4.0)
+        for _ in range(50):
+            state = batch.step(state)
+        batch.check(state)
+        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.teams[0].root_qpos[:, :3]]
+    np.testing.assert_allclose(poses["warp"], np.broadcast_to(poses["c"], poses["warp"].shape), atol=PARITY)
+
+
+def test_scans_on_the_gpu_are_full_single_precision():
+    scene = build_scene("yellow", ["P2AT"])
+    batch = Batch(scene, 8, engine="warp")
+    state, readings = batch.observe(batch.reset())
+    team = scene.teams[0]
+    scan = np.asarray(readings[0][team.suite.place("RangeScanner")].value)[0, 0]
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = np.asarray(batch.physics(state).qpos[0])
+    mujoco.mj_forward(scene.model, data)
+    mount = team.robot.sensors[16]
+    origin = data.qpos[:3] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
+    for beam in range(0, 181, 20):
+        angle = -np.pi / 2 + beam * np.pi / 180
+        along = np.array([np.cos(angle), np.sin(angle), 0.0])
+        own = team.indices[0].body
+        start, travelled = origin.copy(), 0.0
+        geom = np.zeros(1, np.int32)
+        while True:
+            hit = mujoco.mj_ray(scene.model, data, start, along, None, 1, -1, geom)
+            travelled += hit
+            if geom[0] < 0 or scene.model.geom_bodyid[geom[0]] not in own:
+                break
+            start, travelled = start + along * (hit + 1e-6), travelled + 1e-6
+        assert scan[beam] == pytest.approx(min(travelled, 20.0), abs=RAY)
+
+
+def test_a_client_claims_a_robot_of_a_batch_on_the_gpu():
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.server.claim import ClaimedWorld
+
+    scene = build_scene("yellow", [Entry("P2AT", parked=True)] * 2)
+    world = ClaimedWorld(Batch(scene, 16, engine="warp"), 3)
+    robot = world.spawn(ROBOTS.get("P2AT"), "R1", (4.5, -1.9, -1.8), (0.0, 0.0, 0.0))
+    target = robot.command.target.copy()
+    target[:4] = 2.0
+    world.tell(robot, robot.command.replace(target=target))
+    for _ in range(50):
+        world.step()
+    world.observe([robot])
+    truth = robot.pending[robot.suite.place("GroundTruth")]
+    assert truth[0] == pytest.approx(4.5 + 0.26 * 0.95, abs=0.03)
+    assert len(jax.devices("gpu")) >= 1
