@@ -112,7 +112,7 @@ def steer(points: list[Point], remembered: list[Point], turning: int = 0) -> tup
     else:
         turning = 0
         speed = min(CRUISE, max(CREEP, CRUISE * (ahead - STOP_AT) / (SLOW_AT - STOP_AT)))
-        left, right = (room_beside([*points, *remembered], side) for side in (-1, 1))
+        left, right = room_beside(points, -1), room_beside(points, 1)
         difference = STEER * (min(right, KEEP_OFF) - min(left, KEEP_OFF))
     spins = ((speed + half) / WHEEL_RADIUS for half in (difference / 2, -difference / 2))
     left_spin, right_spin = (max(-MAX_SPIN, min(MAX_SPIN, spin)) for spin in spins)

@@ -35,8 +35,12 @@ STA_TIME = re.compile(rb"STA \{Type GroundVehicle\} \{Time ([\d.]+)\}")
 class Peer:
     """A client: a socket and the lines that came out of it."""
 
-    def __init__(self, port, text=""):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+    def __init__(self, port, text="", room=None):
+        self.socket = socket.socket()
+        self.socket.settimeout(PATIENCE)
+        if room:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
+        self.socket.connect(("127.0.0.1", port))
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._rest = b""
         self.times = []
@@ -168,6 +172,19 @@ def test_a_flood_of_junk(port, bystander):
     vandal.close()
 
 
+def test_a_flood_of_orders_that_cost_much_does_not_stop_the_world(port, bystander):
+    """A client has a turn in each control step; what it asks for beyond that waits."""
+    eager = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}")
+    eager.socket.settimeout(0.2)
+    order = b"SET {Type INS} {Name INS} {Opcode POSE} {Params 1,2,3,0,0,0}\r\n"
+    with contextlib.suppress(OSError):
+        eager.socket.sendall(order * 20_000)
+    began = time.monotonic()
+    bystander.sta_times(10)
+    assert time.monotonic() - began < 20.0, "all the orders together take a minute"
+    eager.reset()
+
+
 def test_one_line_without_an_end(port, bystander):
     vandal = Peer(port)
     vandal.socket.settimeout(0.2)
@@ -180,14 +197,14 @@ def test_one_line_without_an_end(port, bystander):
 
 def test_who_asks_and_never_reads_is_dropped(port, bystander):
     """Its answers would pile up for ever; and a polite close would wait for it for ever."""
-    deaf = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}")
+    deaf = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S1}", room=4096)
     deaf.until(b"STA")
     deaf.socket.settimeout(1.0)
     deadline = time.monotonic() + PATIENCE
     dropped = False
     while not dropped and time.monotonic() < deadline:
         try:
-            deaf.socket.sendall(b"GETCONF {Type Sonar}\r\n" * 500)
+            deaf.socket.sendall(b"GETGEO {Type Sonar}\r\n" * 500)
         except TimeoutError:
             continue
         except ConnectionError:

@@ -22,6 +22,8 @@ from usarmjx.transforms import Vec3
 
 log = logging.getLogger(__name__)
 
+LOG_INTERVAL = 1.0
+"""A client's faults are collected for this long, so that junk does not fill the disk with log lines [s]."""
 BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
 RELATIVE = {10: Order.POSITION, 11: Order.VELOCITY}
@@ -40,6 +42,7 @@ class Client:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
         self.next_report = 0.0
+        self._next_log = 0.0
         self._world = world
         self._peer = peer
         self._handlers: dict[type, Callable[..., None]] = {
@@ -57,7 +60,10 @@ class Client:
             self._handlers[type(command)](command)
 
     def log_faults(self) -> None:
-        """Log what was wrong with the client's lines since the last call."""
+        """Log what was wrong with the client's lines, at most once a second of the world's time."""
+        if self._world.time < self._next_log:
+            return
+        self._next_log = self._world.time + LOG_INTERVAL
         for fault in self.session.take_faults():
             log.warning("%s: %s", self._peer, fault)
 
