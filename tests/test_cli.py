@@ -35,7 +35,8 @@ def test_help_names_the_commands():
 
 def test_the_module_runs_and_help_does_not_wait_for_jax():
     code = "import sys; sys.argv = ['usarmjx', '--help']\nimport atexit, runpy\n"
-    code += "atexit.register(lambda: print('jax' in sys.modules))\nrunpy.run_module('usarmjx', run_name='__main__')"
+    code += "atexit.register(lambda: print('jax' in sys.modules))\n"
+    code += "runpy.run_module('usarmjx', run_name='__main__')"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
     )

@@ -163,7 +163,8 @@ def test_start_poses_are_told_before_init(house):
     count = len(ARENAS.get("yellow").starts)
     triple = rf"{F2},{F2},{F2}"
     assert re.fullmatch(
-        rf"NFO {{StartPoses {count}}} {{PlayerStart {triple} {triple}(?: Start\d+ {triple} {triple}){{{count - 1}}}}}",
+        rf"NFO {{StartPoses {count}}} {{PlayerStart {triple} {triple}"
+        rf"(?: Start\d+ {triple} {triple}){{{count - 1}}}}}",
         line,
     )
     assert "{PlayerStart 4.50,1.90,1.8" in line
@@ -528,7 +529,8 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
         (
             "GETGEO {Type Robot}",
             r"GEO {Type GroundVehicle} {Name P2AT} {Dimensions 0\.5238,0\.4968,0\.2913} "
-            r"{COG 0\.0000,0\.0000,0\.0000} {WheelRadius 0\.1300} {WheelSeparation 0\.4712} {WheelBase 0\.2884}",
+            r"{COG 0\.0000,0\.0000,0\.0000} {WheelRadius 0\.1300} "
+            r"{WheelSeparation 0\.4712} {WheelBase 0\.2884}",
         ),
         ("getgeo {Type Robot} {Name Anything}", r"GEO {Type GroundVehicle} {Name P2AT} .*"),
         ("GETGEO {Type Sonar}", rf"GEO {{Type Sonar}}(?: {{Name [FR][1-8] {POSE4} Mount HARD}}){{16}}"),
@@ -539,8 +541,8 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
         ("GETGEO {Type Sonar} {Name F9}", r"GEO {Type Sonar} {Name F9}"),
         (
             "GETCONF {Type Robot}",
-            r"CONF {Type GroundVehicle} {Name P2AT} {SteeringType SkidSteered} {Mass 14\.0000} {MaxSpeed 5\.3850} "
-            r"{MaxTorque 60\.0000} {MaxFrontSteer 0\.0000} {MaxRearSteer 0\.0000}",
+            r"CONF {Type GroundVehicle} {Name P2AT} {SteeringType SkidSteered} {Mass 14\.0000} "
+            r"{MaxSpeed 5\.3850} {MaxTorque 60\.0000} {MaxFrontSteer 0\.0000} {MaxRearSteer 0\.0000}",
         ),
         (
             "GETCONF {Type Sonar} {Name R8}",
@@ -606,8 +608,6 @@ WORDS = st.sampled_from(
         b"GETSTARTPOSES",
         b"STOP ",
         b"{ClassName ",
-    ]
-    + [
         b"USARBot.P2AT}",
         b"{Name ",
         b"CameraPanTilt} ",
@@ -616,23 +616,29 @@ WORDS = st.sampled_from(
         b"Odometry} ",
         b"Sonar} ",
         b"Robot} ",
-    ]
-    + [
         b"{Opcode POSE} ",
         b"{Opcode RESET} ",
         b"{Params 1,2,3,1,1,1} ",
         b"{Params 9e37,-9e37,0,1e30,1e30,9e37} ",
-    ]
-    + [
         b"{Left 1e38} ",
         b"{Right -3e38} ",
         b"{Flip True} ",
         b"{Light 1} ",
         b"{Normalized True} ",
         b"{Link 1} ",
+        b"{Value 3e38} ",
+        b"{Order 10} ",
+        b"{Order 1} ",
+        b"{",
+        b"}",
+        b"\r",
+        b"\n",
+        b"\r\n",
+        b"\x85\xa0",
+        b"\0",
+        b"{Rotation 1e30,2,3} ",
+        b"{Start Start5} ",
     ]
-    + [b"{Value 3e38} ", b"{Order 10} ", b"{Order 1} ", b"{", b"}", b"\r", b"\n", b"\r\n", b"\x85\xa0", b"\0"]
-    + [b"{Rotation 1e30,2,3} ", b"{Start Start5} "]
 )
 JUNK = st.lists(st.one_of(WORDS, st.binary(max_size=12)), max_size=40).map(b"".join)
 LINES = st.sampled_from(

@@ -179,7 +179,9 @@ class Server:
                 writer.close()
             log.info("%s: disconnected", peer)
 
-    async def _listen(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _listen(
+        self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         turn = Turn()
         while not writer.is_closing():
             data = await reader.read(CHUNK)
