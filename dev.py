@@ -193,7 +193,7 @@ def everything(*args: str) -> list[list[str]]:
     if args:
         return [pytest(*args)]
     # Two workers: a world compiles on every core that it gets, and more workers were not faster.
-    return [lint(), formatter("--check"), types(), layers(), pytest("-n", "2")]
+    return [lint(), formatter("--check"), types(), layers(), pytest("-n", "2", "--dist", "loadfile")]
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,11 @@ def command_problem(words: list[str]) -> str:
         return ""
     from usarmjx.cli import app
 
-    path = [word for word in words[1:2] if not word.startswith("-")]
+    path = []  # the verb, and what it is a verb of
+    for word in words[1:3]:
+        if word.startswith("-"):
+            break
+        path.append(word)
     # A wide terminal: a narrow one wraps and cuts the names of options.
     settings = {"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"}
     result = CliRunner().invoke(app, [*path, "--help"], env=settings)

@@ -25,7 +25,7 @@ SECOND = 50  # control steps of 20 ms
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(COURSE, ["P2AT", "P2AT"])
+    return build_scene(COURSE, ["P2AT", "P2AT"], CONVERGED)
 
 
 @pytest.fixture(scope="module")

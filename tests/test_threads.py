@@ -8,13 +8,13 @@ import pytest
 
 
 def run(code, nproc=None, cores=None):
-    """Run code in a fresh process, with NPROC set so and os.cpu_count() reporting that many cores."""
+    """Run code in a fresh process, with NPROC set so and that many cores to run on."""
     environment = {key: value for key, value in os.environ.items() if key != "NPROC"}
     environment["JAX_PLATFORMS"] = "cpu"
     if nproc is not None:
         environment["NPROC"] = nproc
     if cores is not None:
-        code = f"import os; os.cpu_count = lambda: {cores}\n" + code
+        code = f"import os; os.sched_getaffinity = lambda _: range({cores})\n" + code
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, env=environment, check=True
     ).stdout.strip()
@@ -46,12 +46,12 @@ from usarmjx.errors import EngineError
 from usarmjx.models.compose import Physics
 import mujoco
 ball = '<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
-model = mujoco.MjModel.from_xml_string(ball)
+spec = mujoco.MjSpec.from_string(ball)
 try:
-    print(type(make_engine("jax", model, Physics(), 1)).__name__)
+    print(type(make_engine("jax", spec, Physics(), 1)).__name__)
 except EngineError as error:
     print(error)
-make_engine("c", model, Physics(), 1)
+make_engine("c", spec, Physics(), 1)
 """
 EARLY = "import jax; jax.devices()\n"
 

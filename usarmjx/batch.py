@@ -72,7 +72,7 @@ class Batch:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
         self.scene = scene
         self.worlds = worlds
-        self.engine = make_engine(choose_engine(engine, "train"), scene.model, scene.physics, worlds)
+        self.engine = make_engine(choose_engine(engine, "train"), scene.spec, scene.physics, worlds)
         numbers = jnp.arange(first, first + worlds)
         self._keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(numbers)
         self._control = self._compile(jax.vmap(partial(control, scene)))

@@ -53,7 +53,7 @@ class Engine(ABC):
     """Advances many copies of one model. All arrays have a leading axis over the worlds.
 
     Args:
-        model: The compiled model.
+        spec: The description of the model; its bodies, joints and actuators keep their order.
         physics: Solver and time settings.
         worlds: Number of copies.
 
@@ -66,11 +66,17 @@ class Engine(ABC):
     traceable: ClassVar[bool]
     """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
 
-    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
+        model = self.compile(spec)
         check_features(model, self.name)
         self.physics = physics
         self.worlds = worlds
+        self.model = model
         self.nq, self.nv, self.nu, self.nbody = model.nq, model.nv, model.nu, model.nbody
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model as this engine wants it."""
+        return spec.compile()
 
     @abstractmethod
     def start(self) -> Any:  # noqa: ANN401 - the engine's own state

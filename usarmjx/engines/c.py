@@ -51,12 +51,15 @@ class CEngine(Engine):
     name = "c"
     traceable = False
 
-    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
-        super().__init__(model, physics, worlds)
-        self.model = c_model(model)
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
+        super().__init__(spec, physics, worlds)
         threads = max(1, min(worlds, os.cpu_count() or 1))
         self._datas = [mujoco.MjData(self.model) for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model, with silent resets off."""
+        return c_model(spec.compile())
 
     def start(self) -> CState:
         """Return every world at the model's reference configuration."""

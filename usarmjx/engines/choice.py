@@ -31,7 +31,7 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
     return "c" if purpose == "serve" else "jax"
 
 
-def make_engine(name: str, model: mujoco.MjModel, physics: Physics, worlds: int) -> Engine:
+def make_engine(name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> Engine:
     """Build an engine by name.
 
     Raises:
@@ -39,4 +39,4 @@ def make_engine(name: str, model: mujoco.MjModel, physics: Physics, worlds: int)
         UnsupportedFeatureError: The model has a feature that the engine would ignore.
         EngineError: The engine cannot run here.
     """
-    return ENGINES.get(name)(model, physics, worlds)
+    return ENGINES.get(name)(spec, physics, worlds)

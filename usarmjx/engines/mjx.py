@@ -1,22 +1,27 @@
 """MJX on JAX's own kernels (`jax`) or on NVIDIA Warp's (`warp`)."""
 
+import sys
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from mujoco import mjx
+from mujoco.mjx._src import collision_driver
 
 from usarmjx import threads
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.errors import EngineError
-from usarmjx.models.compose import Physics
+from usarmjx.models.compose import Physics, with_short_boxes
 from usarmjx.transforms import Array
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
 # all of its iterations, which the capped CG solver does on nearly every step.
 ITERATION_BITS = 512 | 1024
+LONGEST_BOX = 1.2
+"""Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 
 
 class MjxEngine(Engine):
@@ -25,16 +30,15 @@ class MjxEngine(Engine):
     traceable = True
     impl: ClassVar[str]
 
-    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
-        super().__init__(model, physics, worlds)
-        self._c_model = model
-        self.mx = self._put_model(model)
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
+        super().__init__(spec, physics, worlds)
+        self.mx = self._put_model(self.model)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
         return mjx.put_model(model, impl=self.impl)
 
     def _make_data(self) -> mjx.Data:
-        return mjx.make_data(self._c_model, impl=self.impl)
+        return mjx.make_data(self.model, impl=self.impl)
 
     def start(self) -> mjx.Data:
         """Return every world at the model's reference configuration."""
@@ -79,23 +83,43 @@ class MjxEngine(Engine):
 class JaxEngine(MjxEngine):
     """Any XLA device; bit-exact for the same versions, device and batch.
 
-    It computes every geom pair that may touch, up to the caps that the composer sets; `overflow` is the
-    number of contacts in force when that reached the cap, that is, when some may have been dropped.
+    It looks closely at the geom pairs whose bounding spheres come nearest, up to a cap, and keeps the
+    deepest contacts, up to a cap. `overflow` counts what either may have dropped: pairs with overlapping
+    spheres beyond the first cap, and all contacts in force when they reach the second.
     """
 
     name = "jax"
     impl = "jax"
 
-    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
         threads.check()
         cylinder_box.register()
-        super().__init__(model, physics, worlds)
+        super().__init__(spec, physics, worlds)
+        cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
+        self._pair_cap = cap if cap >= 0 else sys.maxsize
+        groups = collision_driver._geom_groups(self.model)  # private, as the table that cylinder_box fills
+        unbounded = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
+        self._capped = [
+            np.array(pairs)[:, :2]
+            for key, pairs in groups.items()
+            if len(pairs) > self._pair_cap and not unbounded & set(map(int, key.types))
+        ]
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model with long walls in pieces, which bounding spheres tell apart."""
+        return with_short_boxes(spec, LONGEST_BOX)
 
     def overflow(self, own: mjx.Data) -> jax.Array:
-        """Return the contacts in force where they fill the buffer, else 0 (worlds,)."""
+        """Return pairs and contacts that may have been dropped (worlds,)."""
         contact = own._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
-        return jnp.where(in_force >= contact.dist.shape[-1], in_force, 0).astype(jnp.int32)
+        lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
+        for pairs in self._capped:
+            apart = own.geom_xpos[:, pairs[:, 0]] - own.geom_xpos[:, pairs[:, 1]]
+            reach = self.model.geom_rbound[pairs].sum(-1)
+            near = (jnp.linalg.norm(apart, axis=-1) < reach).sum(-1)
+            lost += jnp.maximum(near - self._pair_cap, 0)
+        return lost.astype(jnp.int32)
 
 
 class WarpEngine(MjxEngine):
@@ -107,14 +131,14 @@ class WarpEngine(MjxEngine):
     name = "warp"
     impl = "warp"
 
-    def __init__(self, model: mujoco.MjModel, physics: Physics, worlds: int) -> None:
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
         try:
             import warp  # noqa: F401 - optional
         except ImportError as missing:
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
-        super().__init__(model, physics, worlds)
+        super().__init__(spec, physics, worlds)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
         # Its kernels print a line per world and step when the solver uses all its iterations; that alone
@@ -122,12 +146,12 @@ class WarpEngine(MjxEngine):
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
 
     def _make_data(self) -> mjx.Data:
-        robots = max(1, sum(self._c_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE))
+        robots = max(1, sum(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE))
         contacts = robots * self.physics.contacts_per_robot
         # A contact of the elliptic cone with sliding friction has three constraint rows. Rows are counted
         # per world, contacts over all worlds, so a world has room for twice the average.
         return mjx.make_data(
-            self._c_model, impl=self.impl, naconmax=self.worlds * contacts, njmax=2 * 3 * contacts
+            self.model, impl=self.impl, naconmax=self.worlds * contacts, njmax=2 * 3 * contacts
         )
 
     def overflow(self, own: mjx.Data) -> jax.Array:

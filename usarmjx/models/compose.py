@@ -52,7 +52,7 @@ class Physics:
     iterations: int = 10
     ls_iterations: int = 10
     contacts_per_robot: int = 16
-    pairs_per_robot: int = 24
+    pairs_per_robot: int = 32
 
     @property
     def period(self) -> float:
@@ -92,6 +92,32 @@ def cap_contacts(spec: mujoco.MjSpec, physics: Physics, robots: int) -> None:
     room = max(1, robots)
     spec.add_numeric(name="max_contact_points", size=1, data=[room * physics.contacts_per_robot])
     spec.add_numeric(name="max_geom_pairs", size=1, data=[room * physics.pairs_per_robot])
+
+
+def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
+    """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
+
+    For engines that look for contacts by bounding spheres, to which a long wall is near everything.
+    """
+    spec = spec.copy()
+    arena = spec.body("arena")
+    if arena is None:
+        return spec.compile()
+    for geom in list(arena.geoms):
+        parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
+        if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1:
+            continue
+        mat = np.zeros(9)
+        mujoco.mju_quat2Mat(mat, geom.quat)
+        kept = ("type", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim", "mass")
+        shared = {name: getattr(geom, name) for name in kept}
+        for piece in np.ndindex(*parts):
+            offset = (2 * (np.array(piece) + 0.5) / parts - 1) * geom.size
+            name = f"{geom.name}/{'.'.join(map(str, piece))}"
+            pos = geom.pos + mat.reshape(3, 3) @ offset
+            arena.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
+        spec.delete(geom)
+    return spec.compile()
 
 
 def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:

@@ -119,8 +119,10 @@ class Sensor(ABC):
                 do not measure together.
         """
         self.bodies_of_mounts()
-        if len({settings.scan_interval for settings in self.settings}) > 1:
-            raise SpecError(f"all {self.kind} sensors report together and need the same ScanInterval")
+        if len({(settings.scan_interval, settings.with_time_stamp) for settings in self.settings}) > 1:
+            raise SpecError(
+                f"all {self.kind} sensors report together and need the same ScanInterval and bWithTimeStamp"
+            )
 
     def bodies_of_mounts(self) -> np.ndarray:
         """Return the body that each mount sits on (mounts,).

@@ -10,6 +10,15 @@ from usarmjx.models.spec import Options
 T = TypeVar("T")
 
 
+@dataclasses.dataclass(frozen=True)
+class CameraSettings:
+    """Fields of view of a camera [rad] (manual 10.14.2, and its CONF example)."""
+
+    camera_def_fov: float = 0.8727
+    camera_min_fov: float = 0.3491
+    camera_max_fov: float = 2.0944
+
+
 def field_name(key: str) -> str:
     """Return the field for an ini key: `MaxRange` -> `max_range`, `bWithTimeStamp` -> `with_time_stamp`."""
     bare = re.sub(r"^b(?=[A-Z])", "", key)

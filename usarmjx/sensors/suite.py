@@ -16,7 +16,7 @@ from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
 from usarmjx.sensors.raycast import NO_HITS, Geoms, Hits, cast, cast_incidence
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.settings import CameraSettings, resolve
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
@@ -152,6 +152,8 @@ def suite_of(robot: RobotSpec) -> Suite:
         SpecError: A mount that cannot be built.
     """
     plan = body_plan(robot)
+    for mount in robot.cameras:
+        resolve(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
     groups: dict[str, list[int]] = {}
     for i, mount in enumerate(robot.sensors):
         grouped = SENSORS.get(mount.kind).grouped

@@ -96,10 +96,14 @@ class Client:
             raise UsageError(
                 f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}"
             )
-        if init.start or init.location is None:
-            start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
-            return (*start.at[:2], start_height(self._world.arena, spec)), (0.0, 0.0, start.yaw)
-        return vector(init.location), angles(init.rotation or (0.0, 0.0, 0.0))
+        turn = angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
+        if init.location is not None and not init.start:
+            return vector(init.location), turn
+        if not starts:
+            raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
+        start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
+        place = (*start.at[:2], start_height(self._world.arena, spec))
+        return place, turn if init.rotation else (0.0, 0.0, start.yaw)
 
     def _free_name(self, spec: RobotSpec) -> str:
         taken = {robot.name.lower() for robot in self._world.robots.values()}

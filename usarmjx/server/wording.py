@@ -7,6 +7,7 @@ import numpy as np
 
 from usarmjx.models.spec import Link, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.server import reports
 from usarmjx.server.descriptions import (
     Field,
@@ -42,7 +43,8 @@ def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
 
 def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     x, y, heading = value.tolist()
-    return reports.sen_odometry(time, sensor.mounts[0].name, (x, -y, -heading))
+    (x, y, _), (_, _, heading) = vector((x, y, 0.0)), angles((0.0, 0.0, heading))
+    return reports.sen_odometry(time, sensor.mounts[0].name, (x, y, heading))
 
 
 def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
@@ -135,9 +137,13 @@ def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
 
 
 def _camera_fields(mount: Mount) -> list[Field]:
-    options: dict[str, Any] = dict(mount.options)
-    keys = ("CameraDefFov", "CameraMinFov", "CameraMaxFov")
-    return [*((key, options[key]) for key in keys), ("CameraFov", options["CameraDefFov"])]
+    fov = resolve(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
+    return [
+        ("CameraDefFov", fov.camera_def_fov),
+        ("CameraMinFov", fov.camera_min_fov),
+        ("CameraMaxFov", fov.camera_max_fov),
+        ("CameraFov", fov.camera_def_fov),
+    ]
 
 
 def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: str) -> list[Message]:

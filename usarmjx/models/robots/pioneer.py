@@ -128,8 +128,9 @@ P2AT = RobotSpec(
         # tyres, so that this, near axle height, is what meets a wall: pushing with the tyres they would
         # climb it, pushing with the deck the robot would turn over backwards.
         Shape(kind="box", size=(0.276, 0.20, 0.05), at=(0.0, 0.0, 0.11), mass=9.5, rgba=RED),
-        # Deck over body and wheels, up to the captured height: what meets other robots beside it.
-        Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0125), at=(0.0, 0.0, -0.0188), rgba=BLACK),
+        # Deck over body and wheels, up to the captured height: what meets other robots beside it, and what
+        # their sonars, 0.26 m above the ground, see of it.
+        Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0207), at=(0.0, 0.0, -0.0106), rgba=BLACK),
         _sick_housing(P2AT_SCANNER),
     ),
     wheels=tuple(
