@@ -5,6 +5,7 @@ import contextlib
 import logging
 import signal
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -141,9 +142,9 @@ class Server:
             self._flush(client, writer)
         self._busy += time.perf_counter() - began
 
-    def _guarded(self, client: Client, action: object) -> None:
+    def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
-            action()  # type: ignore[operator]
+            action()
         except PeerError as error:
             log.warning("dropping a client: %s", error)
             self._clients[client].transport.abort()
