@@ -1,20 +1,21 @@
-"""Which engine to use where."""
+"""Which engine to use where. MJX is imported only when one of its engines is built."""
 
 import importlib.util
+from importlib import import_module
 from typing import Literal
 
 import jax
 import mujoco
 
 from usarmjx.engines.base import Engine
-from usarmjx.engines.c import CEngine
-from usarmjx.engines.mjx import JaxEngine, WarpEngine
 from usarmjx.models.compose import Physics
 from usarmjx.registry import Registry
 
-ENGINES: Registry[type[Engine]] = Registry("engine")
-for _engine in (CEngine, JaxEngine, WarpEngine):
-    ENGINES.add(_engine.name, _engine)
+ENGINES: Registry[tuple[str, str]] = Registry("engine")
+"""Module and class of each engine."""
+ENGINES.add("c", ("usarmjx.engines.c", "CEngine"))
+ENGINES.add("jax", ("usarmjx.engines.mjx", "JaxEngine"))
+ENGINES.add("warp", ("usarmjx.engines.mjx", "WarpEngine"))
 
 
 def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
@@ -24,7 +25,8 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
         UnknownNameError: No such engine; lists those there are.
     """
     if name.lower() != "auto":
-        return ENGINES.get(name).name
+        ENGINES.get(name)
+        return name.lower()
     gpu = any(device.platform == "gpu" for device in jax.devices())
     if gpu and importlib.util.find_spec("warp") is not None:
         return "warp"
@@ -39,4 +41,6 @@ def make_engine(name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int) -
         UnsupportedFeatureError: The model has a feature that the engine would ignore.
         EngineError: The engine cannot run here.
     """
-    return ENGINES.get(name)(spec, physics, worlds)
+    module, kind = ENGINES.get(name)
+    engine: type[Engine] = getattr(import_module(module), kind)
+    return engine(spec, physics, worlds)
