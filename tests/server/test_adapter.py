@@ -557,6 +557,11 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
             "GETCONF {Type MisPkg} {Name camerapantilt}",
             r"CONF {Type MisPkg} {Name CameraPanTilt} {Link 1} .*",
         ),
+        (
+            "GETCONF {Type Camera}",
+            r"CONF {Type Camera} {CameraDefFov 0\.8727} {CameraMinFov 0\.3491} {CameraMaxFov 2\.0944} "
+            r"{CameraFov 0\.8727}",
+        ),
         ("GETCONF {Type RFID}", r"CONF {Type RFID}"),
     ],
 )
