@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.batch import Batch, State
+from usarmjx.control import wheel_speeds
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
 from usarmjx.models.compose import Physics
@@ -119,11 +120,10 @@ def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
 
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         left, right = _random_speeds(batch, jax.random.fold_in(key, i))
-        sides = [left if wheel.side == "left" else right for wheel in team.robot.wheels]
         ctrl = (
             jnp.zeros((batch.worlds, batch.scene.model.nu))
             .at[:, team.actuator[:, :wheels]]
-            .set(jnp.stack(sides, -1))
+            .set(wheel_speeds(team.robot, left, right))
         )
         now = batch.engine.state(physics)
         act = now.act.at[:, team.actuator].set(now.qpos[:, team.qpos])

@@ -20,13 +20,13 @@ def guard() -> None:
     global _started_before_us
     asked = os.environ.get("NPROC", "")
     size = int(asked) if asked.isdecimal() else 0
-    if (size if asked else _cores()) >= ENOUGH:
+    if (size if asked else cores()) >= ENOUGH:
         return
     _started_before_us = _backend_runs()
     os.environ["NPROC"] = str(ENOUGH)
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many cores this process may use, which is what JAX's pool is sized by."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

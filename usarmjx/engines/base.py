@@ -72,7 +72,6 @@ class Engine(ABC):
         self.physics = physics
         self.worlds = worlds
         self.model = model
-        self.nq, self.nv, self.nu, self.nbody = model.nq, model.nv, model.nu, model.nbody
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model as this engine wants it."""

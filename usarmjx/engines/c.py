@@ -1,6 +1,5 @@
 """C MuJoCo: starts at once, needs no accelerator, and is the oracle for the others."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.compose import Physics
+from usarmjx.threads import cores
 from usarmjx.transforms import Array
 
 EVERYTHING = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -53,9 +53,9 @@ class CEngine(Engine):
 
     def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
         super().__init__(spec, physics, worlds)
-        threads = max(1, min(worlds, os.cpu_count() or 1))
-        self._datas = [mujoco.MjData(self.model) for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        count = min(worlds, cores())
+        self._datas = [mujoco.MjData(self.model) for _ in range(count)]
+        self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model, with silent resets off."""
@@ -66,8 +66,8 @@ class CEngine(Engine):
         size = mujoco.mj_stateSize(self.model, EVERYTHING)
         blank = CState(
             everything=np.zeros((self.worlds, size)),
-            qpos=np.zeros((self.worlds, self.nq)),
-            qvel=np.zeros((self.worlds, self.nv)),
+            qpos=np.zeros((self.worlds, self.model.nq)),
+            qvel=np.zeros((self.worlds, self.model.nv)),
             act=np.zeros((self.worlds, self.model.na)),
             overflow=np.zeros(self.worlds, np.int32),
         )

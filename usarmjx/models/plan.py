@@ -139,7 +139,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) 
     return float((data.geom_xpos[:, 2] - reach)[geoms].min())
 
 
-def robot_state(index: RobotIndex, qpos: jax.Array, qvel: jax.Array) -> RobotState:
+def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
     """Pick a robot's state out of its world's qpos (nq,) and qvel (nv,)."""
     q, v = index.root_qpos, index.root_dof
     return RobotState(

@@ -18,9 +18,6 @@ from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.noise import relative_normal, relative_uniform
 from usarmjx.transforms import angles_from_mat, mat_from_angles
 
-AXLE_LEFT = np.array([0.0, 1.0, 0.0])
-"""The axis about which a wheel's positive angle rolls forward."""
-
 
 @dataclass(frozen=True)
 class OdometrySettings(Common):

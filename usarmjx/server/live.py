@@ -19,7 +19,7 @@ from usarmjx.engines.c import buffer_warnings
 from usarmjx.errors import UsageError
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.layout import RobotIndex, index_robot
-from usarmjx.models.plan import Bodies, RobotState, body_plan, body_poses, lowest_point
+from usarmjx.models.plan import Bodies, RobotState, body_plan, body_poses, lowest_point, robot_state
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import ArenaSpec, RobotSpec
 from usarmjx.scene import prefix_of
@@ -145,7 +145,7 @@ class LiveWorld(HostWorld):
 
     def _command_in_force(self, robot: Robot) -> Command:
         empty = self.time - robot.born >= robot.spec.battery_life
-        return jax.tree.map(np.array, idle(robot.spec)) if empty else robot.command
+        return self._compiled[robot.spec.name].idle if empty else robot.command
 
     def _start_over(self) -> None:
         log.error("the physics is not finite any more: robots go back to where they appeared")
@@ -176,19 +176,8 @@ class LiveWorld(HostWorld):
         return jax.random.fold_in(jax.random.fold_in(self._key, count), robot.slot)
 
     def _state(self, slot: int) -> RobotState:
-        index, qpos, qvel = self._index[slot], self._data.qpos, self._data.qvel
-        q, v = index.root_qpos, index.root_dof
-        parts = (qpos[q : q + 3], qpos[q + 3 : q + 7], qvel[v : v + 3], qvel[v + 3 : v + 6])
-        pos, quat, linear, angular = (part.astype(np.float32) for part in parts)
-        joint_pos, joint_vel = qpos[list(index.qpos)], qvel[list(index.dof)]
-        return RobotState(
-            pos=pos,
-            quat=quat,
-            linear=linear,
-            angular=angular,
-            joint_pos=joint_pos.astype(np.float32),
-            joint_vel=joint_vel.astype(np.float32),
-        )
+        qpos, qvel = self._data.qpos.astype(np.float32), self._data.qvel.astype(np.float32)
+        return robot_state(self._index[slot], qpos, qvel)
 
     def _sight(self, robot: Robot) -> Sight:
         state = self._state(robot.slot)
@@ -254,7 +243,7 @@ class Compiled:
         key = jax.random.key(0)
         self.start = _compile(suite.start, sight, key)
         self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
-        command = jax.tree.map(np.array, idle(robot))
+        self.idle = command = jax.tree.map(np.array, idle(robot))
         run = _compile(
             lambda c, s, a, t: drive(plan, c, s, a, t, period), command, state, joint, np.float32(0)
         )

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.models.spec import Link, Mount, RobotSpec
+from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.server import reports
@@ -96,8 +96,13 @@ def sensor_report(sensor: Sensor, value: np.ndarray, time: float) -> Message:
     return REPORTS[sensor.kind](sensor, value, time if sensor.settings[0].with_time_stamp else None)
 
 
-def _same(asked: str, name: str) -> bool:
-    return not asked or asked.lower() == name.lower()
+def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
+    """Whether a query means the item: types and names match without case, no name means all."""
+    return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
+
+
+def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
+    return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
 
 
 def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
@@ -117,10 +122,10 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
         ]
     answers = []
     for mounts in (robot.sensors, robot.cameras):
-        matching = [m for m in mounts if m.kind.lower() == kind.lower() and _same(name, m.name)]
+        matching = [m for m in mounts if _asked(kind, name, m.kind, m.name)]
         if matching:
             answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
-    packages = [p for p in robot.packages if kind.lower() == "mispkg" and _same(name, p.name)]
+    packages = _packages(robot, kind, name)
     if packages:
         links = [
             (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
@@ -165,14 +170,14 @@ def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: 
         _sensor_fields(sensor, place)
         for sensor in sensors
         for place, mount in enumerate(sensor.mounts)
-        if sensor.kind.lower() == kind.lower() and _same(name, mount.name)
+        if _asked(kind, name, sensor.kind, mount.name)
     ]
     if fields:
         answers.append(conf_items(kind, fields))
-    cameras = [m for m in robot.cameras if m.kind.lower() == kind.lower() and _same(name, m.name)]
+    cameras = [m for m in robot.cameras if _asked(kind, name, m.kind, m.name)]
     if cameras:
         answers.append(conf_items(kind, [_camera_fields(m) for m in cameras]))
-    packages = [p for p in robot.packages if kind.lower() == "mispkg" and _same(name, p.name)]
+    packages = _packages(robot, kind, name)
     if packages:
         answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
     return answers or [conf_nothing(kind, name)]
