@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.batch import Batch
 from usarmjx.control import FLIP_TIME, drive, idle
 from usarmjx.models.compose import Physics
@@ -24,7 +25,6 @@ from usarmjx.scene import START_GAP, build_scene
 from usarmjx.server.frames import angles
 from usarmjx.transforms import angles_from_mat, quat_from_angles
 
-PERIOD = Physics().period
 BOTH = pytest.mark.parametrize("name", ["P2AT", "P2DX"])
 TOP_SPEED = {"P2AT": 0.7, "P2DX": 1.8}  # m/s: captured CONF of the P2AT; manual 12.3.1
 TOP_SPEED_RTOL, ROLLING_RTOL, TURN_RTOL, ENGINE_RTOL = 0.10, 0.05, 0.05, 0.10
@@ -32,93 +32,16 @@ CAMERA_SPEED, TILT_MAX = 0.17, 0.40  # rad/s, rad: manual 9.3
 SERVO_ATOL = 0.01  # rad: how far the camera may be from where it was sent
 
 
-@cache
-def control_of(name):
-    """The product's control function of a class, compiled once for this file."""
-    return jax.jit(partial(drive, body_plan(ROBOTS.get(name)), period=PERIOD))
-
-
-class Rig:
-    """Robots of one class on a floor with some solids, by default at the origin, on a tilt if asked."""
-
-    def __init__(self, name, *solids, places=((0.0, 0.0, 0.0),), roll=0.0, tilt=0.0):
-        starts = tuple(
-            StartPose(tag=f"S{i}", at=(x, y, 0.2), yaw=yaw) for i, (x, y, yaw) in enumerate(places)
-        )
-        arena = ArenaSpec(name="track", starts=starts, extent=((-3, 3), (-3, 3)), shapes=solids)
-        scene = build_scene(arena, [name] * len(places))
-        self.robot, self.model = scene.teams[0].robot, scene.model
-        self.indices = scene.teams[0].indices
-        self.model.opt.gravity[:] = 9.81 * np.array([-math.sin(tilt), 0.0, -math.cos(tilt)])
-        self.data = mujoco.MjData(self.model)
-        for index, (x, y, yaw) in zip(self.indices, places, strict=True):
-            root = slice(index.root_qpos, index.root_qpos + 7)
-            self.data.qpos[root] = (x, y, 0.0, *quat_from_angles(roll, 0.0, yaw))
-            mujoco.mj_kinematics(self.model, self.data)
-            low = lowest_point(self.model, self.data, np.isin(self.model.geom_bodyid, index.body))
-            self.data.qpos[index.root_qpos + 2] = START_GAP - low
-        still = jax.tree.map(np.array, idle(self.robot))
-        self.commands = [jax.tree.map(np.array, still) for _ in places]
-        self._control = control_of(name)
-
-    def tell(self, left=0.0, right=0.0, robot=0, links=(0.0, 0.0), flip_until=0.0):
-        wheels = [left if wheel.side == "left" else right for wheel in self.robot.wheels]
-        self.commands[robot] = self.commands[robot].replace(
-            target=np.array([*wheels, *links], np.float32), flip_until=np.float32(flip_until)
-        )
-        return self
-
-    def step(self):
-        data = self.data
-        for index, command in zip(self.indices, self.commands, strict=True):
-            actuators, state = list(index.actuator), robot_state(index, data.qpos, data.qvel)
-            state = jax.tree.map(np.float32, state)
-            told = self._control(
-                command, state, data.act[actuators].astype(np.float32), np.float32(data.time)
-            )
-            data.ctrl[actuators], data.act[actuators] = told.ctrl, told.act
-            data.xfrc_applied[index.body[0]] = told.wrench
-        mujoco.mj_step(self.model, data, nstep=Physics().substeps)
-
-    def run(self, seconds):
-        """Return position, velocity and turning rate of the first robot after each control step (n, 9)."""
-        q, v = self.indices[0].root_qpos, self.indices[0].root_dof
-        rows = []
-        for _ in range(round(seconds / PERIOD)):
-            self.step()
-            rows.append(np.r_[self.data.qpos[q : q + 3], self.data.qvel[v : v + 6]])
-        return np.array(rows)
-
-    @property
-    def up(self):
-        """How upright the robots are: 1 on their wheels, -1 upside down (robots,)."""
-        return np.array([self.data.xmat[index.body[0]][8] for index in self.indices])
-
-    def mat(self, part):
-        return self.data.body(f"r0/{part}").xmat.reshape(3, 3)
-
-
-def steady_speed(rig):
-    rig.run(2.0)
-    return np.linalg.norm(rig.run(2.0)[:, 3:5], axis=1).mean()
-
-
-def steady_spin(rig):
-    """Turning rate about the vertical [rad/s], positive to the left."""
-    rig.run(2.0)
-    return rig.run(2.0)[:, 8].mean()
-
-
 @BOTH
 def test_top_speed(name):
     rig = Rig(name)
-    rig.tell(99.0, 99.0)  # more than any wheel can do
+    rig.tell(Left=99.0, Right=99.0)  # more than any wheel can do
     assert steady_speed(rig) == pytest.approx(TOP_SPEED[name], rel=TOP_SPEED_RTOL)
 
 
 @BOTH
 def test_one_radian_per_second_rolls_one_wheel_radius_per_second(name):
-    rig = Rig(name).tell(1.0, 1.0)
+    rig = Rig(name).tell(Left=1.0, Right=1.0)
     assert steady_speed(rig) == pytest.approx(rig.robot.wheel_radius, rel=ROLLING_RTOL)
     assert abs(rig.data.qpos[1]) < 0.02, "straight ahead"
 
@@ -126,9 +49,9 @@ def test_one_radian_per_second_rolls_one_wheel_radius_per_second(name):
 @BOTH
 def test_braking_from_top_speed_does_not_tip_the_robot_over(name):
     """A P2DX has nothing before its wheels: it bows by some 20 degrees and comes down again."""
-    rig = Rig(name).tell(99.0, 99.0)
+    rig = Rig(name).tell(Left=99.0, Right=99.0)
     rig.run(2.0)
-    rig.tell(0.0, 0.0)
+    rig.tell(Left=0.0, Right=0.0)
     worst = min(rig.up.min() for _ in range(100) if rig.step() is None)
     assert worst > math.cos(math.radians(30))
     assert rig.up[0] > 0.999
@@ -136,7 +59,7 @@ def test_braking_from_top_speed_does_not_tip_the_robot_over(name):
 
 
 def test_p2dx_turns_in_place_as_its_wheels_say():
-    rig = Rig("P2DX").tell(-5.0, 5.0)
+    rig = Rig("P2DX").tell(Left=-5.0, Right=5.0)
     expected = 2 * 5.0 * rig.robot.wheel_radius / rig.robot.wheel_separation
     assert steady_spin(rig) == pytest.approx(expected, rel=TURN_RTOL)
 
@@ -147,7 +70,7 @@ def test_p2at_top_spin_is_that_of_a_skidding_four_wheeler():
     Half the wheel base a and half the track b: below that rate the tyres' sideways drag and their forward
     pull have the same moment about the centre.
     """
-    rig = Rig("P2AT").tell(-99.0, 99.0)
+    rig = Rig("P2AT").tell(Left=-99.0, Right=99.0)
     v, a, b = 0.7, rig.robot.wheel_base / 2, rig.robot.wheel_separation / 2
     assert math.degrees(v * b / (a * a + b * b)) == pytest.approx(123.8, abs=0.1)
     assert 110 < math.degrees(steady_spin(rig)) < 150
@@ -174,7 +97,7 @@ def test_p2at_climbs_boards_and_steps(height, length):
         at=(near + length / 2, 0.0, height / 2),
         surface="ground",
     )
-    rig = Rig("P2AT", step).tell(3.0, 3.0)
+    rig = Rig("P2AT", step).tell(Left=3.0, Right=3.0)
     log = rig.run(5.0)
     assert log[:, 2].max() > rig.robot.origin_height + 0.4 * height, "an axle at a time: half of it"
     assert log[-1, 0] > near + 0.5
@@ -184,19 +107,19 @@ def test_p2at_climbs_boards_and_steps(height, length):
 @BOTH
 def test_a_robot_against_a_wall_stays_down_and_backs_off_at_once(name):
     wall = Shape(kind="box", size=(0.05, 2.0, 0.5), at=(1.0, 0.0, 0.5), surface="wall")
-    rig = Rig(name, wall).tell(99.0, 99.0)
+    rig = Rig(name, wall).tell(Left=99.0, Right=99.0)
     log = rig.run(5.0)
     assert np.abs(log[:, 2] - rig.robot.origin_height).max() < 0.05
     assert rig.up[0] > 0.99
     assert 0.5 < log[-1, 0] < 1.0, "it is at the wall"
-    rig.tell(-99.0, -99.0)
+    rig.tell(Left=-99.0, Right=-99.0)
     assert rig.run(0.5)[-1, 0] < log[-1, 0] - 0.05, "the wheels need not unwind first"
 
 
 @BOTH
 def test_left_slower_than_right_turns_left(name):
     """Left is a negative yaw on the wire, whose yaw is clockwise seen from above (manual 6.1)."""
-    rig = Rig(name).tell(1.0, 3.0)
+    rig = Rig(name).tell(Left=1.0, Right=3.0)
     rig.run(1.0)
     mat = rig.mat("chassis")
     assert rig.data.qpos[1] > 0.01, "it went to its left"

@@ -4,7 +4,7 @@ The same few lines drive all engines. Where the engine can be traced a step is o
 with C MuJoCo the parts around the engine are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.control import wheel_speeds
+from usarmjx.control import Order, check_keys, steer
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
-from usarmjx.errors import EngineError, UsageError
+from usarmjx.errors import EngineError, UnknownNameError, UsageError
 from usarmjx.scene import Scene
 from usarmjx.sensors.base import Reading
+from usarmjx.transforms import Array
 from usarmjx.world import World, control, first_episode, observe, restart, settle
 
 Readings = tuple[tuple[Reading, ...], ...]
@@ -122,21 +123,52 @@ class Batch:
         worlds, readings = self._observe(state.worlds, self.physics(state))
         return state.replace(worlds=worlds), readings
 
-    def drive(self, state: State, team: int, left: jax.Array, right: jax.Array) -> State:
-        """Set the wheel speeds of a team's robots.
+    def drive(self, state: State, team: int, values: Mapping[str, Array]) -> State:
+        """Set keys of DRIVE for a team's robots; the other keys keep what they were last set to.
 
         Args:
             state: The batch.
             team: Index into `scene.teams`.
-            left: Speed of the left wheels [rad/s], broadcast to (worlds, robots).
-            right: Speed of the right wheels [rad/s], likewise.
+            values: Numbers for some of the keys of the robots' drive (`robot.drive.full` lists them with
+                their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
+                (worlds, robots).
+
+        Raises:
+            UnknownNameError: A key that this drive does not have; lists those it has.
         """
-        members = state.worlds.teams[team]
-        robot = self.scene.teams[team].robot
+        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
+        check_keys(robot, values)
         shape = members.active.shape
-        speeds = wheel_speeds(robot, jnp.broadcast_to(left, shape), jnp.broadcast_to(right, shape))
-        target = members.command.target.at[..., : len(robot.wheels)].set(speeds)
-        return self.with_team(state, team, members.replace(command=members.command.replace(target=target)))
+        told = {key: jnp.broadcast_to(value, shape) for key, value in values.items()}
+        return self.with_team(state, team, members.replace(command=steer(robot, members.command, told)))
+
+    def move(
+        self, state: State, team: int, targets: Mapping[str, Array], order: Order = Order.POSITION
+    ) -> State:
+        """Tell joints of a team's robots where to go, how fast to move or what to exert.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
+                broadcast to (worlds, robots).
+            order: What the numbers are.
+
+        Raises:
+            UnknownNameError: A joint that these robots do not have; lists those they have.
+        """
+        members, plan = state.worlds.teams[team], self.scene.teams[team].plan
+        target, orders = members.command.target, members.command.order
+        for name, value in targets.items():
+            joint = plan.joint(name)
+            if joint is None:
+                known = ", ".join(plan.parts[1:])
+                raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
+            target = target.at[..., joint].set(jnp.broadcast_to(value, members.active.shape))
+            orders = orders.at[..., joint].set(int(order))
+        return self.with_team(
+            state, team, members.replace(command=members.command.replace(target=target, order=orders))
+        )
 
     @staticmethod
     def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState

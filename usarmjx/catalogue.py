@@ -19,7 +19,7 @@ def catalogue() -> str:
         sensors = ", ".join(
             f"{len(s.mounts)} {s.kind}" if len(s.mounts) > 1 else s.kind for s in suite_of(robot).sensors
         )
-        speed = robot.drive.max_speed * robot.wheel_radius
+        speed = robot.drive.top_speed
         lines.append(
             f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, {speed:.2f} m/s"
         )

@@ -1,24 +1,31 @@
 """From commands to actuators: what one robot's motors are told for one control step."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
+from types import ModuleType
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.compose import LINK_DAMPING, LINK_STIFFNESS
-from usarmjx.models.plan import BodyPlan, RobotState
-from usarmjx.models.spec import RobotSpec
+from usarmjx.errors import UnknownNameError
+from usarmjx.models.parts import joint_names, parts_of
+from usarmjx.models.plan import BodyPlan
+from usarmjx.models.spec import Motor, RobotSpec
+from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
+from usarmjx.transforms import Array
 
 GRAVITY = 9.81
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
 UPRIGHT = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
+FLIP_RATE = 2.5
+"""About how fast a robot is righted [rad/s]."""
 
 
 class Order(IntEnum):
@@ -26,30 +33,48 @@ class Order(IntEnum):
 
     POSITION = 0
     VELOCITY = 1
+    TORQUE = 2
 
 
 class Command(struct.PyTreeNode, kw_only=True):
     """What a robot is told to do until told otherwise.
 
     Attributes:
-        target: Wanted position [rad or m] or velocity [rad/s or m/s] of each joint (joints,).
+        target: Wanted position [rad or m], velocity [rad/s or m/s] or torque [N m or N] of each joint
+            (joints,).
         order: `Order` of each joint (joints,).
+        setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
         flip_until: Until when it is being righted [s] ().
         light: Whether the headlight is on ().
     """
 
-    target: jax.Array
-    order: jax.Array
-    flip_until: jax.Array
-    light: jax.Array
+    target: Array
+    order: Array
+    setpoint: Array
+    flip_until: Array
+    light: Array
 
 
-class Drive(struct.PyTreeNode, kw_only=True):
+class Circumstances(struct.PyTreeNode, kw_only=True):
+    """What decides what a robot's command does.
+
+    Attributes:
+        time: Simulated time [s] ().
+        powered: Whether its battery lasts ().
+        depth: How far its origin is below the surface of water [m] (); `drives.DRY` outside.
+    """
+
+    time: Array
+    powered: Array
+    depth: Array
+
+
+class Driven(struct.PyTreeNode, kw_only=True):
     """What the engine needs for one robot.
 
     Attributes:
-        ctrl: Actuator inputs: velocities of the servos' targets (joints,).
-        act: Actuator activations: the servos' targets (joints,).
+        ctrl: Actuator inputs: velocities of the servos' targets (actuators,).
+        act: Actuator activations: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
         refused: How many commanded numbers were not finite ().
     """
@@ -62,80 +87,160 @@ class Drive(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """Constants of a robot's joint servos, wheels first (joints,)."""
+    """Constants of a robot's joint servos (joints,); those without a motor have zeros and ones.
+
+    Attributes:
+        speed: Highest speed.
+        torque: Highest torque.
+        stiffness: Gain on the position.
+        damping: Gain on the velocity.
+        low: Lowest position.
+        high: Highest position.
+        slack: How far a servo's target may run ahead of its joint: just enough to exert its full torque at
+            full speed. Without the bound a stalled wheel would have to unwind first.
+    """
 
     speed: np.ndarray
+    torque: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
     low: np.ndarray
     high: np.ndarray
     slack: np.ndarray
 
-    @property
-    def count(self) -> int:
-        """Number of joints."""
-        return len(self.speed)
-
 
 @cache
 def servos_of(robot: RobotSpec) -> Servos:
-    """Return the servo constants of a robot class.
+    """Return the servo constants of a robot class."""
+    parts = parts_of(robot)
+    motors = [part.motor or Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0) for part in parts]
+    limits = [part.limits or (-np.inf, np.inf) for part in parts]
 
-    A servo's target may run ahead of its joint by `slack`, just far enough to exert its full torque at
-    full speed: without the bound a stalled wheel would have to unwind first.
-    """
-    drive = robot.drive
-    links = [link for package in robot.packages for link in package.links]
-    free = [link.min_range > link.max_range for link in links]
-    wheels = len(robot.wheels)
-    speed = np.array([drive.max_speed] * wheels + [link.max_speed for link in links])
-    torque = np.array([drive.torque] * wheels + [link.max_torque for link in links])
-    stiffness = np.array([drive.stiffness] * wheels + [LINK_STIFFNESS] * len(links))
-    damping = np.array([drive.damping] * wheels + [LINK_DAMPING] * len(links))
-    low = [-np.inf] * wheels + [-np.inf if f else link.min_range for f, link in zip(free, links, strict=True)]
-    high = [np.inf] * wheels + [np.inf if f else link.max_range for f, link in zip(free, links, strict=True)]
+    def row(values: list[float]) -> np.ndarray:
+        return np.array(values, np.float32)
+
     return Servos(
-        speed=speed.astype(np.float32),
-        low=np.array(low, np.float32),
-        high=np.array(high, np.float32),
-        slack=((torque + damping * speed) / stiffness).astype(np.float32),
+        speed=row([m.max_speed for m in motors]),
+        torque=row([m.torque for m in motors]),
+        stiffness=row([m.stiffness for m in motors]),
+        damping=row([m.damping for m in motors]),
+        low=row([low for low, _ in limits]),
+        high=row([high for _, high in limits]),
+        slack=row([(m.torque + m.damping * m.max_speed) / m.stiffness for m in motors]),
     )
 
 
 def idle(robot: RobotSpec) -> Command:
-    """Return the command of a robot that has not been told anything: wheels braked, links held."""
-    count, wheels = servos_of(robot).count, len(robot.wheels)
-    order = np.full(count, Order.POSITION, np.int32)
-    order[:wheels] = Order.VELOCITY
+    """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
+    parts = parts_of(robot)
+    order = [Order.VELOCITY if part.rolls else Order.POSITION for part in parts]
     return Command(
-        target=jnp.zeros(count), order=jnp.asarray(order), flip_until=jnp.zeros(()), light=jnp.zeros((), bool)
+        target=jnp.zeros(len(parts)),
+        order=jnp.array(order, jnp.int32).reshape(len(parts)),
+        setpoint=jnp.zeros(len(robot.drive.keys)),
+        flip_until=jnp.zeros(()),
+        light=jnp.zeros((), bool),
     )
 
 
-def wheel_speeds(robot: RobotSpec, left: jax.Array, right: jax.Array) -> jax.Array:
-    """Return the speeds of all wheels [rad/s] (..., wheels) for both sides' speeds (...)."""
-    sides = [left if wheel.side == "left" else right for wheel in robot.wheels]
-    return jnp.stack(jnp.broadcast_arrays(*sides), -1)
+@cache
+def _aimed(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return per joint whether the drive moves it, the row of `Drive.values` that does, and its order."""
+    names = joint_names(robot)
+    mask, row, order = (np.zeros(len(names), kind) for kind in (bool, int, np.int32))
+    for i, aim in enumerate(robot.drive.aims):
+        joint = names.index(aim.joint)
+        mask[joint], row[joint], order[joint] = True, i, aim.order
+    return mask, row, order
+
+
+def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
+    """Refuse keys that a robot's DRIVE does not have.
+
+    Raises:
+        UnknownNameError: Names them and those it has.
+    """
+    bad = [key for key in keys if key not in robot.drive.keys]
+    if bad:
+        known = ", ".join(robot.drive.keys) or "none"
+        raise UnknownNameError(f"{robot.name}'s DRIVE has no key {', '.join(bad)}; it has: {known}")
+
+
+def steer(
+    robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: ModuleType = jnp
+) -> Command:
+    """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
+
+    Args:
+        robot: The robot class.
+        command: What it was told so far; arrays may have leading axes.
+        values: Numbers for some of `robot.drive.keys` [rad/s, m/s or rad]; clipped to what it can do.
+        xp: Array module of the command.
+
+    Raises:
+        UnknownNameError: A key that this drive does not have; lists those it has.
+    """
+    check_keys(robot, values)
+    drive, setpoint = robot.drive, command.setpoint
+    for key, value in values.items():
+        place = drive.keys.index(key)
+        here = np.arange(len(drive.keys)) == place
+        value = xp.asarray(value, xp.float32)[..., None]
+        setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
+    mask, row, order = _aimed(robot)
+    command = command.replace(setpoint=setpoint)
+    if not mask.any():
+        return command
+    aimed = drive.values(setpoint, xp)[..., row]
+    return command.replace(
+        target=xp.where(mask, aimed, command.target).astype(xp.float32),
+        order=xp.where(mask, order, command.order).astype(xp.int32),
+    )
 
 
 def drive(
-    plan: BodyPlan, command: Command, state: RobotState, act: jax.Array, time: jax.Array, period: float
-) -> Drive:
+    plan: BodyPlan, command: Command, state: RobotState, act: Array, now: Circumstances, period: float
+) -> Driven:
     """Return one robot's actuator inputs for a control step of `period` [s].
 
     Speeds are clamped to what the joints can do, positions to their ranges; a number that is not finite
-    counts as zero and is reported, so that it reaches neither the solver nor another world.
+    counts as zero and is reported, so that it reaches neither the solver nor another world. A robot without
+    power brakes its joints and exerts nothing (KRobot.uc).
     """
-    servos = servos_of(plan.robot)
-    finite = jnp.isfinite(command.target)
-    target = jnp.where(finite, command.target, 0.0)
-    act = jnp.clip(act, state.joint_pos - servos.slack, state.joint_pos + servos.slack)
-    wanted = jnp.where(command.order == Order.POSITION, (target - act) / period, target)
-    rate = jnp.clip(wanted, -servos.speed, servos.speed)
-    ctrl = jnp.clip(rate, (servos.low - act) / period, (servos.high - act) / period)
-    wrench = jnp.where(time < command.flip_until, righting(plan.robot, state), 0.0)
-    return Drive(ctrl=ctrl, act=act, wrench=wrench, refused=(~finite).sum())
+    robot = plan.robot
+    command = jax.tree.map(lambda told, still: jnp.where(now.powered, told, still), command, idle(robot))
+    finite, sound = jnp.isfinite(command.target), jnp.isfinite(command.setpoint)
+    command = command.replace(
+        target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
+    )
+    ctrl, act = _servo(plan, command, state, act, period)
+    wrench = robot.drive.passive_wrench(state, now.depth)
+    wrench += jnp.where(now.powered, robot.drive.wrench(command.setpoint, state, now.depth), 0.0)
+    if robot.drive.wheeled:
+        wrench += jnp.where(now.time < command.flip_until, righting(plan, state), 0.0)
+    return Driven(ctrl=ctrl, act=act, wrench=wrench, refused=(~finite).sum() + (~sound).sum())
 
 
-def righting(robot: RobotSpec, state: RobotState) -> jax.Array:
+def _servo(
+    plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float
+) -> tuple[jax.Array, jax.Array]:
+    """Return inputs and activations of the robot's actuators.
+
+    A torque is exerted by a servo whose target runs ahead of its joint by as much as that torque needs.
+    """
+    servos, here = servos_of(plan.robot), plan.actuated
+    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
+    speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
+    act = jnp.clip(act, q - servos.slack[here], q + servos.slack[here])
+    wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
+    rate = jnp.clip(wanted, -speed, speed)
+    ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
+    ahead = (jnp.clip(target, -torque, torque) + servos.damping[here] * v) / servos.stiffness[here]
+    forced = order == Order.TORQUE
+    return jnp.where(forced, v, ctrl), jnp.where(forced, jnp.clip(q + ahead, low, high), act)
+
+
+def righting(plan: BodyPlan, state: RobotState) -> jax.Array:
     """Return the wrench (6,) that turns a robot's wheels down again: a damped torque about its tilt axis.
 
     The torque is twice what tips the robot over its longer half, so it rolls over its own edge.
@@ -146,6 +251,6 @@ def righting(robot: RobotSpec, state: RobotState) -> jax.Array:
     # Upside down every axis is as good: roll about the robot's own length.
     axis = jnp.where(up[2] < -0.9, mat[:, 0], axis)
     axis = axis / jnp.maximum(jnp.linalg.norm(axis), 1e-6)
-    strength = robot.mass * GRAVITY * robot.dimensions[0]
-    torque = strength * (axis - (mat @ state.angular) / 2.5)  # settles near 2.5 rad/s
+    strength = plan.mass * GRAVITY * plan.robot.dimensions[0]
+    torque = strength * (axis - (mat @ state.angular) / FLIP_RATE)
     return jnp.where(up[2] < UPRIGHT, jnp.concatenate([jnp.zeros(3), torque]), 0.0)

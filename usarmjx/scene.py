@@ -13,7 +13,7 @@ from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import ArenaSpec, RobotSpec, StartPose
 from usarmjx.sensors.raycast import check_types
 from usarmjx.sensors.suite import Suite, suite_of
 
@@ -23,6 +23,8 @@ PARKING_STEP = 2.0
 """Distance between two parked robots [m]."""
 START_GAP = 0.002
 """Robots start this far above the floor, so that none starts inside it [m]."""
+START_ELEVATION = 0.188
+"""How high above the ground under it a start pose is given [m] (manual 5.3.5)."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,21 @@ class ArenaGeoms:
 
 
 @dataclass(frozen=True, eq=False)
+class LooseGeoms:
+    """Geoms of loose objects, in the frames of their objects.
+
+    Attributes:
+        root_qpos: Qpos addresses of the objects' free joints (objects, 7).
+        owner: The object that each geom belongs to (geoms,).
+        local: Type, position, orientation and size of the geoms, as in `ArenaGeoms`.
+    """
+
+    root_qpos: np.ndarray
+    owner: np.ndarray
+    local: ArenaGeoms
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A composed scene.
 
@@ -140,6 +157,27 @@ class Scene:
             size=self.model.geom_size[fixed].astype(np.float32),
         )
 
+    @cached_property
+    def loose_geoms(self) -> LooseGeoms:
+        """What of the scene lies loose."""
+        model, names = self.model, [f"loose/{loose.name}" for loose in self.arena.loose]
+        bodies = [model.body(name).id for name in names]
+        roots = [int(model.joint(name).qposadr[0]) for name in names]
+        mine = np.isin(model.geom_bodyid, bodies)
+        mats = np.zeros((int(mine.sum()), 9))
+        for mat, quat in zip(mats, model.geom_quat[mine], strict=True):
+            mujoco.mju_quat2Mat(mat, quat)
+        return LooseGeoms(
+            root_qpos=np.array([root + np.arange(7) for root in roots], int).reshape(len(roots), 7),
+            owner=np.searchsorted(bodies, model.geom_bodyid[mine]),
+            local=ArenaGeoms(
+                kind=model.geom_type[mine],
+                pos=model.geom_pos[mine].astype(np.float32),
+                mat=mats.reshape(-1, 3, 3).astype(np.float32),
+                size=model.geom_size[mine].astype(np.float32),
+            ),
+        )
+
     def team_of(self, slot: int) -> tuple[int, int]:
         """Return (team, place in the team) of a roster slot."""
         for t, team in enumerate(self.teams):
@@ -160,9 +198,10 @@ def parking_place(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
     return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
 
 
-def start_height(arena: ArenaSpec, robot: RobotSpec) -> float:
-    """Return the height of a robot's origin when it stands on the arena's floor [m]."""
-    return arena.floor + body_plan(robot).clearance + START_GAP
+def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
+    """Return the height of a robot's origin when it stands on the ground under a start pose [m]."""
+    ground = arena.floor + start.at[2] - START_ELEVATION
+    return ground + body_plan(robot).clearance + START_GAP
 
 
 def build_scene(
@@ -189,9 +228,10 @@ def build_scene(
     if active > len(arena.starts):
         raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
     spec = new_spec(arena, physics)
-    for slot, entry in enumerate(entries):
-        add_robot(spec, ROBOTS.get(entry.robot), prefix_of(slot), parking_place(arena, slot))
-    cap_contacts(spec, physics, len(entries))
+    robots = [ROBOTS.get(entry.robot) for entry in entries]
+    for slot, robot in enumerate(robots):
+        add_robot(spec, robot, prefix_of(slot), parking_place(arena, slot))
+    cap_contacts(spec, physics, arena, robots)
     model = spec.compile()
     check_types(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
     return Scene(

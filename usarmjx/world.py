@@ -11,16 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.control import Command, drive, idle
+from usarmjx.control import Circumstances, Command, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
-from usarmjx.models.plan import Bodies, RobotState, body_poses, geom_poses
+from usarmjx.models.drives import DRY
+from usarmjx.models.plan import Bodies, body_poses, geom_poses
+from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.state import RobotState
+from usarmjx.rotations import mat_from_quat
 from usarmjx.scene import Scene, Team, parking_place, start_height
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.raycast import FAR_AWAY, NO_HITS, Geoms, gather
 from usarmjx.sensors.suite import NO_MEMORY, Memory
 
 RUNAWAY_SPEED = 5.0
-"""A chassis faster than this did not get there by driving: counted as a fault of the physics [m/s]."""
+"""A chassis faster than this, and than half more than its drive's top speed, did not get there by driving:
+counted as a fault of the physics [m/s]."""
 START_STREAM, NOISE_STREAM, PLACE_STREAM = 0, 1, 2
 """First fold of a world's key, by what the numbers are for."""
 
@@ -32,12 +37,14 @@ class TeamState(struct.PyTreeNode, kw_only=True):
         command: What they are told to do.
         active: Whether the robot is in use; the others are parked (n,).
         born: When its battery was full [s] (n,).
+        drowned: Whether water has killed its battery (n,).
         memory: What their sensors remember.
     """
 
     command: Command
     active: jax.Array
     born: jax.Array
+    drowned: jax.Array
     memory: Memory
 
 
@@ -47,7 +54,7 @@ class Status(struct.PyTreeNode, kw_only=True):
     Attributes:
         not_finite: Steps after which the physics was not finite, and the world was reset.
         overflow: Steps in which contact buffers were full.
-        runaway: Steps in which a robot was faster than `RUNAWAY_SPEED`.
+        runaway: Steps in which a robot was faster than it can drive; see `RUNAWAY_SPEED`.
         refused: Commanded numbers that were not finite.
     """
 
@@ -123,7 +130,10 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
         n = len(team.slots)
         active = jnp.array([not scene.roster[slot].parked for slot in team.slots])
         command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle(team.robot))
-        teams.append(TeamState(command=command, active=active, born=jnp.zeros(n), memory=NO_MEMORY))
+        dry = jnp.zeros(n, bool)
+        teams.append(
+            TeamState(command=command, active=active, born=jnp.zeros(n), drowned=dry, memory=NO_MEMORY)
+        )
     world = world.replace(teams=tuple(teams))
     key = episode_key(world, START_STREAM)
     teams = [
@@ -139,16 +149,17 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
     order = jnp.arange(len(starts))
     if shuffle:
         order = jax.random.permutation(episode_key(world, PLACE_STREAM), order)
-    flat = jnp.array([(*start.at[:2], start.yaw) for start in starts])
+    flat = jnp.array([(*start.at, start.yaw) for start in starts])
     qpos = jnp.asarray(scene.model.qpos0, jnp.float32)
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for team in scene.teams:
-        height = start_height(scene.arena, team.robot)
+        heights = jnp.array([start_height(scene.arena, start, team.robot) for start in starts])
         for place, slot in enumerate(team.slots):
             address = team.root_qpos[place]
             if slot in active:
-                x, y, yaw = flat[order[active.index(slot)]]
-                root = [x, y, height, jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
+                chosen = order[active.index(slot)]
+                x, y, _, yaw = flat[chosen]
+                root = [x, y, heights[chosen], jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
             else:
                 root = [*parking_place(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
             qpos = qpos.at[address].set(jnp.stack([jnp.asarray(v, jnp.float32) for v in root]))
@@ -173,23 +184,26 @@ def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight
 def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:
     """Return what each team's robots sense, rays cast; leading axis over robots, but for the time."""
     sights = [feel(scene, world, physics, team) for team in scene.teams]
-    geoms = _visible(scene, world, [sight.bodies for sight in sights])
+    geoms = _visible(scene, world, physics, [sight.bodies for sight in sights])
     return tuple(
         sight.replace(hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots)))
         for team, sight in zip(scene.teams, sights, strict=True)
     )
 
 
-def _visible(scene: Scene, world: World, bodies: list[Bodies]) -> Geoms:
-    """Return all geoms that rays can hit: floor and arena, and the robots in use."""
-    arena = scene.arena_geoms
+def _visible(scene: Scene, world: World, physics: PhysicsState, bodies: list[Bodies]) -> Geoms:
+    """Return all geoms that rays can hit: floor and arena, loose objects, and the robots in use."""
+    arena, loose = scene.arena_geoms, scene.loose_geoms
+    root = physics.qpos[loose.root_qpos]
+    turn = mat_from_quat(root[:, 3:])[loose.owner]
+    lying = root[loose.owner, :3] + jnp.einsum("gij,gj->gi", turn, loose.local.pos)
     kinds, pos, mat, size = (
-        [arena.kind],
-        [jnp.asarray(arena.pos)],
-        [jnp.asarray(arena.mat)],
-        [jnp.asarray(arena.size)],
+        [arena.kind, loose.local.kind],
+        [jnp.asarray(arena.pos), lying],
+        [jnp.asarray(arena.mat), turn @ loose.local.mat],
+        [jnp.asarray(arena.size), jnp.asarray(loose.local.size)],
     )
-    owner = [jnp.full(len(arena.kind), -1)]
+    owner = [jnp.full(len(arena.kind) + len(loose.owner), -1)]
     for team, state, body in zip(scene.teams, world.teams, bodies, strict=True):
         n, g = len(team.slots), len(team.plan.geom_type)
         team_pos, team_mat = jax.vmap(partial(geom_poses, team.plan))(body)
@@ -202,6 +216,21 @@ def _visible(scene: Scene, world: World, bodies: list[Bodies]) -> Geoms:
     return gather(
         kind, jnp.concatenate(pos), jnp.concatenate(mat), jnp.concatenate(size), jnp.concatenate(owner)
     )
+
+
+def depth_in_water(arena: ArenaSpec, pos: jax.Array) -> jax.Array:
+    """Return how far a point (3,) is below the surface of the water it is in, or above it if over it [m] ()."""
+    depth = jnp.full((), DRY)
+    for water in arena.waters:
+        low, high = np.array(water.low), np.array(water.high)
+        here = (pos[:2] >= low[:2]).all() & (pos[:2] <= high[:2]).all() & (pos[2] >= low[2] + arena.floor)
+        depth = jnp.where(here, high[2] + arena.floor - pos[2], depth)
+    return depth
+
+
+def drowns(robot: RobotSpec, depth: jax.Array) -> jax.Array:
+    """Return whether water kills the battery: of all but underwater robots (KRobot.uc) ()."""
+    return (depth > 0) & (robot.drive.vehicle != "NauticVehicle")
 
 
 def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
@@ -218,29 +247,32 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         pinned_dof=jnp.zeros(scene.model.nv, bool),
         qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
     )
-    refused = world.status.refused
+    refused, teams = world.status.refused, []
     for team, state in zip(scene.teams, world.teams, strict=True):
-        powered = state.active & (time - state.born < team.robot.battery_life)
-        rest = idle(team.robot)
-        command = jax.tree.map(
-            lambda told, still, p=powered: jnp.where(p.reshape(-1, *[1] * (told.ndim - 1)), told, still),
-            state.command,
-            rest,
-        )
         robots = team_states(team, physics)
-        driven = jax.vmap(lambda c, s, a, t=team: drive(t.plan, c, s, a, time, scene.physics.period))(
-            command, robots, physics.act[team.actuator]
-        )
+        depth = jax.vmap(partial(depth_in_water, scene.arena))(robots.pos)
+        state = state.replace(drowned=state.drowned | (state.active & drowns(team.robot, depth)))
+        powered = state.active & (time - state.born < team.robot.battery_life) & ~state.drowned
+        now = Circumstances(time=jnp.broadcast_to(time, powered.shape), powered=powered, depth=depth)
+
+        def run(told: Command, robot: RobotState, act: jax.Array, now: Circumstances, team: Team = team) -> Any:  # noqa: ANN401
+            return drive(team.plan, told, robot, act, now, scene.physics.period)
+
+        driven = jax.vmap(run)(state.command, robots, physics.act[team.actuator], now)
         parked = ~state.active
         inputs = inputs.replace(
             ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl),
             act=inputs.act.at[team.actuator].set(jnp.where(parked[:, None], 0.0, driven.act)),
-            xfrc_applied=inputs.xfrc_applied.at[team.chassis].set(driven.wrench),
+            xfrc_applied=inputs.xfrc_applied.at[team.chassis].set(
+                jnp.where(parked[:, None], 0.0, driven.wrench)
+            ),
             pinned=_mark(_mark(inputs.pinned, team.root_qpos, parked), team.qpos, parked),
             pinned_dof=_mark(_mark(inputs.pinned_dof, team.root_dof, parked), team.dof, parked),
         )
         refused = refused + driven.refused.sum().astype(jnp.int32)
-    return world.replace(status=world.status.replace(refused=refused)), inputs
+        teams.append(state)
+    status = world.status.replace(refused=refused)
+    return world.replace(teams=tuple(teams), status=status), inputs
 
 
 def _mark(mask: jax.Array, places: np.ndarray, where: jax.Array) -> jax.Array:
@@ -255,7 +287,8 @@ def settle(scene: Scene, world: World, physics: PhysicsState, overflow: jax.Arra
     fast = jnp.zeros((), bool)
     for team, state in zip(scene.teams, world.teams, strict=True):
         speed = jnp.linalg.norm(physics.qvel[team.root_dof[:, :3]], axis=-1)
-        fast |= (state.active & (speed > RUNAWAY_SPEED)).any()
+        limit = max(RUNAWAY_SPEED, 1.5 * team.robot.drive.top_speed)
+        fast |= (state.active & (speed > limit)).any()
     status = world.status
     status = status.replace(
         not_finite=status.not_finite + ~finite,

@@ -38,21 +38,22 @@ CAPTURED = [
         id="captured greeting",
     ),
     pytest.param(
-        r.sta_ground_vehicle(r.GroundVehicleState(time=5609.4467, battery=1199)),
+        r.sta("GroundVehicle", r.RobotStatus(time=5609.4467, light=False, intensity=0, battery=1199)),
         "STA {Type GroundVehicle} {Time 5609.45} {FrontSteer 0.0000} {RearSteer 0.0000}"
         " {LightToggle False} {LightIntensity 0} {Battery 1199} {View -1}",
         id="captured STA",
     ),
     pytest.param(
-        r.sta_ground_vehicle(
-            r.GroundVehicleState(
+        r.sta(
+            "GroundVehicle",
+            r.RobotStatus(
                 time=1.0,
                 joints=(("FRFlipper", -0.0006), ("FLFlipper", 0.25)),
                 light=True,
                 intensity=100,
                 battery=3600,
                 view=2,
-            )
+            ),
         ),
         "STA {Type GroundVehicle} {Time 1.00} {FrontSteer 0.0000} {RearSteer 0.0000}"
         " {FRFlipper -0.0006} {FLFlipper 0.2500}"
@@ -99,8 +100,9 @@ CAPTURED = [
         id="captured Encoder",
     ),
     pytest.param(
-        d.geo_ground_vehicle(
-            d.GroundVehicleGeometry(
+        d.geo_robot(
+            d.RobotGeometry(
+                kind="GroundVehicle",
                 name="P2AT",
                 dimensions=(0.5238, 0.4968, 0.2913),
                 cog=ZERO,
@@ -129,9 +131,14 @@ CAPTURED = [
         id="captured GEO of a Sonar, and a second item",
     ),
     pytest.param(
-        d.conf_ground_vehicle(
-            d.GroundVehicleConfiguration(
-                name="P2AT", steering="SkidSteered", mass=14.0, max_speed=5.385, max_torque=60.0
+        d.conf_robot(
+            d.RobotConfiguration(
+                kind="GroundVehicle",
+                name="P2AT",
+                steering="SkidSteered",
+                mass=14.0,
+                max_speed=5.385,
+                max_torque=60.0,
             )
         ),
         "CONF {Type GroundVehicle} {Name P2AT} {SteeringType SkidSteered} {Mass 14.0000}"
@@ -229,7 +236,7 @@ MANUAL = [
     ),
     pytest.param(r.nfo_start_poses([]), "NFO {StartPoses 0}", {}, id="manual 5.3.3 no poses"),
     pytest.param(
-        r.sta_ground_vehicle(r.GroundVehicleState(time=62.01, battery=3564)),
+        r.sta("GroundVehicle", r.RobotStatus(time=62.01, light=False, intensity=0, battery=3564)),
         "STA {Type GroundVehicle} {Time 62.01} {FrontSteer 0.0000} {RearSteer 0.0000}"
         " {LightToggle False} {LightIntensity 0} {Battery 3564}",
         {"{Battery 3564}": "{Battery 3564} {View -1}"},
@@ -294,8 +301,9 @@ MANUAL = [
         id="manual 9.3 Encoder",
     ),
     pytest.param(
-        d.geo_ground_vehicle(
-            d.GroundVehicleGeometry(
+        d.geo_robot(
+            d.RobotGeometry(
+                kind="GroundVehicle",
                 name="ATRVJr",
                 dimensions=(0.7744, 0.6318, 0.5754),
                 cog=(0.0, 0.0, -0.1),
@@ -309,6 +317,26 @@ MANUAL = [
         " {Wheelbase 0.3880}",
         {"Wheelbase": "WheelBase"},
         id="manual 9.3 GEO GroundVehicle",
+    ),
+    pytest.param(
+        d.geo_robot(d.RobotGeometry("LeggedRobot", "ERS", (0.319, 0.18, 0.278), ZERO)),
+        "GEO {Type LeggedRobot} {Name ERS} {Dimensions 0.3190,0.1800,0.2780} {COG 0.0000,0.0000,0.0000}",
+        {},
+        id="manual 9.3 GEO LeggedRobot",
+    ),
+    pytest.param(
+        d.geo_robot(d.RobotGeometry("NauticVehicle", "Submarine", (6.5364, 1.1428, 1.9929), ZERO)),
+        "GEO {Type NauticVehicle} {Name Submarine} {Dimensions 6.5364, 1.1428, 1.9929}"
+        " {COG 0.0000,0.0000,0.0000}",
+        {", ": ","},  # 9.2 forbids the spaces
+        id="manual 9.3 GEO NauticVehicle",
+    ),
+    pytest.param(
+        d.geo_robot(d.RobotGeometry("AerialVehicle", "AirRobot", (9.0082, 6.6897, 2.6128), ZERO)),
+        "GEO {Type AerialVehicle} {Name AirRobot} {Dimensions 9.0082, 6.6897, 2.6128}"
+        " {COG 0.0000,0.0000,0.0000}",
+        {", ": ","},
+        id="manual 9.3 GEO AerialVehicle",
     ),
     pytest.param(
         d.geo_items("Camera", [("Camera", (0.082, 0.0002, 0.0613), (0.0, -0.00001, 0.0), "CameraTilt")]),
@@ -336,8 +364,9 @@ MANUAL = [
         id="manual 9.3 GEO MisPkg",
     ),
     pytest.param(
-        d.conf_ground_vehicle(
-            d.GroundVehicleConfiguration(
+        d.conf_robot(
+            d.RobotConfiguration(
+                kind="GroundVehicle",
                 name="ATRVJr",
                 steering="SkidSteered",
                 mass=50.0,
@@ -349,6 +378,24 @@ MANUAL = [
         " {MaxSpeed 2.0943} {MaxTorque 60.0000} {MaxFrontSteer 0.0000} {MaxRearSteer 0.0000}",
         {},
         id="manual 9.3 CONF GroundVehicle",
+    ),
+    pytest.param(
+        d.conf_robot(d.RobotConfiguration("LeggedRobot", "QRIO", "TwoLegs", 50.0)),
+        "CONF {Type LeggedRobot} {Name QRIO} {SteeringType TwoLegs} {Mass 50.0000}",
+        {},
+        id="manual 9.3 CONF LeggedRobot",
+    ),
+    pytest.param(
+        d.conf_robot(d.RobotConfiguration("NauticVehicle", "Submarine", "Underwater", 50.0)),
+        "CONF {Type NauticVehicle} {Name Submarine} {SteeringType Underwater}{Mass 50.0000}",
+        {"}{": "} {"},
+        id="manual 9.3 CONF NauticVehicle",
+    ),
+    pytest.param(
+        d.conf_robot(d.RobotConfiguration("AerialVehicle", "AirRobot", "RotaryWing", 50.0)),
+        "CONF {Type AerialVehicle} {Name AirRobot} {SteeringType RotaryWing} {Mass 50.0000}",
+        {},
+        id="manual 9.3 CONF AerialVehicle",
     ),
     pytest.param(
         d.conf_items(
@@ -368,12 +415,10 @@ MANUAL = [
         id="manual 9.3 CONF Camera",
     ),
     pytest.param(
-        d.conf_items(
-            "Effecter",
-            [[("Name", "Roller"), ("Opcode", "Animate"), ("MaxVal", 6), ("MinVal", -6)]],
-        ),
+        d.conf_effecters([("Roller", [("Animate", 6.0, -6.0)])]),
         "CONF {Type Effecter} {Name Roller} {Opcode Animate} {MaxVal 6}{MinVal -6}",
-        {"}{": "} {"},
+        # 6.2: numbers have 4 decimals by default.
+        {"{MaxVal 6}{": "{MaxVal 6.0000} {", "{MinVal -6}": "{MinVal -6.0000}"},
         id="manual 9.3 CONF Effecter",
     ),
     pytest.param(
@@ -431,6 +476,82 @@ def test_manual_lines(message, printed, corrections):
     assert parse(line) == message
 
 
+# The angles that manual 9.3 lists for each kind; it prints an example for the first kind only.
+@pytest.mark.parametrize(
+    ("kind", "angles"),
+    [
+        ("GroundVehicle", "{FrontSteer 0.5235} {RearSteer -0.2500} "),
+        ("LeggedRobot", ""),
+        ("NauticVehicle", "{SternPlaneAngle 0.1250} {RudderAngle -0.4363} "),
+        ("AerialVehicle", ""),
+    ],
+)
+def test_a_status_line_has_the_angles_of_its_kind(kind, angles):
+    status = r.RobotStatus(
+        time=62.01,
+        light=True,
+        intensity=100,
+        battery=3564,
+        front_steer=math.radians(30),
+        rear_steer=-0.25,
+        stern_plane=0.125,
+        rudder=-0.4363,
+        joints=(("FRFlipper", 1.5),),
+    )
+    assert format(r.sta(kind, status)) == (
+        f"STA {{Type {kind}}} {{Time 62.01}} {angles}{{FRFlipper 1.5000}}"
+        " {LightToggle True} {LightIntensity 100} {Battery 3564} {View -1}"
+    )
+
+
+@pytest.mark.parametrize("kind", ["LeggedRobot", "NauticVehicle", "AerialVehicle"])
+def test_wheels_and_steering_limits_are_said_of_ground_vehicles_only(kind):
+    geometry = d.geo_robot(d.RobotGeometry(kind, "X", (1.0, 2.0, 3.0), ZERO, 0.1, 0.2, 0.3))
+    configuration = d.conf_robot(d.RobotConfiguration(kind, "X", "S", 1.0, 2.0, 3.0, 4.0, 5.0))
+    assert [key for key, _ in geometry.segments] == ["Type", "Name", "Dimensions", "COG"]
+    assert [key for key, _ in configuration.segments] == ["Type", "Name", "SteeringType", "Mass"]
+
+
+def test_a_steered_ground_vehicle_tells_its_limits():
+    limits = {"max_speed": 100.0, "max_torque": 60.0, "max_front_steer": 0.7, "max_rear_steer": 0.35}
+    message = d.conf_robot(
+        d.RobotConfiguration("GroundVehicle", "Hummer", "AckermanSteered", 3000.0, **limits)
+    )
+    assert format(message) == (
+        "CONF {Type GroundVehicle} {Name Hummer} {SteeringType AckermanSteered} {Mass 3000.0000}"
+        " {MaxSpeed 100.0000} {MaxTorque 60.0000} {MaxFrontSteer 0.7000} {MaxRearSteer 0.3500}"
+    )
+
+
+@pytest.mark.parametrize("missing", ["WheelRadius", "WheelSeparation", "WheelBase"])
+def test_a_ground_vehicle_must_have_wheels(missing):
+    wheels = [None if key == missing else 0.1 for key in ("WheelRadius", "WheelSeparation", "WheelBase")]
+    with pytest.raises(UsageError, match=f"'P2AT' needs a number for {missing}"):
+        d.geo_robot(d.RobotGeometry("GroundVehicle", "P2AT", ZERO, ZERO, *wheels))
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        lambda kind: r.sta(kind, r.RobotStatus(time=0.0, light=False, intensity=0, battery=0)),
+        lambda kind: d.geo_robot(d.RobotGeometry(kind, "X", ZERO, ZERO)),
+        lambda kind: d.conf_robot(d.RobotConfiguration(kind, "X", "S", 1.0)),
+    ],
+)
+def test_an_unknown_kind_of_vehicle_is_our_fault(report):
+    with pytest.raises(UsageError, match=r"'groundvehicle'; known: GroundVehicle, LeggedRobot"):
+        report("groundvehicle")
+
+
+def test_all_effecters_and_operations_come_in_one_line():
+    roller, gripper = [("Animate", 6.0, -6.0), ("NOP", 0.0, 0.0)], [("Animate", math.pi / 2, 0.0)]
+    assert format(d.conf_effecters([("Roller", roller), ("Gripper", gripper), ("Inert", [])])) == (
+        "CONF {Type Effecter} {Name Roller} {Opcode Animate} {MaxVal 6.0000} {MinVal -6.0000}"
+        " {Opcode NOP} {MaxVal 0.0000} {MinVal 0.0000}"
+        " {Name Gripper} {Opcode Animate} {MaxVal 1.5707} {MinVal 0.0000} {Name Inert}"
+    )
+
+
 def test_all_packages_come_in_one_line():
     geometry = d.LinkGeometry(1, -1, ZERO, ZERO)
     message = d.geo_mispkg([("Arm", [geometry]), ("PanTilt", [geometry, geometry])])
@@ -466,5 +587,7 @@ def test_names_that_would_shift_the_pairs_after_them_are_refused(report, name):
 def test_a_reading_that_is_not_finite_is_our_fault(value):
     with pytest.raises(UsageError, match="cannot be reported"):
         r.sen_range("Sonar", 1.0, [("F1", value)])
+    with pytest.raises(UsageError, match="cannot be reported"):
+        r.sta("NauticVehicle", r.RobotStatus(1.0, False, 0, 0, rudder=value))
     with pytest.raises(UsageError, match="cannot be reported"):
         r.sen_ins(None, "INS", (0.0, value, 0.0), ZERO)

@@ -1,6 +1,7 @@
 """A dialogue without sockets: phases, faults, chunking, the outgoing buffer."""
 
 from itertools import pairwise
+from typing import get_args
 
 import pytest
 from hypothesis import given
@@ -8,14 +9,20 @@ from hypothesis import strategies as st
 
 from usarmjx.errors import PeerError
 from usarmjx.server.commands import (
+    Command,
     Drive,
+    DriveJoint,
+    DriveWheels,
     GetConf,
     GetGeo,
     GetStartPoses,
     Init,
     LinkCommand,
     MisPkg,
+    MultiDrive,
     Set,
+    SetJoint,
+    WheelCommand,
 )
 from usarmjx.server.descriptions import geo_nothing
 from usarmjx.server.grammar import Message
@@ -34,12 +41,20 @@ INIT_LINE = b"INIT {ClassName USARBot.P2AT} {Name R1}\r\n"
 LINES = {
     Init("P2AT", "R1"): INIT_LINE,
     GetStartPoses(): b"GETSTARTPOSES\r\n",
-    Drive(1.0, 1.0): b"DRIVE {Left 1} {Right 1}\r\n",
+    Drive((("Left", 1.0), ("Right", 1.0))): b"DRIVE {Left 1} {Right 1}\r\n",
+    DriveWheels((WheelCommand(0, 1.0, None),)): b"DRIVE {WheelNumber 0} {WheelSpeed 1}\r\n",
+    DriveJoint("Arm", 1, 0.5): b"DRIVE {Name Arm} {Order 1} {Value 0.5}\r\n",
+    MultiDrive((("FRFlipper", -1.0),)): b"MULTIDRIVE {FRFlipper -1}\r\n",
     MisPkg("Arm", (LinkCommand(1, 0.5),)): b"MISPKG {Name Arm} {Link 1} {Value 0.5}\r\n",
     Set("Odometry", "O", "RESET"): b"SET {Type Odometry} {Name O} {Opcode RESET}\r\n",
+    SetJoint("Arm", 0, 1.0, None): b"SET {Type Joint} {Name Arm} {Opcode Angle} {Params 1}\r\n",
     GetGeo("Sonar"): b"GETGEO {Type Sonar}\r\n",
     GetConf("Sonar"): b"GETCONF {Type Sonar}\r\n",
 }
+
+
+def left(speed):
+    return Drive((("Left", speed),))
 
 
 def talk(session, chunks, accepts=lambda init: True):
@@ -73,7 +88,10 @@ def test_the_server_speaks_first():
 # Which commands count in which phase, written out a second time on purpose.
 LEGAL = {
     Phase.GREETED: {Init, GetStartPoses},
-    Phase.ACTIVE: {GetStartPoses, Drive, MisPkg, Set, GetGeo, GetConf},
+    Phase.ACTIVE: {
+        *(GetStartPoses, GetGeo, GetConf),
+        *(Drive, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
+    },
     Phase.CLOSED: set(),
 }
 
@@ -99,6 +117,10 @@ def test_the_table_covers_every_phase():
     assert set(TRANSITIONS) == set(Phase)
 
 
+def test_every_command_has_its_line_here():
+    assert {type(command) for command in LINES} == set(get_args(Command))
+
+
 def test_a_refused_init_sends_nothing_and_may_be_tried_again():
     session = RobotSession(GREETING)
     session.data_to_send()
@@ -108,7 +130,7 @@ def test_a_refused_init_sends_nothing_and_may_be_tried_again():
         [unknown + b"DRIVE {Left 1}\r\n" + INIT_LINE + b"DRIVE {Left 2}\r\n"],
         accepts=lambda init: init.class_name == "P2AT",
     )
-    assert heard == [Init("Nonsense"), Init("P2AT", "R1"), Drive(left=2.0)]
+    assert heard == [Init("Nonsense"), Init("P2AT", "R1"), left(2.0)]
     assert session.phase is Phase.ACTIVE
     assert session.data_to_send() == b""
     refused, too_early = session.take_faults()
@@ -122,7 +144,7 @@ def test_the_phase_stays_until_the_init_is_answered():
     assert session.phase is Phase.GREETED
     assert session.awaits_answer
     assert session.receive_data(b"DRIVE {Left 2}\r\n") == []
-    assert session.answer_init(True) == [Drive(left=1.0), Drive(left=2.0)]
+    assert session.answer_init(True) == [left(1.0), left(2.0)]
     assert session.phase is Phase.ACTIVE
     assert not session.awaits_answer
 
@@ -135,7 +157,7 @@ def test_an_answer_without_a_question_changes_nothing():
 
 def test_a_second_init_is_ignored_and_the_robot_stays():
     session = session_in(Phase.ACTIVE)
-    assert talk(session, [b"INIT {ClassName USARBot.Zerg}\r\nDRIVE {Left 1}\r\n"]) == [Drive(left=1.0)]
+    assert talk(session, [b"INIT {ClassName USARBot.Zerg}\r\nDRIVE {Left 1}\r\n"]) == [left(1.0)]
     assert session.phase is Phase.ACTIVE
     assert session.take_faults() == ["Init is ignored when active"]
 
@@ -156,14 +178,14 @@ def test_a_bad_line_never_loses_the_good_one_after_it():
         b"DRIVE {Left nan} {Right 1}",
         b"DRIVE {Left 1 {Right 1}",
         b"} {",
-        b"MULTIDRIVE {FRFlipper -1}",
+        b"PAUSE {TIME 10}",
         bytes(byte for byte in range(40) if byte not in b"\r\n"),
         b"\xff\xfe\x00\x80",
         b"DRIVE {Left " + b"1" * 200 + b"}",
     ]
     for number, line in enumerate(bad):
         good = b"DRIVE {Left %d}\n" % number
-        assert session.receive_data(line + b"\r\n" + good) == [Drive(left=float(number))]
+        assert session.receive_data(line + b"\r\n" + good) == [left(float(number))]
         assert len(session.take_faults()) == 1, line
     assert session.phase is Phase.ACTIVE
 
@@ -200,7 +222,7 @@ def test_pyro_ends_lines_the_other_way_round_and_forgets_a_brace():
         b"PAUSE {TIME 10}\n\rDRIVE {Left 1} {Right 1}\n\r"
     )
     init = Init("P2DX", "", (4.5, 1.9, 1.8), (0.0, 0.0, 0.0))
-    assert talk(session, [data]) == [init, Drive(1.0, 1.0)]
+    assert talk(session, [data]) == [init, Drive((("Left", 1.0), ("Right", 1.0)))]
 
 
 def test_a_last_line_without_an_end_counts_when_the_peer_stops_sending():
@@ -218,7 +240,7 @@ SCRIPT = (
 HEARD = [
     GetStartPoses(),
     Init("P2AT", "R1"),
-    Drive(1.0, 1.0),
+    Drive((("Left", 1.0), ("Right", 1.0))),
     MisPkg("Arm", (LinkCommand(1, 0.5),)),
     GetGeo("Sonar"),
     GetConf("Sonar"),

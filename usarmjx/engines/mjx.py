@@ -146,8 +146,7 @@ class WarpEngine(MjxEngine):
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
 
     def _make_data(self) -> mjx.Data:
-        robots = max(1, sum(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE))
-        contacts = robots * self.physics.contacts_per_robot
+        contacts = int(self.model.numeric("max_contact_points").data[0])
         # A contact of the elliptic cone with sliding friction has three constraint rows. Rows are counted
         # per world, contacts over all worlds, so a world has room for twice the average.
         return mjx.make_data(

@@ -1,31 +1,32 @@
 """Descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
 
 Every robot is a free body with the name prefix that the caller gives ("r0/"); within it, `chassis`, one
-body per wheel and one per mission package link, each with one joint of the same name and one actuator.
+body per part (wheels, flippers, legs, mission package links), each with one joint of the same name and,
+if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from usarmjx.models.spec import SURFACES, ArenaSpec, Link, MissionPackage, RobotSpec, Shape, Wheel
-from usarmjx.transforms import Vec3, flip_angles, flip_vector, mat_from_angles, quat_from_angles
+from usarmjx.models.parts import parts_of
+from usarmjx.models.spec import CHASSIS, SURFACES, ArenaSpec, Loose, Motor, Part, RobotSpec, Shape
+from usarmjx.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
 }
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """MuJoCo: a plane with zero half sizes is unbounded."""
 FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
-WHEEL_RGBA = (0.15, 0.15, 0.15, 1.0)
-LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
-"""Servo of a mission package joint [N m/rad], [N m s/rad], [kg m2]: stiff for parts of some 0.5 kg."""
-AXLE = (-np.pi / 2, 0.0, 0.0)
-"""Turns a cylinder's axis (z) to the left (y), so that a positive joint angle rolls forward."""
+USUAL_GEOMS = 7
+"""Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Physics:
         substeps: Physics steps per control step.
         iterations: Cap on solver iterations.
         ls_iterations: Cap on line-search iterations.
-        contacts_per_robot: Room in contact buffers, on average over a world's robots.
+        contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
+            robots; robots with more (or fewer) touching geoms count for more (or fewer).
         pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
             bounding spheres.
     """
@@ -84,14 +86,38 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     body = spec.worldbody.add_body(name="arena", pos=[0.0, 0.0, arena.floor], mocap=True)
     for i, shape in enumerate(arena.shapes):
         _add_geom(body, f"arena/{i}", shape)
+    for loose in arena.loose:
+        _add_loose(spec, loose, arena.floor)
     return spec
 
 
-def cap_contacts(spec: mujoco.MjSpec, physics: Physics, robots: int) -> None:
-    """Bound what MJX-JAX computes, in the custom numbers that it reads; other engines ignore them."""
-    room = max(1, robots)
-    spec.add_numeric(name="max_contact_points", size=1, data=[room * physics.contacts_per_robot])
-    spec.add_numeric(name="max_geom_pairs", size=1, data=[room * physics.pairs_per_robot])
+def _add_loose(spec: mujoco.MjSpec, loose: Loose, floor: float) -> None:
+    x, y, z = loose.at
+    name = f"loose/{loose.name}"
+    body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
+    body.add_freejoint(name=name)
+    for i, shape in enumerate(loose.shapes):
+        _add_geom(body, f"{name}/{i}", shape)
+
+
+def cap_contacts(spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]) -> None:
+    """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
+    geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
+    geoms += sum(_touching(loose.shapes) for loose in arena.loose)
+    room = max(1.0, geoms / USUAL_GEOMS)
+    for name, each in (
+        ("max_contact_points", physics.contacts_per_robot),
+        ("max_geom_pairs", physics.pairs_per_robot),
+    ):
+        spec.add_numeric(name=name, size=1, data=[int(np.ceil(room * each))])
+
+
+def _solids(robot: RobotSpec) -> list[tuple[Shape, ...]]:
+    return [robot.chassis, *(part.shapes for part in parts_of(robot))]
+
+
+def _touching(shapes: tuple[Shape, ...]) -> int:
+    return sum(bool(SURFACES[shape.surface].contype) for shape in shapes)
 
 
 def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
@@ -126,10 +152,13 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     chassis.add_freejoint(name=f"{prefix}root")
     for i, shape in enumerate(robot.chassis):
         _add_geom(chassis, f"{prefix}chassis/{i}", _flip(shape))
-    for wheel in robot.wheels:
-        _add_wheel(spec, chassis, robot, wheel, prefix)
-    for package in robot.packages:
-        _add_package(spec, chassis, package, prefix)
+    bodies = {CHASSIS: chassis}
+    for part in parts_of(robot):
+        bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
+    names = [body.name for body in bodies.values()]
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
 
 
 def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
@@ -141,11 +170,6 @@ def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
         if actuator.name.startswith(prefix):
             spec.delete(actuator)
     spec.delete(spec.body(f"{prefix}chassis"))
-
-
-def part_name(package: MissionPackage, link: Link) -> str:
-    """Return the wire's name of a mission package part (captured: `CameraPanTilt_Link2`)."""
-    return f"{package.name}_Link{link.number}"
 
 
 def _flip(shape: Shape) -> Shape:
@@ -171,49 +195,29 @@ def _add_geom(body: mujoco.MjsBody, name: str, shape: Shape, kind: mujoco.mjtGeo
     )
 
 
-def _add_wheel(
-    spec: mujoco.MjSpec, chassis: mujoco.MjsBody, robot: RobotSpec, wheel: Wheel, prefix: str
-) -> None:
-    body = chassis.add_body(name=prefix + wheel.name, pos=flip_vector(wheel.at))
-    drive = robot.drive
-    body.add_joint(name=prefix + wheel.name, axis=[0, 1, 0], armature=drive.armature)
-    size = (wheel.radius, wheel.width / 2)
-    tyre = Shape(kind="cylinder", size=size, rotation=AXLE, mass=wheel.mass, surface="wheel", rgba=WHEEL_RGBA)
-    _add_geom(body, prefix + wheel.name, tyre)
-    _add_servo(spec, prefix + wheel.name, drive.stiffness, drive.damping, drive.torque)
+def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: str) -> mujoco.MjsBody:
+    name = prefix + part.name
+    turn = quat_from_angles(*flip_angles(part.rotation))
+    body = parent.add_body(name=name, pos=flip_vector(part.at), quat=turn)
+    kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
+    joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
+    for i, shape in enumerate(part.shapes):
+        _add_geom(body, f"{name}/{i}", _flip(shape))
+    if part.motor is not None:
+        joint.armature = part.motor.armature
+        _add_servo(spec, name, part.motor)
+    elif part.limits is not None:
+        joint.limited, joint.range = True, part.limits
+    if part.spring is not None:
+        spring = part.spring
+        joint.stiffness, joint.damping = spring.stiffness, spring.damping
+        joint.springref = -spring.load / spring.stiffness
+    return body
 
 
-def _add_servo(spec: mujoco.MjSpec, name: str, stiffness: float, damping: float, torque: float) -> None:
+def _add_servo(spec: mujoco.MjSpec, name: str, motor: Motor) -> None:
     actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.set_to_intvelocity(kp=stiffness, kv=damping)
-    actuator.forcerange = [-torque, torque]
+    actuator.set_to_intvelocity(kp=motor.stiffness, kv=motor.damping)
+    actuator.forcerange = [-motor.torque, motor.torque]
     actuator.forcelimited = True
     actuator.actlimited = False
-
-
-def link_frames(package: MissionPackage) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return each link's position (3,) and matrix (3, 3) in the chassis frame, USARSim's axes."""
-    frames = {-1: (np.zeros(3), np.eye(3))}
-    for link in package.links:
-        at, mat = frames[link.parent]
-        frames[link.number] = (at + mat @ link.location, mat @ mat_from_angles(*np.array(link.orientation)))
-    return frames
-
-
-def _add_package(spec: mujoco.MjSpec, chassis: mujoco.MjsBody, package: MissionPackage, prefix: str) -> None:
-    """Parts are parallel to the chassis at rest (captured mounts show it); joints turn about link z."""
-    frames = link_frames(package)
-    bodies = {-1: chassis}
-    for link in package.links:
-        name = prefix + part_name(package, link)
-        offset = frames[link.number][0] - frames[link.parent][0]
-        body = bodies[link.parent].add_body(name=name, pos=flip_vector(tuple(offset)))
-        bodies[link.number] = body
-        kind = mujoco.mjtJoint.mjJNT_HINGE if link.joint == "Revolute" else mujoco.mjtJoint.mjJNT_SLIDE
-        axis = flip_vector(tuple(frames[link.number][1][:, 2]))
-        body.add_joint(name=name, type=kind, axis=axis, armature=LINK_ARMATURE)
-        for i, shape in enumerate(link.shapes):
-            _add_geom(body, f"{name}/{i}", _flip(shape))
-        _add_servo(spec, name, LINK_STIFFNESS, LINK_DAMPING, link.max_torque)
-        if link.parent != -1:  # MuJoCo itself leaves out parent and child
-            spec.add_exclude(bodyname1=f"{prefix}chassis", bodyname2=name)

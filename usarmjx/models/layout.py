@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from usarmjx.models.compose import part_name
+from usarmjx.models.parts import joint_names, parts_of
 from usarmjx.models.spec import RobotSpec
 
 Ids = tuple[int, ...]
@@ -14,8 +14,8 @@ Ids = tuple[int, ...]
 class RobotIndex:
     """Indices of one robot in an MjModel.
 
-    Bodies are in the order chassis, wheels, package links; joints and actuators in that order without
-    the chassis.
+    Bodies are in the order chassis, then parts (`models.parts.parts_of`); joints in that order without the
+    chassis; actuators likewise, but only of the parts with a motor.
 
     Attributes:
         body: Body ids.
@@ -34,12 +34,6 @@ class RobotIndex:
     actuator: Ids
 
 
-def joint_names(robot: RobotSpec) -> list[str]:
-    """Return the joint names of a robot class in the order of `RobotIndex`."""
-    wheels = [wheel.name for wheel in robot.wheels]
-    return wheels + [part_name(package, link) for package in robot.packages for link in package.links]
-
-
 def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIndex:
     """Resolve the names of the robot that was composed with `prefix`."""
     names = [prefix + name for name in joint_names(robot)]
@@ -50,5 +44,7 @@ def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIn
         root_dof=int(model.joint(f"{prefix}root").dofadr[0]),
         qpos=tuple(int(joint.qposadr[0]) for joint in joints),
         dof=tuple(int(joint.dofadr[0]) for joint in joints),
-        actuator=tuple(model.actuator(name).id for name in names),
+        actuator=tuple(
+            model.actuator(prefix + part.name).id for part in parts_of(robot) if part.motor is not None
+        ),
     )

@@ -15,34 +15,16 @@ import numpy as np
 from flax import struct
 
 from usarmjx.models.compose import Physics, add_robot, new_spec
-from usarmjx.models.layout import RobotIndex, index_robot, joint_names
+from usarmjx.models.layout import RobotIndex, index_robot
+from usarmjx.models.parts import joint_names, parts_of
 from usarmjx.models.spec import CHASSIS, ArenaSpec, RobotSpec
+from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
 from usarmjx.transforms import Array
 
 
-class RobotState(struct.PyTreeNode, kw_only=True):
-    """Where a robot is and how it moves.
-
-    Attributes:
-        pos: Chassis origin in the world [m] (3,).
-        quat: Chassis orientation, w first (4,).
-        linear: Velocity of the chassis origin, world axes [m/s] (3,).
-        angular: Angular velocity, chassis axes [rad/s] (3,).
-        joint_pos: Joint positions: wheels, then package links [rad or m] (joints,).
-        joint_vel: Joint velocities [rad/s or m/s] (joints,).
-    """
-
-    pos: Array
-    quat: Array
-    linear: Array
-    angular: Array
-    joint_pos: Array
-    joint_vel: Array
-
-
 class Bodies(struct.PyTreeNode, kw_only=True):
-    """Poses of a robot's bodies: chassis, wheels, package links.
+    """Poses of a robot's bodies: chassis, then its parts.
 
     Attributes:
         pos: Origins in the world [m] (bodies, 3).
@@ -59,16 +41,20 @@ class BodyPlan:
 
     Attributes:
         robot: The description.
-        parts: Body names as the wire uses them: HARD, wheels, package parts.
+        parts: Body names as the wire uses them: HARD, then its parts.
         parent: Parent body of each body; -1 for the chassis.
         offset: Body origin in its parent (bodies, 3).
+        turn: Orientation of the body in its parent with its joint at 0 (bodies, 3, 3).
         axis: Joint axis in the body (bodies, 3); zero for the chassis.
         slides: Whether the joint is prismatic (bodies,).
+        rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
         geom_type: MuJoCo geom types (geoms,).
         geom_body: The body each geom belongs to (geoms,).
         geom_size: MuJoCo sizes (geoms, 3).
         geom_pos: Geom centres in their body (geoms, 3).
         geom_mat: Geom orientations in their body (geoms, 3, 3).
+        actuated: Which joints have a motor, as places in the order of joints (actuators,).
+        mass: Mass of the built model [kg].
         clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
     """
 
@@ -76,14 +62,23 @@ class BodyPlan:
     parts: tuple[str, ...]
     parent: tuple[int, ...]
     offset: np.ndarray
+    turn: np.ndarray
     axis: np.ndarray
     slides: np.ndarray
+    rest_pos: np.ndarray
     geom_type: np.ndarray
     geom_body: np.ndarray
     geom_size: np.ndarray
     geom_pos: np.ndarray
     geom_mat: np.ndarray
+    actuated: np.ndarray
+    mass: float
     clearance: float
+
+    def joint(self, name: str) -> int | None:
+        """Return the place of a joint by its name, case ignored; None when there is none."""
+        names = [part.lower() for part in self.parts[1:]]
+        return names.index(name.lower()) if name.lower() in names else None
 
 
 @cache
@@ -102,19 +97,26 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
     mats = np.zeros((len(geoms), 9))
     for mat, g in zip(mats, geoms, strict=True):
         mujoco.mju_quat2Mat(mat, model.geom_quat[g])
-    joints = [model.body_jntadr[b] for b in body[1:]]
+    turns = np.zeros((len(body), 9))
+    for mat, b in zip(turns, body, strict=True):
+        mujoco.mju_quat2Mat(mat, model.body_quat[b])
+    joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
     return BodyPlan(
         robot=robot,
         parts=(CHASSIS, *joint_names(robot)),
         parent=tuple(local.get(int(model.body_parentid[b]), -1) for b in body),
         offset=model.body_pos[body].astype(np.float32),
+        turn=turns.reshape(-1, 3, 3).astype(np.float32),
         axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
         slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
+        rest_pos=data.xpos[body].astype(np.float32),
         geom_type=model.geom_type[geoms],
         geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms]),
         geom_size=model.geom_size[geoms].astype(np.float32),
         geom_pos=model.geom_pos[geoms].astype(np.float32),
         geom_mat=mats.reshape(-1, 3, 3).astype(np.float32),
+        actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
+        mass=float(model.body_subtreemass[body[0]]),
         clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
     )
 
@@ -160,8 +162,11 @@ def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
         slide = axis * q * float(plan.slides[body])
         turn = q * (1.0 - float(plan.slides[body]))
         half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
-        pos.append(pos[parent] + mat[parent] @ (plan.offset[body] + slide))
-        mat.append(mat[parent] @ mat_from_quat(half))
+        rest = plan.turn[body]
+        straight = np.array_equal(rest, np.eye(3))
+        pos.append(pos[parent] + mat[parent] @ (plan.offset[body] + (slide if straight else rest @ slide)))
+        frame = mat[parent] if straight else mat[parent] @ rest
+        mat.append(frame @ mat_from_quat(half))
     return Bodies(pos=jnp.stack(pos), mat=jnp.stack(mat))
 
 

@@ -9,9 +9,14 @@ that floor lies in the world. Lengths are metres, angles radians, masses kilogra
 from dataclasses import dataclass
 from typing import Literal
 
+from usarmjx.models.drives import Drive
 from usarmjx.transforms import Vec3
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+LEFT: Vec3 = (0.0, -1.0, 0.0)
+"""Axis of wheels and flippers: a positive angle rolls forward, and turns a front flipper down."""
+UP: Vec3 = (0.0, 0.0, -1.0)
+FORWARD: Vec3 = (1.0, 0.0, 0.0)
 CHASSIS = "HARD"
 """The wire's name for 'mounted on the chassis' (captured GEO lines)."""
 
@@ -52,6 +57,8 @@ SURFACES = {
     "hull": Surface(friction=0.3, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
     "wheel": Surface(friction=0.8, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
     "caster": Surface(friction=0.01, priority=1, contype=WHEEL, conaffinity=HULL | FIXED),
+    "finger": Surface(friction=1.5, priority=3, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
+    "loose": Surface(friction=0.6, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
     "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
 
@@ -70,7 +77,7 @@ class Shape:
         rgba: Colour, for pictures.
     """
 
-    kind: Literal["box", "sphere", "capsule", "cylinder"]
+    kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid"]
     size: tuple[float, ...]
     at: Vec3 = ZERO
     rotation: Vec3 = ZERO
@@ -80,30 +87,15 @@ class Shape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wheel:
-    """A powered wheel; `name` is USARSim's joint name, `side` the DRIVE key that turns it."""
-
-    name: str
-    at: Vec3
-    radius: float
-    width: float
-    mass: float
-    side: Literal["left", "right"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SkidSteer:
-    """Left and right wheels driven against each other (also two wheels and a caster).
-
-    The motors are MuJoCo's integrated-velocity servos: they hold a slope at zero speed, which a plain
-    velocity servo does not.
+class Motor:
+    """A joint's servo: MuJoCo's integrated-velocity actuator, which holds at zero speed.
 
     Attributes:
-        max_speed: Highest wheel speed [rad/s].
-        torque: Most torque a wheel can exert [N m], near what its tyre can put on the ground.
-        stiffness: Servo gain on the wheel's angle [N m/rad].
-        damping: Servo gain on the wheel's speed [N m s/rad].
-        armature: Motor inertia seen at the wheel [kg m2].
+        max_speed: Highest speed [rad/s or m/s].
+        torque: Most it can exert [N m or N].
+        stiffness: Gain on the joint's position [N m/rad or N/m].
+        damping: Gain on its velocity [N m s/rad or N s/m].
+        armature: Inertia of the motor seen at the joint [kg m2 or kg].
     """
 
     max_speed: float
@@ -114,11 +106,60 @@ class SkidSteer:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Spring:
+    """A suspension: spring and damper of a joint without a motor.
+
+    Attributes:
+        stiffness: [N/m or N m/rad].
+        damping: [N s/m or N m s/rad].
+        load: What it carries in the position that the description shows [N or N m].
+    """
+
+    stiffness: float
+    damping: float
+    load: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part and the one joint that connects it to its parent: the manual's part-joint pair (14.4.2.4).
+
+    Attributes:
+        name: Name of part and joint, unique within the robot.
+        parent: `HARD`, or the name of a part that hangs on it in turn.
+        at: Where the joint is on its parent.
+        rotation: Roll, pitch, yaw of the part on its parent at joint position 0.
+        axis: Unit vector that the joint turns about or slides along, in the part's axes.
+        joint: Kind of joint.
+        motor: What moves it; None: it moves freely, or on its spring.
+        limits: Lowest and highest position; None: no limits. Servos stay within; joints without a motor
+            are stopped by MuJoCo.
+        spring: Spring and damper.
+        shapes: Its solids; together they need a mass.
+        rolls: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
+    """
+
+    name: str
+    parent: str = CHASSIS
+    at: Vec3 = ZERO
+    rotation: Vec3 = ZERO
+    axis: Vec3 = LEFT
+    joint: Literal["hinge", "slide"] = "hinge"
+    motor: Motor | None = None
+    limits: tuple[float, float] | None = None
+    spring: Spring | None = None
+    shapes: tuple[Shape, ...] = ()
+    rolls: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Link:
     """One part of a mission package, in the manual's GEO and CONF terms (9.3).
 
     Location and orientation are the link frame's in its parent's frame; the joint turns about (or
-    slides along) the link frame's z axis. `min_range` above `max_range` means no limits.
+    slides along) the link frame's z axis. `min_range` above `max_range` means no limits. `max_torque` is
+    what CONF reports, in the original's units; `motor` says what the joint can do, and None makes it a
+    servo for parts of some 0.5 kg with the reported limits.
     """
 
     number: int
@@ -131,6 +172,7 @@ class Link:
     max_range: float
     shapes: tuple[Shape, ...]
     joint: Literal["Revolute", "Prismatic"] = "Revolute"
+    motor: Motor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,14 +185,14 @@ class MissionPackage:
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """A sensor or camera on a robot.
+    """A sensor, camera or effecter on a robot.
 
     Attributes:
-        kind: Sensor type as on the wire (Sonar, RangeScanner).
+        kind: Type as on the wire (Sonar, RangeScanner, Gripper).
         name: Item name (F1, Scanner1).
         at: Position on its parent.
         direction: Roll, pitch, yaw on its parent.
-        parent: `HARD`, a wheel's name, or `<Package>_Link<number>`.
+        parent: `HARD`, a part's name, or `<Package>_Link<number>`.
         options: Settings that differ from the sensor type's defaults, by the manual's ini keys.
     """
 
@@ -169,38 +211,78 @@ class RobotSpec:
     Attributes:
         name: Class name without `USARBot.`.
         dimensions: Length, width, height as GETGEO reports them.
-        mass: Total mass.
+        mass: Total mass as GETCONF reports it.
         payload: What it can carry.
         origin_height: Chassis origin above flat ground (manual 5.3.6).
-        cog: Centre of gravity as GETGEO reports it.
-        wheel_radius: Radius of the driven wheels.
+        chassis: Solids of the chassis.
+        parts: What hangs on it by joints, parents first.
+        drive: How DRIVE moves it.
+        packages: Mission packages.
+        sensors: Sensors, in the order in which they report.
+        cameras: Cameras.
+        effecters: Effecters.
+        wheel_radius: Radius of the driven wheels; 0 without wheels.
         wheel_separation: Lateral distance of the wheels (what odometry divides by).
         wheel_base: Distance of the axles.
+        cog: Centre of gravity as GETGEO reports it.
         max_torque: What CONF reports, in Unreal units.
         battery_life: [s].
         msg_timer: Time between two reports [s].
+        reported: Joints whose positions STA reports (flippers).
+        sources: Where its figures are from: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
     """
 
     name: str
     dimensions: Vec3
     mass: float
-    payload: float
+    payload: float = 0.0
     origin_height: float
     chassis: tuple[Shape, ...]
-    wheels: tuple[Wheel, ...]
-    drive: SkidSteer
-    packages: tuple[MissionPackage, ...]
-    sensors: tuple[Mount, ...]
-    cameras: tuple[Mount, ...]
-    wheel_radius: float
-    wheel_separation: float
-    wheel_base: float
+    parts: tuple[Part, ...] = ()
+    drive: Drive
+    packages: tuple[MissionPackage, ...] = ()
+    sensors: tuple[Mount, ...] = ()
+    cameras: tuple[Mount, ...] = ()
+    effecters: tuple[Mount, ...] = ()
+    wheel_radius: float = 0.0
+    wheel_separation: float = 0.0
+    wheel_base: float = 0.0
     cog: Vec3 = ZERO
     max_torque: float = 60.0
     battery_life: float = 1200.0
     msg_timer: float = 0.2
-    vehicle: str = "GroundVehicle"
-    steering: str = "SkidSteered"
+    reported: tuple[str, ...] = ()
+    sources: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def wheels(self) -> tuple[Part, ...]:
+        """The parts that roll."""
+        return tuple(part for part in self.parts if part.rolls)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loose:
+    """A loose object of an arena: what robots push, climb, grip and carry.
+
+    Attributes:
+        name: Unique within the arena.
+        at: Where its origin starts, in the arena's axes.
+        rotation: Roll, pitch, yaw.
+        shapes: Its solids; together they need a mass.
+    """
+
+    name: str
+    at: Vec3
+    rotation: Vec3 = ZERO
+    shapes: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Water:
+    """A box of water: lower and upper corner, in the arena's axes; `high[2]` is the surface."""
+
+    low: Vec3
+    high: Vec3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +305,8 @@ class ArenaSpec:
         shapes: Fixed solids, with the floor at height zero.
         starts: Start poses, in the order in which robots without a pose of their own take them.
         extent: x and y limits of the floor plan ((x0, x1), (y0, y1)), for pictures and random places.
+        loose: Loose objects.
+        waters: Volumes of water.
     """
 
     name: str
@@ -231,3 +315,5 @@ class ArenaSpec:
     shapes: tuple[Shape, ...] = ()
     starts: tuple[StartPose, ...]
     extent: tuple[tuple[float, float], tuple[float, float]]
+    loose: tuple[Loose, ...] = ()
+    waters: tuple[Water, ...] = ()

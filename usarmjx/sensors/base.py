@@ -13,8 +13,9 @@ import numpy as np
 from flax import struct
 
 from usarmjx.errors import SpecError
-from usarmjx.models.plan import Bodies, BodyPlan, RobotState
+from usarmjx.models.plan import Bodies, BodyPlan
 from usarmjx.models.spec import Mount
+from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
 from usarmjx.sensors.raycast import Hits
 from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles

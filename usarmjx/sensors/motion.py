@@ -50,14 +50,14 @@ class Odometry(Sensor):
     defaults = OdometrySettings
 
     def _wheel(self, name: str, leftmost: bool) -> int:
-        wheels = self.plan.robot.wheels
-        if not name:
-            lateral = [wheel.at[1] for wheel in wheels]
-            return int(np.argmin(lateral) if leftmost else np.argmax(lateral))
-        names = [wheel.name for wheel in wheels]
-        if name not in names:
+        names = [wheel.name for wheel in self.plan.robot.wheels]
+        if name and name not in names:
             raise SpecError(f"Odometry {self.mounts[0].name}: no wheel {name!r}; wheels: {', '.join(names)}")
-        return names.index(name)
+        joints = [self.plan.parts.index(wheel) - 1 for wheel in names]
+        if name:
+            return joints[names.index(name)]
+        leftward = [self.plan.rest_pos[joint + 1, 1] for joint in joints]
+        return joints[int(np.argmax(leftward) if leftmost else np.argmin(leftward))]
 
     def check(self) -> None:
         """Find what is wrong; see `Sensor.check`."""

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from usarmjx.control import FLIP_TIME, Command, Order
+from usarmjx.control import FLIP_TIME, Command, Order, steer
 from usarmjx.errors import PeerError, UnknownNameError, UsageError
+from usarmjx.models.parts import STEER
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
 from usarmjx.scene import start_height
@@ -17,7 +18,14 @@ from usarmjx.server.frames import angles, vector
 from usarmjx.server.grammar import to_vector
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.server.session import RobotSession
-from usarmjx.server.wording import configuration, geometry, link_joint, package_report, sensor_report
+from usarmjx.server.wording import (
+    configuration,
+    geometry,
+    link_joint,
+    package_report,
+    robot_report,
+    sensor_report,
+)
 from usarmjx.transforms import Vec3
 
 log = logging.getLogger(__name__)
@@ -26,8 +34,8 @@ LOG_INTERVAL = 1.0
 """A client's faults are collected for this long, so that junk does not fill the disk with log lines [s]."""
 BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
-RELATIVE = {10: Order.POSITION, 11: Order.VELOCITY}
-"""The wire's orders that add to the present position or speed (KRobot.uc)."""
+RELATIVE = {10: Order.POSITION, 11: Order.VELOCITY, 12: Order.TORQUE}
+"""The wire's orders that add to the present position, or to the speed or torque in force (KRobot.uc)."""
 
 
 class Client:
@@ -48,6 +56,10 @@ class Client:
         self._handlers: dict[type, Callable[..., None]] = {
             wire.GetStartPoses: self._start_poses,
             wire.Drive: self._drive,
+            wire.DriveWheels: self._drive_wheels,
+            wire.DriveJoint: self._drive_joint,
+            wire.MultiDrive: self._drive_joints,
+            wire.SetJoint: self._set_joint,
             wire.MisPkg: self._move_package,
             wire.Set: self._set,
             wire.GetGeo: self._geometry,
@@ -102,7 +114,7 @@ class Client:
         if not starts:
             raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
         start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
-        place = (*start.at[:2], start_height(self._world.arena, spec))
+        place = (*start.at[:2], start_height(self._world.arena, start, spec))
         return place, turn if init.rotation else (0.0, 0.0, start.yaw)
 
     def _free_name(self, spec: RobotSpec) -> str:
@@ -134,7 +146,7 @@ class Client:
         return self.robot
 
     def _battery(self, robot: Robot) -> int:
-        return max(0, math.ceil(robot.spec.battery_life - (self._world.time - robot.born) - 1e-6))
+        return max(0, math.ceil(self._world.battery(robot) - 1e-6))
 
     # Commands
 
@@ -148,40 +160,78 @@ class Client:
         self.session.send(reports.nfo_start_poses(poses))
 
     def _drive(self, command: wire.Drive) -> None:
+        self._steer(dict(command.values), command)
+
+    def _drive_wheels(self, command: wire.DriveWheels) -> None:
+        values: dict[str, float] = {}
+        for wheel in command.wheels:
+            for key, value in (("WheelSpeed", wheel.speed), ("WheelSteer", wheel.steer)):
+                if value is not None:
+                    values[f"{key}{wheel.number}"] = value
+        self._steer(values, command)
+
+    def _steer(self, values: dict[str, float], command: wire.Drive | wire.DriveWheels) -> None:
+        """Set keys of DRIVE; those that the robot's drive does not have are logged and left out."""
         robot = self._present
-        told: Command = robot.command
-        target, scale = told.target.copy(), robot.spec.drive.max_speed / 100 if command.normalized else 1.0
-        for joint, wheel in enumerate(robot.spec.wheels):
-            speed = command.left if wheel.side == "left" else command.right
-            if speed is not None:
-                target[joint] = speed * scale
-        told = told.replace(target=target)
+        full, told = robot.spec.drive.full, robot.command
+        unknown = [key for key in values if key not in full]
+        if unknown:
+            log.warning("%s: %s has no DRIVE {%s}", self._peer, robot.spec.name, "} {".join(unknown))
+        known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
+        if known:
+            told = steer(robot.spec, told, known, np)
         if command.light is not None:
             told = told.replace(light=np.bool_(command.light))
         if command.flip:
             told = told.replace(flip_until=np.float32(self._world.time + FLIP_TIME))
         self._world.tell(robot, told)
 
-    def _move_package(self, command: wire.MisPkg) -> None:
+    def _order_joint(self, joint: int, order: int, value: float) -> bool:
+        """Give one joint an order as the wire numbers them; return whether there is such an order."""
         robot = self._present
-        target, order = robot.command.target.copy(), robot.command.order.copy()
+        target, orders = robot.command.target.copy(), robot.command.order.copy()
+        if order == BRAKE:
+            value, mode = 0.0, Order.VELOCITY
+        elif order in RELATIVE:
+            mode = RELATIVE[order]
+            now = self._world.state(robot).joint_pos[joint] if mode == Order.POSITION else 0.0
+            value += target[joint] if mode != Order.POSITION and orders[joint] == mode else now
+        elif order in tuple(Order):
+            mode = Order(order)
+        else:
+            return False
+        target[joint], orders[joint] = value, mode
+        self._world.tell(robot, robot.command.replace(target=target, order=orders))
+        return True
+
+    def _order_named(self, name: str, order: int, value: float) -> None:
+        joint = self._present.plan.joint(name)
+        if joint is None:
+            log.warning("%s: %s has no joint %r", self._peer, self._present.spec.name, name)
+        elif not self._order_joint(joint, order, value):
+            log.warning("%s: no such order as %d for joint %s", self._peer, order, name)
+
+    def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
+        if command.value is not None:
+            self._order_named(command.name, command.order, command.value)
+        if command.steer is not None:
+            self._order_named(command.name + STEER, Order.POSITION, command.steer)
+
+    def _set_joint(self, command: wire.SetJoint) -> None:
+        if not self.battery_empty:
+            self._drive_joint(command)
+
+    def _drive_joints(self, command: wire.MultiDrive) -> None:
+        for name, angle in command.joints:
+            self._order_named(name, Order.POSITION, angle)
+
+    def _move_package(self, command: wire.MisPkg) -> None:
         for link in command.links:
-            joint = link_joint(robot.spec, command.name, link.link)
+            joint = link_joint(self._present.spec, command.name, link.link)
             if joint is None:
                 log.warning("%s: no link %d in package %r", self._peer, link.link, command.name)
-            elif link.order in (Order.POSITION, Order.VELOCITY):
-                target[joint], order[joint] = link.value, link.order
-            elif link.order == BRAKE:
-                target[joint], order[joint] = 0.0, Order.VELOCITY
-            elif link.order in RELATIVE:
-                mode = RELATIVE[link.order]
-                base = self._world.joints(robot)[joint] if mode == Order.POSITION else 0.0
-                if mode == Order.VELOCITY and order[joint] == Order.VELOCITY:
-                    base = target[joint]
-                target[joint], order[joint] = base + link.value, mode
-            else:
+            elif not self._order_joint(joint, link.order, link.value):
                 log.warning("%s: MISPKG order %d is not supported", self._peer, link.order)
-        self._world.tell(robot, robot.command.replace(target=target, order=order))
 
     def _set(self, command: wire.Set) -> None:
         robot = self._present
@@ -225,16 +275,14 @@ class Client:
         """Send STA, the sensors with fresh readings, and MISSTA, in the original's order (KRobot.uc)."""
         robot, time = self._present, self._world.time
         self.next_report += robot.spec.msg_timer
-        light = bool(robot.command.light)
-        state = reports.GroundVehicleState(
-            time=time, light=light, intensity=100 if light else 0, battery=self._battery(robot)
-        )
-        self.session.send(reports.sta_ground_vehicle(state))
+        joints = self._world.state(robot).joint_pos
+        battery = self._battery(robot)
+        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery))
         if self.battery_empty:
             robot.pending.clear()
             return
         for place, sensor in enumerate(robot.suite.sensors):
             if place in robot.pending:
                 self.session.send(sensor_report(sensor, robot.pending.pop(place), time))
-        for message in package_report(robot.spec, self._world.joints(robot), time):
+        for message in package_report(robot.spec, joints, time):
             self.session.send(message)

@@ -17,11 +17,12 @@ from usarmjx.control import Command, idle
 from usarmjx.errors import UsageError
 from usarmjx.models.plan import body_plan
 from usarmjx.models.spec import RobotSpec
+from usarmjx.models.state import RobotState
 from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.transforms import Vec3, quat_from_angles
-from usarmjx.world import TeamState, feel, time_of
+from usarmjx.world import TeamState, feel, team_states, time_of
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +61,7 @@ class ClaimedWorld(HostWorld):
             robot = self._wake(int(team.slots[0]), team.robot, "nobody", pos, (0.0, 0.0, 0.0))
             self.observe([robot])
             self.tell(robot, robot.command)
-            self.joints(robot)
+            self.state(robot)
             self.remove(robot)
         self._state = before
 
@@ -106,7 +107,7 @@ class ClaimedWorld(HostWorld):
         command = jax.tree.map(np.array, idle(robot))
         new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
-        self._edit(new, active=True, born=world_time, command=command)
+        self._edit(new, active=True, born=world_time, drowned=False, command=command)
         key = jax.random.fold_in(
             jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
         )
@@ -160,16 +161,18 @@ class ClaimedWorld(HostWorld):
         for robot in self.robots.values():
             team, place = self._batch.scene.team_of(robot.slot)
             at = (self._instance, place)
+            robot.drowned = bool(self._state.worlds.teams[team].drowned[at])
             mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[team]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
                     robot.pending[sensor] = reading.value
 
-    def joints(self, robot: Robot) -> np.ndarray:
-        """Return the robot's joint positions."""
+    def state(self, robot: Robot) -> RobotState:
+        """Return where the robot is and how it moves."""
         team, place = self._batch.scene.team_of(robot.slot)
-        qpos = self._batch.physics(self._state).qpos[self._instance]
-        return np.asarray(qpos[self._batch.scene.teams[team].qpos[place]])
+        physics = jax.tree.map(lambda x: x[self._instance], self._batch.physics(self._state))
+        states = team_states(self._batch.scene.teams[team], physics)
+        return jax.tree.map(lambda x: np.asarray(x[place]), states)
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""

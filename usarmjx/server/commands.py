@@ -21,21 +21,20 @@ from usarmjx.server.grammar import (
 )
 
 _CLASS_PREFIX = "usarbot."
-# Keys that mark the other forms of DRIVE in manual 9.4, and the form that each belongs to.
-_OTHER_DRIVES = {
-    "speed": "Ackermann",
-    "frontsteer": "Ackermann",
-    "rearsteer": "Ackermann",
-    "propeller": "underwater",
-    "rudder": "underwater",
-    "sternplane": "underwater",
-    "altitudevelocity": "aerial",
-    "linearvelocity": "aerial",
-    "lateralvelocity": "aerial",
-    "rotationalvelocity": "aerial",
-    "wheelnumber": "omnidirectional",
-    "name": "joint",
-}
+# The keys of a `Drive` in the spelling of manual 9.4 and, for Passarola, 12.21.3.
+DRIVE_KEYS = (
+    *("Left", "Right"),  # skid-steered
+    *("Speed", "FrontSteer", "RearSteer"),  # Ackermann-steered
+    *("Propeller", "Rudder", "SternPlane"),  # underwater
+    *("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "RotationalVelocity"),  # aerial
+    *("XZAngle", "ThrustPropeller", "TailPropeller"),  # Passarola
+)
+_SPELLINGS = {key.lower(): key for key in DRIVE_KEYS}
+_WHEEL_KEYS = ("wheelnumber", "wheelspeed", "wheelsteer")
+_LINK_KEYS = ("link", "value", "order")
+# The relative ones are not in the manual; all six are in KRobot.uc, each also as its number.
+_OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
+_JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +64,74 @@ class GetStartPoses:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Drive a skid-steered robot, switch its headlight, put it back on its wheels.
+    """Drive a robot as a whole, switch its headlight, put it back on its wheels.
 
     Attributes:
-        left: Spin of the left wheels, positive is forward [rad/s, or percent of the top speed if
-            `normalized`]; None keeps what it was.
-        right: The same for the right wheels.
-        normalized: Whether the speeds are -100 to 100.
+        values: Those of `DRIVE_KEYS` that the client sent, with their numbers, in its order; what
+            is not there keeps its value. Left, Right, Speed, Propeller, RotationalVelocity,
+            TailPropeller [rad/s]; FrontSteer, RearSteer, Rudder, SternPlane, XZAngle [rad]; the
+            others [m/s]. Signs are the wire's own: FrontSteer and TailPropeller are positive to the
+            left, Rudder to the right (manual 9.4, 12.21.3).
+        normalized: Whether the numbers are -100 to 100, percents of each one's maximum.
         light: Headlight on or off, None keeps it.
         flip: Whether to turn the robot over.
     """
 
-    left: float | None = None
-    right: float | None = None
+    values: tuple[tuple[str, float], ...] = ()
     normalized: bool = False
     light: bool | None = None
     flip: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class WheelCommand:
+    """One wheel of a `DriveWheels`.
+
+    Attributes:
+        number: Number of the wheel, from 0.
+        speed: Spin [rad/s], None keeps it.
+        steer: Steering angle [rad], None keeps it.
+    """
+
+    number: int
+    speed: float | None
+    steer: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveWheels:
+    """Drive an OmniDrive robot wheel by wheel; the rest is as in `Drive`."""
+
+    wheels: tuple[WheelCommand, ...]
+    normalized: bool = False
+    light: bool | None = None
+    flip: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DriveJoint:
+    """Move the joint called `name` (the sixth kind of DRIVE).
+
+    Attributes:
+        name: Name of the joint, as the client spelled it.
+        order: 0 for an angle, 1 for a spin speed, 2 for a torque; servers also knew 3 (brake) and
+            10 to 12 (the same as 0 to 2, relative).
+        value: Angle [rad], speed [rad/s] or torque; None keeps what the joint does and only steers
+            it, as in the manual's `{Name LeftFWheel} {Steer 1.57}`.
+        steer: Steering angle of a wheel [rad], None keeps it.
+    """
+
+    name: str
+    order: int = 0
+    value: float | None = 0.0
+    steer: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MultiDrive:
+    """Move joints to absolute angles: (name as spelled, angle [rad]) in the client's order."""
+
+    joints: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +168,24 @@ class Set:
 
 
 @dataclass(frozen=True, slots=True)
+class SetJoint:
+    """Move a joint by SET; unlike the SET of a sensor it is never answered with a RES (KRobot.uc).
+
+    Attributes:
+        name: Name of the joint, as the client spelled it.
+        order: 0 to 2 or 10 to 12, as in `DriveJoint`. For 0 the manual's text has an angle to add
+            to the present one, KRobot.uc the same absolute angle as DRIVE.
+        value: Angle [rad], speed [rad/s] or torque.
+        steer: Steering angle of a wheel [rad], None keeps it.
+    """
+
+    name: str
+    order: int
+    value: float
+    steer: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class GetGeo:
     """Ask for the geometry of all items of a type, or of the one called `name` if not ""."""
 
@@ -139,7 +208,21 @@ class Ignored:
     reason: str
 
 
-Command: TypeAlias = Init | GetStartPoses | Drive | MisPkg | Set | GetGeo | GetConf
+_NOTHING_TO_DO = Ignored("DRIVE without anything to do")
+
+Command: TypeAlias = (
+    Init
+    | GetStartPoses
+    | Drive
+    | DriveWheels
+    | DriveJoint
+    | MultiDrive
+    | MisPkg
+    | Set
+    | SetJoint
+    | GetGeo
+    | GetConf
+)
 CommandParser: TypeAlias = Callable[[Message], Command | Ignored]
 
 COMMANDS = Registry[CommandParser]("command")
@@ -178,35 +261,70 @@ def _get_start_poses(message: Message) -> Command | Ignored:
 
 
 def _drive(message: Message) -> Command | Ignored:
-    left, right, light = (message.get(key) for key in ("Left", "Right", "Light"))
-    if not (left or right):
-        for key, _ in message.segments:
-            if key.lower() in _OTHER_DRIVES:
-                return Ignored(f"{_OTHER_DRIVES[key.lower()]} DRIVE is not supported")
-    command = Drive(
-        left=to_float(left) if left else None,
-        right=to_float(right) if right else None,
-        normalized=to_bool(message.get("Normalized")),
-        light=to_bool(light) if light else None,
-        flip=to_bool(message.get("Flip")),
-    )
-    if command == Drive(normalized=command.normalized):
-        return Ignored("DRIVE without anything to do")
-    return command
+    light = message.get("Light")
+    normalized, flip = to_bool(message.get("Normalized")), to_bool(message.get("Flip"))
+    switches = (normalized, to_bool(light) if light else None, flip)
+    if any(message.all("WheelNumber")):
+        return _drive_wheels(message, switches)
+    values: dict[str, float] = {}
+    for key, value in message.segments:
+        if value and key.lower() in _SPELLINGS:
+            values[_SPELLINGS[key.lower()]] = to_float(value)
+    if message.get("Name") and not values:
+        return _drive_joint(message)
+    command = Drive(tuple(values.items()), *switches)
+    return _NOTHING_TO_DO if command == Drive(normalized=normalized) else command
+
+
+def _drive_wheels(message: Message, switches: tuple[bool, bool | None, bool]) -> Command | Ignored:
+    groups = _groups(message, _WHEEL_KEYS)
+    if not all(group.get("wheelnumber") for group in groups):
+        return Ignored("DRIVE with a WheelSpeed or WheelSteer that belongs to no WheelNumber")
+    _, light, flip = switches
+    if light is None and not flip and not any(g.get("wheelspeed") or g.get("wheelsteer") for g in groups):
+        return _NOTHING_TO_DO
+    return DriveWheels(tuple(_wheel(group) for group in groups), *switches)
+
+
+def _wheel(group: dict[str, str]) -> WheelCommand:
+    speed, steer = group.get("wheelspeed", ""), group.get("wheelsteer", "")
+    return WheelCommand(to_int(group["wheelnumber"]), _number(speed), _number(steer))
+
+
+def _drive_joint(message: Message) -> Command:
+    order, steer = to_int(message.get("Order")), _number(message.get("Steer"))
+    value = _number(message.get("Value"))
+    if value is None and steer is None:
+        value = 0.0
+    return DriveJoint(message.get("Name"), order, value, steer)
+
+
+def _number(text: str) -> float | None:
+    return to_float(text) if text else None
+
+
+def _multi_drive(message: Message) -> Command | Ignored:
+    joints = tuple((name, to_float(value)) for name, value in message.segments if value)
+    return MultiDrive(joints) if joints else Ignored("MULTIDRIVE without anything to do")
+
+
+def _groups(message: Message, keys: tuple[str, ...]) -> list[dict[str, str]]:
+    # An item's segments come in any order, so a key that repeats is what starts the next item.
+    groups: list[dict[str, str]] = [{}]
+    for key, value in message.segments:
+        field = key.lower()
+        if field in keys:
+            if field in groups[-1]:
+                groups.append({})
+            groups[-1][field] = value
+    return groups
 
 
 def _mis_pkg(message: Message) -> Command | Ignored:
     name = message.get("Name")
     if not name:
         return Ignored("MISPKG without a Name")
-    # A link's segments come in any order, so a key that repeats is what starts the next link.
-    groups: list[dict[str, str]] = [{}]
-    for key, value in message.segments:
-        field = key.lower()
-        if field in ("link", "value", "order"):
-            if field in groups[-1]:
-                groups.append({})
-            groups[-1][field] = value
+    groups = _groups(message, _LINK_KEYS)
     if any("link" not in group for group in groups):
         return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
     return MisPkg(name, tuple(_link(group) for group in groups))
@@ -222,7 +340,9 @@ def _set(message: Message) -> Command | Ignored:
     keys = {key.lower() for key, _ in message.segments}
     if not item_type:
         return Ignored("SET without a Type")
-    if item_type.lower() in ("joint", "viewports"):
+    if item_type.lower() == "joint":
+        return _set_joint(message)
+    if item_type.lower() == "viewports":
         return Ignored(f"SET of type {clip(item_type)} is not supported")
     # Checked before the field of view: a viewpoint command of an image client must not zoom.
     if keys & {"client", "robot"}:
@@ -230,6 +350,17 @@ def _set(message: Message) -> Command | Ignored:
     if "fov" in keys:
         return Ignored("SET of a field of view is not supported")
     return Set(item_type, message.get("Name"), message.get("Opcode"), message.get("Params"))
+
+
+def _set_joint(message: Message) -> Command | Ignored:
+    name, opcode = message.get("Name"), message.get("Opcode")
+    if not name:
+        return Ignored("SET of a joint without a Name")
+    order = _JOINT_ORDERS.get(opcode.lower())
+    if order is None:
+        return Ignored(f"SET of a joint with the opcode {clip(opcode)}; known: {', '.join(_JOINT_ORDERS)}")
+    value, *more = to_vector(message.get("Params")) or (0.0,)
+    return SetJoint(name, order, value, more[0] if more else None)
 
 
 def _get_geo(message: Message) -> Command | Ignored:
@@ -247,6 +378,7 @@ def _get_conf(message: Message) -> Command | Ignored:
 COMMANDS.add("INIT", _init)
 COMMANDS.add("GETSTARTPOSES", _get_start_poses)
 COMMANDS.add("DRIVE", _drive)
+COMMANDS.add("MULTIDRIVE", _multi_drive)
 COMMANDS.add("MISPKG", _mis_pkg, aliases=("MISPGK",))  # the manual's heading has it wrong
 COMMANDS.add("SET", _set)
 COMMANDS.add("GETGEO", _get_geo)

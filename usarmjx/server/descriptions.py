@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from usarmjx.errors import UsageError
 from usarmjx.server.grammar import (
     Message,
     Segment,
@@ -17,6 +18,7 @@ from usarmjx.server.grammar import (
     truncated_list,
     word,
 )
+from usarmjx.server.reports import vehicle
 
 Field: TypeAlias = tuple[str, str | bool | int | float]
 
@@ -24,82 +26,101 @@ Field: TypeAlias = tuple[str, str | bool | int | float]
 _RAW_FIELDS = {("gps", "scaninterval"), ("ins", "scaninterval"), ("groundtruth", "scaninterval")}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundVehicleGeometry:
-    """What GEO says of a ground vehicle.
+@dataclass(frozen=True, slots=True)
+class RobotGeometry:
+    """What GEO says of a robot.
 
     Attributes:
+        kind: "GroundVehicle", "LeggedRobot", "NauticVehicle" or "AerialVehicle".
         name: Name of the robot's class (not of the robot: UsarCommander looks for the model here).
         dimensions: Length, width, height [m].
         cog: Centre of gravity from the chassis origin [m].
-        wheel_radius: [m].
+        wheel_radius: [m]; this and the next two are of ground vehicles only, which must have them.
         wheel_separation: Lateral distance between wheels [m]. The manual's text swaps this and the
             next; the captured numbers do not (P2AT 0.4712 and 0.2884).
         wheel_base: Distance between axles [m].
     """
 
+    kind: str
     name: str
     dimensions: Vector
     cog: Vector
-    wheel_radius: float
-    wheel_separation: float
-    wheel_base: float
+    wheel_radius: float | None = None
+    wheel_separation: float | None = None
+    wheel_base: float | None = None
 
 
-def geo_ground_vehicle(geometry: GroundVehicleGeometry) -> Message:
-    """Return the answer to `GETGEO {Type Robot}`."""
-    return Message(
-        "GEO",
-        (
-            ("Type", "GroundVehicle"),
-            ("Name", geometry.name),
-            ("Dimensions", truncated_list(geometry.dimensions)),
-            ("COG", truncated_list(geometry.cog)),
-            ("WheelRadius", truncated(geometry.wheel_radius)),
-            ("WheelSeparation", truncated(geometry.wheel_separation)),
-            ("WheelBase", truncated(geometry.wheel_base)),
-        ),
-    )
+def geo_robot(geometry: RobotGeometry) -> Message:
+    """Return the answer to `GETGEO {Type Robot}`.
+
+    Raises:
+        UsageError: There is no such kind, or a ground vehicle lacks a number of its wheels.
+    """
+    segments: list[Segment] = [
+        ("Type", vehicle(geometry.kind)),
+        ("Name", geometry.name),
+        ("Dimensions", truncated_list(geometry.dimensions)),
+        ("COG", truncated_list(geometry.cog)),
+    ]
+    if geometry.kind == "GroundVehicle":
+        for key, value in (
+            ("WheelRadius", geometry.wheel_radius),
+            ("WheelSeparation", geometry.wheel_separation),
+            ("WheelBase", geometry.wheel_base),
+        ):
+            if value is None:
+                raise UsageError(f"the ground vehicle {geometry.name!r} needs a number for {key}")
+            segments.append((key, truncated(value)))
+    return Message("GEO", tuple(segments))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundVehicleConfiguration:
-    """What CONF says of a ground vehicle.
+@dataclass(frozen=True, slots=True)
+class RobotConfiguration:
+    """What CONF says of a robot.
 
     Attributes:
+        kind: "GroundVehicle", "LeggedRobot", "NauticVehicle" or "AerialVehicle".
         name: Name of the robot's class.
-        steering: "SkidSteered", "AckermanSteered" or "OmniDrive".
+        steering: "SkidSteered", "AckermanSteered" or "OmniDrive" on the ground; "TwoLegs" or
+            "FourLegs"; "VariableDepth" (the manual's example has "Underwater"); "RotaryWing".
         mass: [kg].
-        max_speed: Largest wheel spin [rad/s].
+        max_speed: Largest wheel spin [rad/s]; this and the next three are said of ground vehicles
+            only.
         max_torque: Largest wheel torque, in the original's own units.
         max_front_steer: [rad], 0 for skid-steered robots.
         max_rear_steer: [rad], 0 for skid-steered robots.
     """
 
+    kind: str
     name: str
     steering: str
     mass: float
-    max_speed: float
-    max_torque: float
+    max_speed: float = 0.0
+    max_torque: float = 0.0
     max_front_steer: float = 0.0
     max_rear_steer: float = 0.0
 
 
-def conf_ground_vehicle(configuration: GroundVehicleConfiguration) -> Message:
-    """Return the answer to `GETCONF {Type Robot}`."""
-    return Message(
-        "CONF",
-        (
-            ("Type", "GroundVehicle"),
-            ("Name", configuration.name),
-            ("SteeringType", configuration.steering),
-            ("Mass", truncated(configuration.mass)),
+def conf_robot(configuration: RobotConfiguration) -> Message:
+    """Return the answer to `GETCONF {Type Robot}`.
+
+    Raises:
+        UsageError: There is no such kind.
+    """
+    segments: list[Segment] = [
+        ("Type", vehicle(configuration.kind)),
+        ("Name", configuration.name),
+        ("SteeringType", configuration.steering),
+        ("Mass", truncated(configuration.mass)),
+    ]
+    if configuration.kind == "GroundVehicle":
+        segments += [
             ("MaxSpeed", truncated(configuration.max_speed)),
             ("MaxTorque", truncated(configuration.max_torque)),
             ("MaxFrontSteer", truncated(configuration.max_front_steer)),
             ("MaxRearSteer", truncated(configuration.max_rear_steer)),
-        ),
-    )
+        ]
+    return Message("CONF", tuple(segments))
 
 
 def geo_items(type_name: str, items: Iterable[tuple[str, Vector, Vector, str]]) -> Message:
@@ -134,6 +155,24 @@ def conf_items(type_name: str, items: Iterable[Sequence[Field]]) -> Message:
     """
     segments = [(key, _field(type_name, key, value)) for fields in items for key, value in fields]
     return Message("CONF", (("Type", type_name), *segments))
+
+
+def conf_effecters(effecters: Iterable[tuple[str, Sequence[tuple[str, float, float]]]]) -> Message:
+    """Return the operations of effecters, all in one line (manual 9.3).
+
+    Args:
+        effecters: Name of each, and per operation its opcode, largest and smallest value.
+    """
+    segments: list[Segment] = [("Type", "Effecter")]
+    for name, operations in effecters:
+        segments.append(("Name", name))
+        for opcode, largest, smallest in operations:
+            segments += [
+                ("Opcode", opcode),
+                ("MaxVal", truncated(largest)),
+                ("MinVal", truncated(smallest)),
+            ]
+    return Message("CONF", tuple(segments))
 
 
 def _field(type_name: str, key: str, value: str | bool | int | float) -> str:

@@ -15,6 +15,7 @@ from usarmjx.control import Command
 from usarmjx.errors import UsageError
 from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.state import RobotState
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.transforms import Vec3
 
@@ -34,6 +35,7 @@ class Robot:
         suite: Its class's sensors.
         command: What it is told to do; numpy arrays.
         born: World time at which it appeared [s].
+        drowned: Whether water has killed its battery.
         pending: Readings that have not been reported yet, by place in the suite.
     """
 
@@ -42,6 +44,7 @@ class Robot:
     suite: Suite
     command: Command
     born: float
+    drowned: bool = False
     pending: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -83,6 +86,10 @@ class HostWorld(ABC):
     def remove(self, robot: Robot) -> None:
         """Take the robot out of the world."""
 
+    def battery(self, robot: Robot) -> float:
+        """Return for how long the robot's battery lasts yet [s]; 0 when water has killed it."""
+        return 0.0 if robot.drowned else max(0.0, robot.spec.battery_life - (self.time - robot.born))
+
     @abstractmethod
     def tell(self, robot: Robot, command: Command) -> None:
         """Replace what the robot is told to do."""
@@ -96,8 +103,8 @@ class HostWorld(ABC):
         """Read the sensors of the robots that are about to report; put fresh readings into `pending`."""
 
     @abstractmethod
-    def joints(self, robot: Robot) -> np.ndarray:
-        """Return the robot's joint positions [rad or m] (joints,)."""
+    def state(self, robot: Robot) -> RobotState:
+        """Return where the robot is and how it moves; numpy arrays."""
 
     @abstractmethod
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:

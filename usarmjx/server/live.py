@@ -14,20 +14,22 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.control import Command, drive, idle
+from usarmjx.control import Circumstances, Command, Driven, drive, idle
 from usarmjx.engines.c import buffer_warnings
 from usarmjx.errors import UsageError
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.layout import RobotIndex, index_robot
-from usarmjx.models.plan import Bodies, RobotState, body_plan, body_poses, lowest_point, robot_state
+from usarmjx.models.plan import Bodies, body_plan, body_poses, lowest_point, robot_state
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.state import RobotState
 from usarmjx.scene import prefix_of
 from usarmjx.sensors.base import Sight
 from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, NO_HITS, Block, Geoms, Hits, cast_incidence
 from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.transforms import Vec3, quat_from_angles
+from usarmjx.world import depth_in_water, drowns
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +78,7 @@ class LiveWorld(HostWorld):
     def prepare(self, robot: RobotSpec) -> None:
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
-            self._compiled[robot.name] = Compiled(robot, self.period)
+            self._compiled[robot.name] = Compiled(robot, self.arena, self.period)
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Add a robot to the running model; the states of the others are kept bit for bit."""
@@ -129,10 +131,12 @@ class LiveWorld(HostWorld):
         data = self._data
         for slot, robot in self.robots.items():
             index, actuators = self._index[slot], list(self._index[slot].actuator)
-            told = self._command_in_force(robot)
-            driven = self._compiled[robot.spec.name].drive(
-                told, self._state(slot), data.act[actuators].astype(np.float32), np.float32(self.time)
+            act, time = data.act[actuators].astype(np.float32), np.float32(self.time)
+            powered = np.bool_(self.battery(robot) > 0)
+            driven, drowned = self._compiled[robot.spec.name].drive(
+                robot.command, self._state(slot), act, time, powered
             )
+            robot.drowned |= bool(drowned)
             data.ctrl[actuators], data.act[actuators] = driven.ctrl, driven.act
             data.xfrc_applied[index.body[0]] = driven.wrench
         before = buffer_warnings(data)
@@ -142,10 +146,6 @@ class LiveWorld(HostWorld):
             log.error("contact buffers overflowed: contacts were lost")
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             self._start_over()
-
-    def _command_in_force(self, robot: Robot) -> Command:
-        empty = self.time - robot.born >= robot.spec.battery_life
-        return self._compiled[robot.spec.name].idle if empty else robot.command
 
     def _start_over(self) -> None:
         log.error("the physics is not finite any more: robots go back to where they appeared")
@@ -200,9 +200,9 @@ class LiveWorld(HostWorld):
             block.owner[:n] = owner_of_body[model.geom_bodyid[members]]
         return geoms
 
-    def joints(self, robot: Robot) -> np.ndarray:
-        """Return the robot's joint positions."""
-        return self._data.qpos[list(self._index[robot.slot].qpos)]
+    def state(self, robot: Robot) -> RobotState:
+        """Return where the robot is and how it moves."""
+        return self._state(robot.slot)
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
@@ -218,7 +218,7 @@ class Compiled:
     The rays, which take longest to compile, are cast by a function that all classes share.
     """
 
-    def __init__(self, robot: RobotSpec, period: float) -> None:
+    def __init__(self, robot: RobotSpec, arena: ArenaSpec, period: float) -> None:
         plan, suite = body_plan(robot), suite_of(robot)
         zeros, joint = np.zeros(3, np.float32), np.zeros(len(plan.parts) - 1, np.float32)
         quat = np.array([1, 0, 0, 0], np.float32)
@@ -243,11 +243,16 @@ class Compiled:
         key = jax.random.key(0)
         self.start = _compile(suite.start, sight, key)
         self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
-        self.idle = command = jax.tree.map(np.array, idle(robot))
-        run = _compile(
-            lambda c, s, a, t: drive(plan, c, s, a, t, period), command, state, joint, np.float32(0)
-        )
-        self.drive = lambda *told: jax.device_get(run(*told))
+
+        def run(told: Command, state: RobotState, act: Any, time: Any, powered: Any) -> tuple[Driven, Any]:  # noqa: ANN401
+            depth = depth_in_water(arena, state.pos)
+            drowned = drowns(robot, depth)
+            now = Circumstances(time=time, powered=powered & ~drowned, depth=depth)
+            return drive(plan, told, state, act, now, period), drowned
+
+        command, act = jax.tree.map(np.array, idle(robot)), np.zeros(len(plan.actuated), np.float32)
+        compiled = _compile(run, command, state, act, np.float32(0), np.bool_(True))
+        self.drive = lambda *told: jax.device_get(compiled(*told))
 
 
 def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:  # noqa: ANN401

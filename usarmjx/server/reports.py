@@ -8,6 +8,7 @@ servers (in the comments of MOAST's USARSim client) differ from the manual, the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from usarmjx.errors import UsageError
 from usarmjx.server.grammar import (
     Message,
     Segment,
@@ -18,6 +19,14 @@ from usarmjx.server.grammar import (
     truncated_list,
     word,
 )
+
+# The kinds of robot of manual 9.3 and the angles in the STA of each: wire key, `RobotStatus` field.
+VEHICLES: dict[str, tuple[tuple[str, str], ...]] = {
+    "GroundVehicle": (("FrontSteer", "front_steer"), ("RearSteer", "rear_steer")),
+    "LeggedRobot": (),
+    "NauticVehicle": (("SternPlaneAngle", "stern_plane"), ("RudderAngle", "rudder")),
+    "AerialVehicle": (),
+}
 
 
 def nfo_greeting(level: str) -> Message:
@@ -45,48 +54,69 @@ def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
     return Message("NFO", (count, (first, rest)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundVehicleState:
-    """What STA says of a ground vehicle.
+def vehicle(kind: str) -> str:
+    """Return `kind` if it is one of the four that STA, GEO and CONF know robots by.
+
+    Raises:
+        UsageError: It is not; the message lists the four.
+    """
+    if kind not in VEHICLES:
+        raise UsageError(f"unknown kind of vehicle {kind!r}; known: {', '.join(VEHICLES)}")
+    return kind
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStatus:
+    """What STA says of a robot.
 
     Attributes:
         time: Simulated time [s].
-        front_steer: Steering angle of the front wheels [rad].
-        rear_steer: Steering angle of the rear wheels [rad].
-        joints: Name and angle [rad] of flippers, which some robots add.
         light: Whether the headlight is on.
         intensity: Its intensity [percent].
         battery: Time left [s].
         view: Tile of this robot's camera in a shared picture, -1 without one.
+        front_steer: Steering angle of the front wheels [rad], of ground vehicles only.
+        rear_steer: Steering angle of the rear wheels [rad], of ground vehicles only.
+        stern_plane: Angle of the stern planes [rad], of nautic vehicles only.
+        rudder: Angle of the rudders [rad], of nautic vehicles only.
+        joints: Name and angle [rad] of flippers, which some robots add.
     """
 
     time: float
-    front_steer: float = 0.0
-    rear_steer: float = 0.0
-    joints: tuple[tuple[str, float], ...] = ()
-    light: bool = False
-    intensity: int = 0
+    light: bool
+    intensity: int
     battery: int
     view: int = -1
+    front_steer: float = 0.0
+    rear_steer: float = 0.0
+    stern_plane: float = 0.0
+    rudder: float = 0.0
+    joints: tuple[tuple[str, float], ...] = ()
 
 
-def sta_ground_vehicle(state: GroundVehicleState) -> Message:
-    """Return the status line of a ground vehicle.
+def sta(kind: str, status: RobotStatus) -> Message:
+    """Return the status line of a robot.
 
     The manual omits View, but servers send it and SPQR's client drops a STA without it.
+
+    Args:
+        kind: One of `VEHICLES`, which decides the angles in the line.
+        status: The numbers.
+
+    Raises:
+        UsageError: There is no such kind.
     """
     return Message(
         "STA",
         (
-            ("Type", "GroundVehicle"),
-            ("Time", raw(state.time)),
-            ("FrontSteer", truncated(state.front_steer)),
-            ("RearSteer", truncated(state.rear_steer)),
-            *((name, truncated(angle)) for name, angle in state.joints),
-            ("LightToggle", str(state.light)),
-            ("LightIntensity", str(state.intensity)),
-            ("Battery", str(state.battery)),
-            ("View", str(state.view)),
+            ("Type", vehicle(kind)),
+            ("Time", raw(status.time)),
+            *((key, truncated(getattr(status, field))) for key, field in VEHICLES[kind]),
+            *((name, truncated(angle)) for name, angle in status.joints),
+            ("LightToggle", str(status.light)),
+            ("LightIntensity", str(status.intensity)),
+            ("Battery", str(status.battery)),
+            ("View", str(status.view)),
         ),
     )
 

@@ -17,13 +17,17 @@ from usarmjx.errors import PeerError
 from usarmjx.server.commands import (
     Command,
     Drive,
+    DriveJoint,
+    DriveWheels,
     GetConf,
     GetGeo,
     GetStartPoses,
     Ignored,
     Init,
     MisPkg,
+    MultiDrive,
     Set,
+    SetJoint,
     parse_command,
 )
 from usarmjx.server.grammar import Message, clip, format, parse
@@ -51,8 +55,12 @@ TRANSITIONS: dict[Phase, dict[type[Command], Phase]] = {
     Phase.ACTIVE: {
         GetStartPoses: Phase.ACTIVE,
         Drive: Phase.ACTIVE,
+        DriveWheels: Phase.ACTIVE,
+        DriveJoint: Phase.ACTIVE,
+        MultiDrive: Phase.ACTIVE,
         MisPkg: Phase.ACTIVE,
         Set: Phase.ACTIVE,
+        SetJoint: Phase.ACTIVE,
         GetGeo: Phase.ACTIVE,
         GetConf: Phase.ACTIVE,
     },

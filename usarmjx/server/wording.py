@@ -5,24 +5,27 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.control import Command
+from usarmjx.models.parts import joint_names, part_name
+from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.server import reports
 from usarmjx.server.descriptions import (
     Field,
-    GroundVehicleConfiguration,
-    GroundVehicleGeometry,
     LinkConfiguration,
     LinkGeometry,
-    conf_ground_vehicle,
+    RobotConfiguration,
+    RobotGeometry,
     conf_items,
     conf_mispkg,
     conf_nothing,
-    geo_ground_vehicle,
+    conf_robot,
     geo_items,
     geo_mispkg,
     geo_nothing,
+    geo_robot,
 )
 from usarmjx.server.frames import angles, full_turn, vector
 from usarmjx.server.grammar import Message
@@ -109,8 +112,9 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
     """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any."""
     if kind.lower() == "robot":
         return [
-            geo_ground_vehicle(
-                GroundVehicleGeometry(
+            geo_robot(
+                RobotGeometry(
+                    kind=robot.drive.vehicle,
                     name=robot.name,
                     dimensions=robot.dimensions,
                     cog=robot.cog,
@@ -155,13 +159,16 @@ def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: 
     """Return the answers to GETCONF, as `geometry` does for GETGEO."""
     if kind.lower() == "robot":
         return [
-            conf_ground_vehicle(
-                GroundVehicleConfiguration(
+            conf_robot(
+                RobotConfiguration(
+                    kind=robot.drive.vehicle,
                     name=robot.name,
-                    steering=robot.steering,
+                    steering=robot.drive.steering,
                     mass=robot.mass,
                     max_speed=robot.drive.max_speed,
                     max_torque=robot.max_torque,
+                    max_front_steer=robot.drive.steers[0],
+                    max_rear_steer=robot.drive.steers[1],
                 )
             )
         ]
@@ -194,23 +201,45 @@ def _link_configuration(link: Link) -> LinkConfiguration:
     )
 
 
+def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: float, battery: int) -> Message:
+    """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
+
+    Args:
+        plan: The robot's class.
+        command: What it is told to do.
+        joints: Its joint positions [rad or m] (joints,).
+        time: Simulated time [s].
+        battery: Time left [s].
+    """
+    names, drive, light = joint_names(plan.robot), plan.robot.drive, bool(command.light)
+    measured = drive.steering_angles(dict(zip(names, joints.tolist(), strict=True)), command.setpoint)
+    return reports.sta(
+        drive.vehicle,
+        reports.RobotStatus(
+            time=time,
+            light=light,
+            intensity=100 if light else 0,
+            battery=battery,
+            joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported),
+            **measured,
+        ),
+    )
+
+
 def package_report(robot: RobotSpec, joints: np.ndarray, time: float) -> list[Message]:
     """Return the MISSTA messages of a robot's mission packages."""
-    messages, first = [], len(robot.wheels)
+    names, messages = joint_names(robot), []
     for package in robot.packages:
-        values = joints[first : first + len(package.links)]
-        first += len(package.links)
-        links = [(k.number, float(v), k.max_torque) for k, v in zip(package.links, values, strict=True)]
+        values = [float(joints[names.index(part_name(package, link))]) for link in package.links]
+        links = [(k.number, v, k.max_torque) for k, v in zip(package.links, values, strict=True)]
         messages.append(reports.missta(time, package.name, links))
     return messages
 
 
 def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:
     """Return the joint of a mission package's link, None when there is none; names match without case."""
-    joint = len(robot.wheels)
     for candidate in robot.packages:
         for link in candidate.links:
             if candidate.name.lower() == package.lower() and link.number == number:
-                return joint
-            joint += 1
+                return joint_names(robot).index(part_name(candidate, link))
     return None

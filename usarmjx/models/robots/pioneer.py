@@ -6,18 +6,19 @@ UsarCommander's copy of USARBot.ini (sonar rings), and what had to be chosen, ma
 
 import math
 
-from usarmjx.models.spec import (
-    Link,
-    MissionPackage,
-    Mount,
-    RobotSpec,
-    Shape,
-    SkidSteer,
-    Wheel,
-    options,
+from usarmjx.models.drives import SkidSteer
+from usarmjx.models.kit import (
+    BLACK,
+    ENCODER_AXIS,
+    POSE_SENSORS,
+    camera,
+    pan_tilt,
+    sick,
+    sick_housing,
+    wheel,
 )
+from usarmjx.models.spec import Motor, Mount, RobotSpec, Shape
 
-BLACK = (0.1, 0.1, 0.1, 1.0)
 RED = (0.75, 0.1, 0.1, 1.0)
 
 # Side sonars of a front ring: y and yaw, from right to left seen from above (manual 12.1.1, degrees
@@ -48,73 +49,12 @@ def _rear_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
     )
 
 
-def _sick(at: tuple[float, float, float]) -> Mount:
-    """SICK LMS200: 181 beams over half a turn, 20 m (captured CONF)."""
-    fan = options(MaxRange=20.0, MinRange=0.1, Resolution=math.pi / 180, ScanFov=math.pi)
-    return Mount(kind="RangeScanner", name="Scanner1", at=at, options=fan)
-
-
-def _sick_housing(at: tuple[float, float, float]) -> Shape:
-    """A box of the LMS200's size (data sheet: 155 x 156 x 210 mm; the optics sit in its upper half)."""
-    return Shape(
-        kind="box", size=(0.0775, 0.078, 0.08), at=(at[0], at[1], at[2] - 0.03), rgba=(0.2, 0.3, 0.7, 1)
-    )
-
-
-def _pan_tilt(location: tuple[float, float, float]) -> MissionPackage:
-    """CameraPanTilt with the captured frames: pan about the vertical, tilt up positive (manual 9.3)."""
-    pan = Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK)
-    head = Shape(
-        kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
-    )
-    return MissionPackage(
-        name="CameraPanTilt",
-        links=(
-            Link(
-                number=1,
-                parent=-1,
-                location=location,
-                orientation=(math.pi, 0.0, 0.0),
-                max_speed=0.17,
-                max_torque=20.0,
-                min_range=1.0,
-                max_range=0.0,
-                shapes=(pan,),
-            ),
-            Link(
-                number=2,
-                parent=1,
-                location=(0.0, 0.0, 0.0599),
-                orientation=(math.pi / 2, 0.0, 0.0),
-                max_speed=0.17,
-                max_torque=20.0,
-                min_range=-0.16,
-                max_range=0.40,
-                shapes=(head,),
-            ),
-        ),
-    )
-
-
-# Captured on CameraTilt, the part that later versions call CameraPanTilt_Link2. The manual's FOV keys.
-CAMERA = Mount(
-    kind="Camera",
-    name="Camera",
-    at=(0.0820, 0.0002, 0.0613),
-    parent="CameraPanTilt_Link2",
-    options=options(CameraDefFov=0.8727, CameraMinFov=0.3491, CameraMaxFov=2.0944),
-)
-# The manual equips both robots with INS and odometry; captured UT2004 robots carry GroundTruth too.
-POSE_SENSORS = (
-    Mount(kind="Odometry", name="Odometry"),
-    Mount(kind="INS", name="INS"),
-    Mount(kind="GroundTruth", name="GroundTruth"),
-)
-
 P2AT_WHEEL = 0.1300  # captured GEO; the real tyre has 0.11
 P2AT_TRACK, P2AT_BASE = 0.4712, 0.2884  # captured GEO
 P2AT_WIDTH = 0.4968  # captured GEO; the tyres' outer faces, which gives their width
 P2AT_SCANNER = (0.1439, 0.0, -0.0920)  # captured
+# Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground (chosen).
+P2AT_MOTOR = Motor(max_speed=5.385, torque=4.0, armature=0.15)
 
 P2AT = RobotSpec(
     name="P2AT",
@@ -131,16 +71,15 @@ P2AT = RobotSpec(
         # Deck over body and wheels, up to the captured height: what meets other robots beside it, and what
         # their sonars, 0.26 m above the ground, see of it.
         Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0207), at=(0.0, 0.0, -0.0106), rgba=BLACK),
-        _sick_housing(P2AT_SCANNER),
+        sick_housing(P2AT_SCANNER),
     ),
-    wheels=tuple(
-        Wheel(
-            name=name,
+    parts=tuple(
+        wheel(
+            name,
             at=(x, y, 0.26 - P2AT_WHEEL),
-            radius=P2AT_WHEEL,
-            width=P2AT_WIDTH - P2AT_TRACK,
+            size=(P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
             mass=1.0,  # chosen
-            side="left" if y < 0 else "right",
+            motor=P2AT_MOTOR,
         )
         for name, x, y in (
             ("LeftFWheel", P2AT_BASE / 2, -P2AT_TRACK / 2),
@@ -149,11 +88,15 @@ P2AT = RobotSpec(
             ("RightRWheel", -P2AT_BASE / 2, P2AT_TRACK / 2),
         )
     ),
-    # Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground.
-    drive=SkidSteer(max_speed=5.385, torque=4.0, armature=0.15),
-    packages=(_pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
-    sensors=(*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X), _sick(P2AT_SCANNER), *POSE_SENSORS),
-    cameras=(CAMERA,),
+    drive=SkidSteer(
+        left=("LeftFWheel", "LeftRWheel"),
+        right=("RightFWheel", "RightRWheel"),
+        max_spin=P2AT_MOTOR.max_speed,
+        radius=P2AT_WHEEL,
+    ),
+    packages=(pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
+    sensors=(*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X), sick(P2AT_SCANNER), *POSE_SENSORS),
+    cameras=(camera(),),
     wheel_radius=P2AT_WHEEL,
     wheel_separation=P2AT_TRACK,
     wheel_base=P2AT_BASE,
@@ -164,7 +107,7 @@ P2DX_WHEEL = 0.0825  # manual 12.3.1: diameter 16.5 cm
 P2DX_TRACK = 0.38 - 0.037  # chosen: manual's width less a wheel's width
 P2DX_SCANNER = (0.05, 0.0, -0.11)  # chosen: on the deck
 P2DX_CASTER = 0.0375  # chosen radius
-ENCODER_AXIS = (0.0, 0.0, math.pi / 2)  # captured for ECRight: looks along the axle to the right
+P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03)
 
 P2DX = RobotSpec(
     name="P2DX",
@@ -183,29 +126,24 @@ P2DX = RobotSpec(
             surface="caster",
             rgba=BLACK,
         ),
-        _sick_housing(P2DX_SCANNER),
+        sick_housing(P2DX_SCANNER),
     ),
-    wheels=tuple(
-        Wheel(
-            name=name,
-            at=(0.0, y, 0.20 - P2DX_WHEEL),
-            radius=P2DX_WHEEL,
-            width=0.037,
-            mass=0.75,
-            side="left" if y < 0 else "right",
-        )
+    parts=tuple(
+        wheel(name, at=(0.0, y, 0.20 - P2DX_WHEEL), size=(P2DX_WHEEL, 0.037), mass=0.75, motor=P2DX_MOTOR)
         for name, y in (("LeftFWheel", -P2DX_TRACK / 2), ("RightFWheel", P2DX_TRACK / 2))
     ),
-    drive=SkidSteer(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03),
-    packages=(_pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT
+    drive=SkidSteer(
+        left=("LeftFWheel",), right=("RightFWheel",), max_spin=P2DX_MOTOR.max_speed, radius=P2DX_WHEEL
+    ),
+    packages=(pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT
     sensors=(
         *_front_ring(P2DX_RING_X),
-        _sick(P2DX_SCANNER),
+        sick(P2DX_SCANNER),
         *POSE_SENSORS,
         Mount(kind="Encoder", name="ECLeft", parent="LeftFWheel", direction=ENCODER_AXIS),
         Mount(kind="Encoder", name="ECRight", parent="RightFWheel", direction=ENCODER_AXIS),
     ),
-    cameras=(CAMERA,),
+    cameras=(camera(),),
     wheel_radius=P2DX_WHEEL,
     wheel_separation=P2DX_TRACK,
     wheel_base=0.0,

@@ -1,0 +1,125 @@
+"""Robots of one class on plain C MuJoCo with the product's own control function, as a served world has them."""
+
+import math
+from functools import cache, partial
+
+import jax
+import mujoco
+import numpy as np
+
+from usarmjx.control import Circumstances, Order, drive, idle, steer
+from usarmjx.models.compose import Physics
+from usarmjx.models.parts import joint_names
+from usarmjx.models.plan import body_plan, lowest_point, robot_state
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import ArenaSpec, StartPose
+from usarmjx.scene import START_GAP, build_scene
+from usarmjx.transforms import quat_from_angles
+from usarmjx.world import depth_in_water
+
+PERIOD = Physics().period
+
+
+@cache
+def control_of(name):
+    """The product's control function of a class, compiled once per process."""
+    return jax.jit(partial(drive, body_plan(ROBOTS.get(name)), period=PERIOD))
+
+
+class Rig:
+    """Robots of one class on a floor with some solids, by default at the origin, on a tilt if asked.
+
+    `height`: of the robots' origins; None puts them on the floor. `tilt`: of gravity, uphill along x.
+    """
+
+    def __init__(
+        self, name, *solids, places=((0.0, 0.0, 0.0),), roll=0.0, tilt=0.0, height=None, waters=(), loose=()
+    ):
+        starts = tuple(
+            StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=yaw) for i, (x, y, yaw) in enumerate(places)
+        )
+        arena = ArenaSpec(
+            name="track", starts=starts, extent=((-3, 3), (-3, 3)), shapes=solids, waters=waters, loose=loose
+        )
+        scene = build_scene(arena, [name] * len(places))
+        self.arena, self.robot, self.model = arena, scene.teams[0].robot, scene.model
+        self.plan, self.indices = scene.teams[0].plan, scene.teams[0].indices
+        self.model.opt.gravity[:] = 9.81 * np.array([-math.sin(tilt), 0.0, -math.cos(tilt)])
+        self.data = mujoco.MjData(self.model)
+        for index, (x, y, yaw) in zip(self.indices, places, strict=True):
+            root = slice(index.root_qpos, index.root_qpos + 7)
+            self.data.qpos[root] = (x, y, height or 0.0, *quat_from_angles(roll, 0.0, yaw))
+            if height is None:
+                mujoco.mj_kinematics(self.model, self.data)
+                low = lowest_point(self.model, self.data, np.isin(self.model.geom_bodyid, index.body))
+                self.data.qpos[index.root_qpos + 2] = START_GAP - low
+        self.commands = [jax.tree.map(np.array, idle(self.robot)) for _ in places]
+        self.powered = True
+        self._control = control_of(name)
+
+    def tell(self, robot=0, flip_until=None, **values):
+        """Set keys of DRIVE, as `tell(Left=1, Right=1)`."""
+        told = steer(self.robot, self.commands[robot], values, np)
+        if flip_until is not None:
+            told = told.replace(flip_until=np.float32(flip_until))
+        self.commands[robot] = told
+        return self
+
+    def move(self, targets, order=Order.POSITION, robot=0):
+        """Give joints by name an order."""
+        names, told = joint_names(self.robot), self.commands[robot]
+        target, orders = told.target.copy(), told.order.copy()
+        for name, value in targets.items():
+            target[names.index(name)], orders[names.index(name)] = value, order
+        self.commands[robot] = told.replace(target=target, order=orders)
+        return self
+
+    def state(self, robot=0):
+        state = robot_state(self.indices[robot], self.data.qpos, self.data.qvel)
+        return jax.tree.map(np.float32, state)
+
+    def joint(self, name, robot=0):
+        """Position of a joint [rad or m]."""
+        return float(self.data.qpos[self.indices[robot].qpos[joint_names(self.robot).index(name)]])
+
+    def step(self):
+        data = self.data
+        for i, (index, command) in enumerate(zip(self.indices, self.commands, strict=True)):
+            actuators, state = list(index.actuator), self.state(i)
+            depth = depth_in_water(self.arena, state.pos) if self.arena.waters else np.float32(-1e3)
+            now = Circumstances(
+                time=np.float32(data.time), powered=np.bool_(self.powered), depth=np.float32(depth)
+            )
+            told = self._control(command, state, data.act[actuators].astype(np.float32), now)
+            data.ctrl[actuators], data.act[actuators] = told.ctrl, told.act
+            data.xfrc_applied[index.body[0]] = told.wrench
+        mujoco.mj_step(self.model, data, nstep=Physics().substeps)
+
+    def run(self, seconds):
+        """Return position, velocity and turning rate of the first robot after each control step (n, 9)."""
+        q, v = self.indices[0].root_qpos, self.indices[0].root_dof
+        rows = []
+        for _ in range(round(seconds / PERIOD)):
+            self.step()
+            rows.append(np.r_[self.data.qpos[q : q + 3], self.data.qvel[v : v + 6]])
+        return np.array(rows)
+
+    @property
+    def up(self):
+        """How upright the robots are: 1 on their wheels, -1 upside down (robots,)."""
+        return np.array([self.data.xmat[index.body[0]][8] for index in self.indices])
+
+    def mat(self, part):
+        return self.data.body(f"r0/{part}").xmat.reshape(3, 3)
+
+
+def steady_speed(rig, settle=2.0):
+    """Speed over ground [m/s]."""
+    rig.run(settle)
+    return np.linalg.norm(rig.run(2.0)[:, 3:5], axis=1).mean()
+
+
+def steady_spin(rig, settle=2.0):
+    """Turning rate about the vertical [rad/s], positive to the left."""
+    rig.run(settle)
+    return rig.run(2.0)[:, 8].mean()

@@ -1,0 +1,6 @@
+"""How robots are driven: one module per kind of locomotion."""
+
+from usarmjx.models.drives.base import DRY, Aim, Drive, Vehicle
+from usarmjx.models.drives.ground import NoDrive, SkidSteer
+
+__all__ = ["DRY", "Aim", "Drive", "NoDrive", "SkidSteer", "Vehicle"]

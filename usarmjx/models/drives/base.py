@@ -1,0 +1,117 @@
+"""What a drive is: what the keys of DRIVE mean for one kind of robot (manual 9.4).
+
+A drive keeps a setpoint, one number per key. It turns it into targets of the robot's joints when a command
+comes (`aim`), into a force on the chassis at every control step (`wrench`), or both.
+"""
+
+from abc import ABC
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import ClassVar, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.state import RobotState
+from usarmjx.transforms import Array
+
+Vehicle = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
+DRY = -1e3
+"""Depth of what is not in water [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """What a drive asks of one joint: which, in which control order, and from which row of numbers.
+
+    Attributes:
+        joint: Name of the joint.
+        order: 0 for a position, 1 for a velocity.
+    """
+
+    joint: str
+    order: int = 1
+
+
+class Drive(ABC):
+    """How DRIVE moves a robot. Subclasses are frozen dataclasses with the figures."""
+
+    wheeled: ClassVar[bool] = False
+    """Whether it stands on wheels or tracks, so that DRIVE {Flip} means something to it."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The type that STA, GEO and CONF report."""
+        return "GroundVehicle"
+
+    @property
+    def steering(self) -> str:
+        """The SteeringType that CONF reports."""
+        raise NotImplementedError
+
+    @property
+    def full(self) -> dict[str, float]:
+        """The keys of DRIVE and what 100 means for each when Normalized (rad/s, m/s or rad)."""
+        return {}
+
+    @property
+    def aims(self) -> tuple[Aim, ...]:
+        """The joints that it moves."""
+        return ()
+
+    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Return the targets of `aims` (..., aims) for a setpoint (..., keys)."""
+        del setpoint, xp
+        raise NotImplementedError
+
+    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
+        """Return force [N] and torque [N m] on the chassis, world axes (6,), of a powered robot.
+
+        Args:
+            setpoint: One number per key, finite and within `full` (keys,).
+            state: The robot.
+            depth: How far its origin is below the surface of water [m] (); `DRY` outside.
+        """
+        del setpoint, state, depth
+        return jnp.zeros(6)
+
+    def passive_wrench(self, state: RobotState, depth: Array) -> Array:
+        """Return what acts on the chassis with or without power: buoyancy and drag (6,)."""
+        del state, depth
+        return jnp.zeros(6)
+
+    def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
+        """Return what STA reports of rudders and steered wheels, by the fields of `RobotStatus` [rad].
+
+        Args:
+            joints: Positions of the robot's joints by name [rad or m].
+            setpoint: One number per key (keys,).
+        """
+        del joints, setpoint
+        return {}
+
+    @property
+    def max_speed(self) -> float:
+        """What CONF reports as MaxSpeed of a ground vehicle [rad/s]."""
+        return 0.0
+
+    @property
+    def steers(self) -> tuple[float, float]:
+        """The largest steering angles of front and rear wheels [rad] (CONF)."""
+        return (0.0, 0.0)
+
+    @property
+    def top_speed(self) -> float:
+        """About how fast it can go [m/s]; a robot far beyond this is a fault of the physics."""
+        raise NotImplementedError
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys of DRIVE, in the order of a setpoint."""
+        return tuple(self.full)
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Largest absolute value of each key (keys,)."""
+        return np.array(list(self.full.values()), np.float32)

@@ -1,0 +1,87 @@
+"""Drives of ground vehicles whose wheels do not steer, and of things that do not move."""
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from usarmjx.models.drives.base import Aim, Drive, Vehicle
+from usarmjx.transforms import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkidSteer(Drive):
+    """Left and right wheels or tracks driven against each other (also two wheels and a caster).
+
+    Attributes:
+        left: Names of the left wheels' joints.
+        right: Names of the right wheels' joints.
+        max_spin: Highest wheel speed [rad/s].
+        radius: Of the wheels [m].
+    """
+
+    wheeled: ClassVar[bool] = True
+
+    left: tuple[str, ...]
+    right: tuple[str, ...]
+    max_spin: float
+    radius: float
+
+    @property
+    def steering(self) -> str:
+        """The SteeringType that CONF reports."""
+        return "SkidSteered"
+
+    @property
+    def full(self) -> dict[str, float]:
+        """Wheel speeds of both sides [rad/s]."""
+        return {"Left": self.max_spin, "Right": self.max_spin}
+
+    @property
+    def aims(self) -> tuple[Aim, ...]:
+        """All wheels."""
+        return tuple(Aim(joint=name) for name in (*self.left, *self.right))
+
+    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Every wheel turns as fast as its side."""
+        sides = [0] * len(self.left) + [1] * len(self.right)
+        return xp.stack([setpoint[..., side] for side in sides], -1)
+
+    @property
+    def max_speed(self) -> float:
+        """Highest wheel speed [rad/s]."""
+        return self.max_spin
+
+    @property
+    def top_speed(self) -> float:
+        """What the wheels make of their highest speed [m/s]."""
+        return self.max_spin * self.radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoDrive(Drive):
+    """What is moved joint by joint (legs), or not at all (a base station).
+
+    Attributes:
+        kind: The vehicle type that it reports.
+        steering_type: What CONF reports: TwoLegs, FourLegs, or nothing that moves it.
+    """
+
+    kind: Vehicle = "GroundVehicle"
+    steering_type: str = "None"
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The type that STA, GEO and CONF report."""
+        return self.kind
+
+    @property
+    def steering(self) -> str:
+        """The SteeringType that CONF reports."""
+        return self.steering_type
+
+    @property
+    def top_speed(self) -> float:
+        """It does not go far by itself [m/s]."""
+        return 0.5

@@ -1,0 +1,118 @@
+"""Parts that many robots share: wheels, pan-tilt heads, the usual sensors."""
+
+import math
+
+from usarmjx.models.spec import (
+    CHASSIS,
+    Link,
+    MissionPackage,
+    Motor,
+    Mount,
+    Part,
+    Shape,
+    options,
+)
+from usarmjx.transforms import Vec3
+
+Colour = tuple[float, float, float, float]
+
+RUBBER: Colour = (0.15, 0.15, 0.15, 1.0)
+BLACK: Colour = (0.1, 0.1, 0.1, 1.0)
+AXLE = (-math.pi / 2, 0.0, 0.0)
+"""Turns a cylinder's axis (z) to the side (y)."""
+
+
+def wheel(
+    name: str,
+    *,
+    at: Vec3,
+    size: tuple[float, float],
+    mass: float,
+    motor: Motor | None,
+    parent: str = CHASSIS,
+    surface: str = "wheel",
+) -> Part:
+    """Return a wheel of (radius, width) [m]; without a motor it rolls freely."""
+    radius, width = size
+    tyre = Shape(
+        kind="cylinder", size=(radius, width / 2), rotation=AXLE, mass=mass, surface=surface, rgba=RUBBER
+    )
+    return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), rolls=True)
+
+
+def pan_tilt(
+    location: Vec3, *, tilt: tuple[float, float] = (-0.16, 0.40), name: str = "CameraPanTilt"
+) -> MissionPackage:
+    """Return the usual camera head with the captured frames: pan about the vertical, tilt up positive.
+
+    Args:
+        location: Of the pan joint on the chassis.
+        tilt: Range of the tilt joint (manual 9.3's example by default).
+        name: Name of the package.
+    """
+    pan_shape = Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK)
+    head = Shape(
+        kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
+    )
+    usual = {"max_speed": 0.17, "max_torque": 20.0}  # captured
+    return MissionPackage(
+        name=name,
+        links=(
+            Link(
+                number=1,
+                parent=-1,
+                location=location,
+                orientation=(math.pi, 0.0, 0.0),
+                min_range=1.0,
+                max_range=0.0,
+                shapes=(pan_shape,),
+                **usual,
+            ),
+            Link(
+                number=2,
+                parent=1,
+                location=(0.0, 0.0, 0.0599),
+                orientation=(math.pi / 2, 0.0, 0.0),
+                min_range=tilt[0],
+                max_range=tilt[1],
+                shapes=(head,),
+                **usual,
+            ),
+        ),
+    )
+
+
+def camera(name: str = "Camera", at: Vec3 = (0.0820, 0.0002, 0.0613), **where: object) -> Mount:
+    """Return a colour camera, by default where captures have it: on the tilting part of `CameraPanTilt`.
+
+    Args:
+        name: Item name.
+        at: Position on its parent.
+        where: `parent` and `direction` of the mount.
+    """
+    fov = options(CameraDefFov=0.8727, CameraMinFov=0.3491, CameraMaxFov=2.0944)  # manual 9.3's CONF
+    place = {"parent": "CameraPanTilt_Link2", **where}
+    return Mount(kind="Camera", name=name, at=at, options=fov, **place)  # type: ignore[arg-type]
+
+
+def sick(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
+    """Return a SICK LMS200: 181 beams over half a turn, 20 m (captured CONF)."""
+    fan = options(MaxRange=20.0, MinRange=0.1, Resolution=math.pi / 180, ScanFov=math.pi)
+    return Mount(kind="RangeScanner", name=name, at=at, parent=parent, options=fan)
+
+
+def sick_housing(at: Vec3) -> Shape:
+    """Return a box of the LMS200's size (data sheet: 155 x 156 x 210 mm; the optics sit in its upper half)."""
+    centre = (at[0], at[1], at[2] - 0.03)
+    return Shape(kind="box", size=(0.0775, 0.078, 0.08), at=centre, rgba=(0.2, 0.3, 0.7, 1))
+
+
+POSE_SENSORS = (
+    Mount(kind="Odometry", name="Odometry"),
+    Mount(kind="INS", name="INS"),
+    Mount(kind="GroundTruth", name="GroundTruth"),
+)
+"""What the manual gives most robots, and the GroundTruth that captured ones carry too."""
+
+ENCODER_AXIS = (0.0, 0.0, math.pi / 2)
+"""Direction of an encoder that looks along the axle to the right (captured for ECRight)."""
