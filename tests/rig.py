@@ -1,4 +1,4 @@
-"""Robots of one class on plain C MuJoCo with the product's own control function, as a served world has them."""
+"""Robots of one class on plain C MuJoCo with the product's control function, as a served world has them."""
 
 import math
 from functools import cache, partial

@@ -11,7 +11,7 @@ from usarmjx.bench import Case, measure
 def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "results.jsonl"
-    case = Case(worlds=2, robots=1, engine="c", steps=2, repeats=1, substeps=4)
+    case = Case(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4)
     summary = measure(case, file)
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
@@ -25,7 +25,7 @@ def test_the_record_says_what_was_measured_where(outcome):
     assert {"python", "jax", "jaxlib", "mujoco", "mujoco-mjx", "usarmjx"} <= set(record["versions"])
     assert record["versions"]["mujoco"] == "3.17.0"
     assert record["case"] == {
-        "worlds": 2, "robots": 1, "robot": "P2AT", "arena": "yellow", "engine": "c",
+        "worlds": 2, "roster": "P2AT", "arena": "yellow", "engine": "c",
         "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):

@@ -5,25 +5,20 @@ last ones compare the engines.
 """
 
 import math
-from functools import cache, partial
+from functools import cache
 
-import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
 from tests.arenas import FLAT
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.batch import Batch
-from usarmjx.control import FLIP_TIME, drive, idle
-from usarmjx.models.compose import Physics
-from usarmjx.models.plan import body_plan, lowest_point, robot_state
-from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
-from usarmjx.scene import START_GAP, build_scene
+from usarmjx.control import FLIP_TIME
+from usarmjx.models.spec import Shape
+from usarmjx.scene import build_scene
 from usarmjx.server.frames import angles
-from usarmjx.transforms import angles_from_mat, quat_from_angles
+from usarmjx.transforms import angles_from_mat
 
 BOTH = pytest.mark.parametrize("name", ["P2AT", "P2DX"])
 TOP_SPEED = {"P2AT": 0.7, "P2DX": 1.8}  # m/s: captured CONF of the P2AT; manual 12.3.1
@@ -131,7 +126,7 @@ def camera():
     """Pan and tilt of a P2AT's camera, stepped: (rig, fastest joint speed seen)."""
 
     def aim(pan, tilt, seconds):
-        rig = Rig("P2AT").tell(links=(pan, tilt))
+        rig = Rig("P2AT").move({"CameraPanTilt_Link1": pan, "CameraPanTilt_Link2": tilt})
         pair, rates = list(rig.indices[0].qpos[-2:]), []
         before = rig.data.qpos[pair].copy()
         for _ in range(round(seconds / PERIOD)):
@@ -199,7 +194,8 @@ def test_a_brawl_in_a_small_room_stays_on_the_ground(seed):
     for tick in range(round(20.0 / PERIOD)):
         if tick % 5 == 0:
             for robot in range(len(places)):
-                rig.tell(*random.uniform(-top, top, 2), robot=robot)
+                left, right = random.uniform(-top, top, 2)
+                rig.tell(robot, Left=left, Right=right)
         rig.step()
         for index in rig.indices:
             speed = np.linalg.norm(rig.data.qvel[index.root_dof : index.root_dof + 3])
@@ -229,7 +225,7 @@ def batch_rates(batch):
     top, dof = batch.scene.teams[0].robot.drive.max_speed, batch.scene.teams[0].root_dof[0]
 
     def steady(left, right):
-        state, rows = batch.drive(batch.reset(), 0, left, right), []
+        state, rows = batch.drive(batch.reset(), 0, {"Left": left, "Right": right}), []
         for _ in range(100):
             state = batch.step(state)
             rows.append(np.asarray(batch.physics(state).qvel)[0, dof])
@@ -252,7 +248,7 @@ def test_engines_drive_and_turn_alike(flat, engine):
 
 def test_an_empty_battery_brakes(flat):
     batch = batch_on("c", flat)
-    state = batch.drive(batch.reset(), 0, 4.0, 4.0)
+    state = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 4.0})
     members = state.worlds.teams[0]
     life = batch.scene.teams[0].robot.battery_life
     state = batch.with_team(state, 0, members.replace(born=jnp.full_like(members.born, 1.0 - life)))

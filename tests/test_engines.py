@@ -39,7 +39,7 @@ def jax_batch(flat):
 
 
 def drive_for(batch, steps=SECOND, left=4.0, right=4.0):
-    state = batch.drive(batch.reset(), 0, left, right)
+    state = batch.drive(batch.reset(), 0, {"Left": left, "Right": right})
     for _ in range(steps):
         state = batch.step(state)
     return state
@@ -86,7 +86,7 @@ def test_the_robots_really_met_the_ramp_and_the_step(reference):
 def test_c_batch_is_plain_mj_step(scene):
     """The engine adds nothing to MuJoCo: same model, same inputs, same double-precision state."""
     batch = Batch(scene, 1, engine="c", seed=3)
-    state = batch.drive(batch.reset(), 0, 2.0, 2.0)
+    state = batch.drive(batch.reset(), 0, {"Left": 2.0, "Right": 2.0})
     data = mujoco.MjData(batch.engine.model)
     data.qpos[:] = state.physics.qpos[0]
     for _ in range(5):
@@ -132,7 +132,7 @@ def test_a_partial_reset_leaves_the_other_worlds_bit_exact(jax_batch, driven):
 @pytest.mark.parametrize("engine", ["jax", "c"])
 def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, jax_batch, engine):
     batch = jax_batch if engine == "jax" else Batch(flat, 2, engine="c", seed=3)
-    start = batch.drive(batch.reset(), 0, 2.0, 2.0)
+    start = batch.drive(batch.reset(), 0, {"Left": 2.0, "Right": 2.0})
     broken_qpos = np.asarray(batch.physics(start).qpos).copy()
     broken_qpos[1, 0] = np.nan
     pinned = np.zeros_like(broken_qpos, bool)
@@ -149,7 +149,7 @@ def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, j
 
 
 def test_commands_that_are_not_finite_reach_nobody(jax_batch):
-    state = jax_batch.drive(jax_batch.reset(), 0, jnp.array([[jnp.nan], [2.0]]), 2.0)
+    state = jax_batch.drive(jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan], [2.0]]), "Right": 2.0})
     state = jax_batch.step(state)
     assert np.asarray(state.worlds.status.refused).tolist() == [2, 0]  # two left wheels of one robot
     assert np.asarray(state.worlds.status.not_finite).tolist() == [0, 0]

@@ -27,7 +27,7 @@ def test_warp_on_the_gpu_drives_as_c_mujoco_does():
     poses = {}
     for engine in ("warp", "c"):
         batch = Batch(scene, 64 if engine == "warp" else 1, engine=engine, seed=3)
-        state = batch.drive(batch.reset(), 0, 4.0, 4.0)
+        state = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 4.0})
         for _ in range(50):
             state = batch.step(state)
         batch.check(state)

@@ -24,11 +24,12 @@ import mujoco
 import numpy as np
 
 from usarmjx.batch import Batch, State
-from usarmjx.control import wheel_speeds
+from usarmjx.control import Order, idle, steer
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
 from usarmjx.models.compose import Physics
-from usarmjx.scene import Scene, build_scene
+from usarmjx.scene import Scene, Team, build_scene, start_height
+from usarmjx.server.worlds import parse_roster
 
 RESET_SHARE = 0.01
 """Share of worlds that start again at each control step of the whole step."""
@@ -40,8 +41,7 @@ class Case:
     """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times."""
 
     worlds: int
-    robots: int
-    robot: str = "P2AT"
+    roster: str = "P2AT"
     arena: str = "yellow"
     engine: str = "auto"
     substeps: int = 10
@@ -105,28 +105,31 @@ def _bare_inputs(batch: Batch, speeds: jax.Array) -> Inputs:
     )
 
 
-def _random_speeds(batch: Batch, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    team = batch.scene.teams[0]
-    top = team.robot.drive.max_speed
-    shape = (2, batch.worlds, len(team.slots))
-    left, right = jax.random.uniform(key, shape, minval=-top, maxval=top)
-    return left, right
+def _random_values(batch: Batch, team: Team, key: jax.Array) -> dict[str, jax.Array]:
+    """Return a random number within its limits for every key of a team's DRIVE (worlds, robots)."""
+    full, shape = team.robot.drive.full, (batch.worlds, len(team.slots))
+    keys = (jax.random.fold_in(key, int(team.slots[0]) * 16 + i) for i in range(len(full)))
+    return {
+        name: jax.random.uniform(k, shape, minval=-top, maxval=top)
+        for k, (name, top) in zip(keys, full.items(), strict=True)
+    }
 
 
 def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
-    """The engine alone: new random wheel speeds each control step, servo targets kept near the wheels."""
-    team = batch.scene.teams[0]
-    wheels = len(team.robot.wheels)
+    """The engine alone: new random wheel speeds each control step, servo targets kept near the joints."""
 
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
-        left, right = _random_speeds(batch, jax.random.fold_in(key, i))
-        ctrl = (
-            jnp.zeros((batch.worlds, batch.scene.model.nu))
-            .at[:, team.actuator[:, :wheels]]
-            .set(wheel_speeds(team.robot, left, right))
-        )
         now = batch.engine.state(physics)
-        act = now.act.at[:, team.actuator].set(now.qpos[:, team.qpos])
+        ctrl, act = jnp.zeros((batch.worlds, batch.scene.model.nu)), now.act
+        for team in batch.scene.teams:
+            values = _random_values(batch, team, jax.random.fold_in(key, i))
+            shape = (batch.worlds, len(team.slots))
+            still = jax.tree.map(lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle(team.robot))
+            here = team.plan.actuated
+            told = steer(team.robot, still, values)
+            speeds = jnp.where(told.order == Order.VELOCITY, told.target, 0.0)
+            ctrl = ctrl.at[:, team.actuator].set(speeds[..., here])
+            act = act.at[:, team.actuator].set(now.qpos[:, team.qpos[:, here]])
         return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act))
 
     return body
@@ -135,7 +138,8 @@ def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
 def _whole(batch: Batch, key: jax.Array) -> Callable[[jax.Array, State], State]:
     def body(i: jax.Array, state: State) -> State:
         now = jax.random.fold_in(key, i)
-        state = batch.drive(state, 0, *_random_speeds(batch, now))
+        for t, team in enumerate(batch.scene.teams):
+            state = batch.drive(state, t, _random_values(batch, team, now))
         state = batch.step(state)
         state, _ = batch.observe(state)
         again = jax.random.uniform(jax.random.fold_in(now, 1), (batch.worlds,)) < RESET_SHARE
@@ -148,9 +152,10 @@ def _baseline(scene: Scene, speeds: np.ndarray) -> float:
     """Robot-steps per second of plain `mj_step` on one CPU core, one world."""
     model = c_model(scene.model)
     data = mujoco.MjData(model)
-    for slot, start in enumerate(scene.arena.starts[: scene.robots]):
-        address = scene.teams[0].root_qpos[slot]
-        data.qpos[address[:3]] = (*start.at[:2], scene.arena.floor + scene.teams[0].plan.clearance)
+    for team in scene.teams:
+        for slot, address in zip(team.slots, team.root_qpos, strict=True):
+            start = scene.arena.starts[slot]
+            data.qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, team.robot))
     data.ctrl[: speeds.size] = speeds
     mujoco.mj_step(model, data, nstep=BASELINE_STEPS // 4)
     began = time.perf_counter()
@@ -165,7 +170,7 @@ def measure(case: Case, file: Path | None = None) -> str:
         EngineError: A contact buffer overflowed, so the figures would be wrong.
     """
     engine = choose_engine(case.engine, "train")
-    scene = build_scene(case.arena, [case.robot] * case.robots, Physics(substeps=case.substeps))
+    scene = build_scene(case.arena, parse_roster(case.roster), Physics(substeps=case.substeps))
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
@@ -173,9 +178,9 @@ def measure(case: Case, file: Path | None = None) -> str:
     bare_first, bare, _ = run(_loop(batch, _bare(batch, key), case.steps), state.physics)
     whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
     batch.check(state)
-    work = case.worlds * case.robots * case.substeps * case.steps
+    work = case.worlds * scene.robots * case.substeps * case.steps
     status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.status))
-    rays = sum(case.robots * sum(team.suite.ray_counts) for team in scene.teams)
+    rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.teams)
     bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
     device = jax.devices()[0].device_kind if engine != "c" else platform.processor() or platform.machine()
     record = {
@@ -185,8 +190,9 @@ def measure(case: Case, file: Path | None = None) -> str:
         "commit": _commit(),
         "versions": _versions(),
         "case": {**asdict(case), "engine": engine},
+        "robots_per_world": scene.robots,
         "timestep": scene.physics.timestep,
-        "in_the_step": "contacts, random wheel speeds, control, all sensors of the class every control step, "
+        "in_the_step": "contacts, random commands, control, all sensors of the robots every control step, "
         f"resets of {RESET_SHARE:.0%} of worlds every control step; no radio, no rendering",
         "rays_per_control_step": rays * case.worlds,
         "bare_robot_steps_per_s": bare_rate,
@@ -209,8 +215,7 @@ def _summary(record: dict[str, Any]) -> str:
     case = record["case"]
     return "\n".join(
         [
-            f"{case['worlds']} worlds x {case['robots']} {case['robot']}, "
-            f"engine {case['engine']} on {record['device']}",
+            f"{case['worlds']} worlds x {case['roster']}, engine {case['engine']} on {record['device']}",
             f"bare physics  {record['bare_robot_steps_per_s']:12,.0f} robot-steps/s",
             f"whole step    {record['robot_steps_per_s']:12,.0f} robot-steps/s  ({record['in_the_step']})",
             f"ratio         {record['whole_to_bare']:12.2f}",

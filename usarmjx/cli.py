@@ -97,8 +97,7 @@ def demo(
 @bench_app.command("step")
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
-    robots: Annotated[int, typer.Option(min=1, help="Robots in each world.")] = 4,
-    robot: Annotated[str, typer.Option(help="Robot class.")] = "P2AT",
+    roster: Annotated[str, typer.Option(help="Robots of each world, as P2AT:4,Zerg:2.")] = "P2AT:4",
     arena: ArenaOption = "yellow",
     engine: EngineOption = "auto",
     substeps: Annotated[int, typer.Option(min=1, help="Physics steps per control step.")] = 10,
@@ -113,8 +112,7 @@ def bench_step(
 
         case = Case(
             worlds=worlds,
-            robots=robots,
-            robot=robot,
+            roster=roster,
             arena=arena,
             engine=engine,
             substeps=substeps,

@@ -166,9 +166,7 @@ def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
         raise UnknownNameError(f"{robot.name}'s DRIVE has no key {', '.join(bad)}; it has: {known}")
 
 
-def steer(
-    robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: ModuleType = jnp
-) -> Command:
+def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: ModuleType = jnp) -> Command:
     """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
 
     Args:

@@ -219,7 +219,7 @@ def _visible(scene: Scene, world: World, physics: PhysicsState, bodies: list[Bod
 
 
 def depth_in_water(arena: ArenaSpec, pos: jax.Array) -> jax.Array:
-    """Return how far a point (3,) is below the surface of the water it is in, or above it if over it [m] ()."""
+    """Return how far a point (3,) is below the surface of water, negative above it [m] (); else `DRY`."""
     depth = jnp.full((), DRY)
     for water in arena.waters:
         low, high = np.array(water.low), np.array(water.high)
@@ -255,10 +255,8 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         powered = state.active & (time - state.born < team.robot.battery_life) & ~state.drowned
         now = Circumstances(time=jnp.broadcast_to(time, powered.shape), powered=powered, depth=depth)
 
-        def run(told: Command, robot: RobotState, act: jax.Array, now: Circumstances, team: Team = team) -> Any:  # noqa: ANN401
-            return drive(team.plan, told, robot, act, now, scene.physics.period)
-
-        driven = jax.vmap(run)(state.command, robots, physics.act[team.actuator], now)
+        run = jax.vmap(partial(drive, team.plan, period=scene.physics.period))
+        driven = run(state.command, robots, physics.act[team.actuator], now)
         parked = ~state.active
         inputs = inputs.replace(
             ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl),

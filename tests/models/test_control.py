@@ -8,10 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.control import Order, drive, idle, righting, servos_of, wheel_speeds
-from usarmjx.models.plan import RobotState, body_plan
-from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.control import Circumstances, Order, drive, idle, righting, servos_of, steer
+from usarmjx.errors import UnknownNameError
+from usarmjx.models.drives import DRY
+from usarmjx.models.plan import body_plan
+from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
 from usarmjx.models.spec import ArenaSpec, StartPose
+from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 
 PERIOD = 0.02  # s
@@ -49,7 +52,12 @@ def run():
             joint_pos=jnp.asarray(joint_pos, jnp.float32),
             joint_vel=jnp.zeros(6),
         )
-        return compiled(command, state, jnp.asarray(act, jnp.float32), jnp.float32(1.0))
+        now = Circumstances(
+            time=jnp.float32(1.0),
+            powered=jnp.asarray(lying.get("powered", True)),
+            depth=jnp.float32(DRY),
+        )
+        return compiled(command, state, jnp.asarray(act, jnp.float32), now)
 
     call.compiled = compiled
     return call
@@ -77,11 +85,16 @@ def test_positions_are_approached_at_most_at_full_speed_and_met_exactly(run):
     ("target", "at", "goes_to"),
     [(9.0, 0.399, TILT_RANGE[1]), (-9.0, -0.159, TILT_RANGE[0]), (9.0, 0.45, TILT_RANGE[1])],
 )
-@pytest.mark.parametrize("order", list(Order))
+@pytest.mark.parametrize("order", [Order.POSITION, Order.VELOCITY])
 def test_ranges_are_kept(run, order, target, at, goes_to):
     told = run([0, 0, 0, 0, 0, target], [Order.VELOCITY] * 5 + [order], joint_pos=[0] * 5 + [at])
     after = at + float(told.ctrl[TILT]) * PERIOD
     assert after == pytest.approx(goes_to, abs=1e-6)
+
+
+def test_a_torque_ends_at_the_range(run):
+    told = run([0] * 5 + [9.0], [Order.VELOCITY] * 5 + [Order.TORQUE], joint_pos=[0] * 5 + [0.5])
+    assert told.act[TILT] == pytest.approx(TILT_RANGE[1]), "beyond its range the servo pulls it back"
 
 
 def test_an_unlimited_joint_turns_on_and_on(run):
@@ -99,7 +112,7 @@ def test_what_is_not_finite_counts_as_zero_and_is_counted(run, bad):
 
 def test_a_servos_target_leads_its_joint_by_what_full_torque_at_full_speed_needs(run):
     slack = servos_of(P2AT).slack
-    motor = P2AT.drive
+    motor = P2AT_MOTOR
     # Stiffness times lead, less damping times speed, is the torque.
     assert slack[0] * motor.stiffness - motor.damping * motor.max_speed == pytest.approx(
         motor.torque, rel=1e-5
@@ -126,7 +139,7 @@ def test_righting_gets_a_robot_back_on_its_wheels(roll):
     scene = build_scene(NOWHERE, ["P2AT"])
     data, team = mujoco.MjData(scene.model), scene.teams[0]
     data.qpos[team.root_qpos[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
-    push = jax.jit(partial(righting, P2AT))
+    push = jax.jit(partial(righting, body_plan(P2AT)))
     for _ in range(300):  # 6 s, twice FlipTime: one push to the feet, and time to come to rest
         root, dof = data.qpos[team.root_qpos[0]], data.qvel[team.root_dof[0]]
         state = RobotState(
@@ -148,8 +161,43 @@ def test_an_idle_robot_brakes_and_holds(run):
 
 
 def test_sides_drive_their_wheels():
-    assert wheel_speeds(P2AT, jnp.float32(1), jnp.float32(2)).tolist() == [1, 2, 1, 2]
-    assert wheel_speeds(P2AT, jnp.zeros(3), jnp.ones((2, 3))).shape == (2, 3, 4)
+    told = steer(P2AT, idle(P2AT), {"Left": 1.0, "Right": 2.0})
+    assert told.target.tolist() == [1, 2, 1, 2, 0, 0]
+    assert told.order.tolist() == WHEELS_TURN
+    assert steer(P2AT, told, {"Right": -3.0}).target.tolist() == [1, -3, 1, -3, 0, 0]
+
+
+def test_drive_values_are_broadcast_over_robots_and_clipped():
+    command = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, 3, *x.shape)), idle(P2AT))
+    told = steer(P2AT, command, {"Left": jnp.zeros((2, 3)), "Right": jnp.full((2, 3), 99.0)})
+    assert told.target.shape == (2, 3, 6)
+    np.testing.assert_allclose(told.target[1, 2], [0, 5.385, 0, 5.385, 0, 0], rtol=1e-6)
+
+
+def test_a_key_of_another_drive_is_refused_with_those_there_are():
+    with pytest.raises(UnknownNameError, match=r"P2AT's DRIVE has no key Speed; it has: Left, Right"):
+        steer(P2AT, idle(P2AT), {"Speed": 1.0})
+
+
+def test_a_drive_takes_its_wheels_back_from_orders_to_single_joints():
+    told = idle(P2AT)
+    told = told.replace(target=told.target.at[0].set(0.7), order=told.order.at[0].set(Order.POSITION))
+    again = steer(P2AT, told, {"Left": 1.0})
+    assert again.order.tolist() == WHEELS_TURN
+    assert again.target[0] == 1.0
+
+
+def test_without_power_a_robot_brakes(run):
+    told = run([5.0] * 6, ALL_TURN, powered=False)
+    assert not told.ctrl.any()
+
+
+def test_a_torque_is_what_the_servo_exerts(run):
+    """Stiffness times lead, less damping times speed; here at rest, and clamped to what the motor can do."""
+    lead = run([1.0, -9.0, 0, 0, 0.2, 0], [Order.TORQUE] * 6, joint_pos=np.full(6, 0.3)).act - 0.3
+    motor = P2AT_MOTOR
+    np.testing.assert_allclose(lead[:2] * motor.stiffness, [1.0, -motor.torque], rtol=1e-5)
+    np.testing.assert_allclose(lead[4] * 40.0, 0.2, rtol=1e-4)  # the camera's servo
 
 
 @pytest.mark.oracle

@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.compose import Physics, add_robot, link_frames, new_spec, remove_robot
+from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.layout import index_robot
+from usarmjx.models.parts import link_frames
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.spec import ArenaSpec
@@ -65,14 +66,14 @@ def test_p2at_geometry_is_the_captured_one():
 def test_reported_geometry_is_the_built_one(stand):
     robot, model, data = stand
     at = np.array([data.body(f"it/{wheel.name}").xpos for wheel in robot.wheels])
-    left = np.array([wheel.side == "left" for wheel in robot.wheels])
+    left = np.array([wheel.name in robot.drive.left for wheel in robot.wheels])
     assert np.ptp(at[:, 0]) == pytest.approx(robot.wheel_base, abs=EXACT)
     assert at[left, 1] == pytest.approx(robot.wheel_separation / 2, abs=EXACT)  # ours: y to the left
     assert at[~left, 1] == pytest.approx(-robot.wheel_separation / 2, abs=EXACT)
-    assert {wheel.radius for wheel in robot.wheels} == {robot.wheel_radius}
-    assert all(wheel.name.startswith("Left") == (wheel.side == "left") for wheel in robot.wheels)
+    assert {wheel.shapes[0].size[0] for wheel in robot.wheels} == {robot.wheel_radius}
+    assert all(wheel.name.startswith("Left") == (wheel.name in robot.drive.left) for wheel in robot.wheels)
     for wheel in robot.wheels:
-        geom = model.geom(f"it/{wheel.name}")
+        geom = model.geom(f"it/{wheel.name}/0")
         assert geom.type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER
         assert geom.size[0] == robot.wheel_radius
 
@@ -86,14 +87,14 @@ def test_deck_has_the_reported_length_and_width(stand):
     assert length == pytest.approx(robot.dimensions[0], abs=EXACT)
     assert width == pytest.approx(robot.dimensions[1], abs=EXACT)
     for wheel in robot.wheels:
-        outer = abs(wheel.at[1]) + wheel.width / 2
+        outer = abs(wheel.at[1]) + wheel.shapes[0].size[1]
         assert outer == pytest.approx(robot.dimensions[1] / 2, abs=EXACT)
 
 
 def test_all_wheels_stand_on_the_ground(stand):
     robot, model, data = stand
     for wheel in robot.wheels:
-        assert data.body(f"it/{wheel.name}").xpos[2] == pytest.approx(wheel.radius, abs=EXACT)
+        assert data.body(f"it/{wheel.name}").xpos[2] == pytest.approx(robot.wheel_radius, abs=EXACT)
     sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
     casters = np.flatnonzero(sphere & (model.geom_contype > 0))
     assert len(casters) == (robot is P2DX)
@@ -109,7 +110,7 @@ def test_at_rest_only_wheels_and_caster_touch_and_only_the_floor(stand):
     touching = [frozenset(int(g) for g in pair) for pair in data.contact.geom]
     assert all(0 in pair for pair in touching)  # geom 0 is the floor
     feet = {model.geom(max(pair)).name for pair in touching}
-    expected = {f"it/{wheel.name}" for wheel in robot.wheels}
+    expected = {f"it/{wheel.name}/0" for wheel in robot.wheels}
     assert feet == (expected | {"it/chassis/2"} if robot is P2DX else expected)
     assert data.body("it/chassis").xpos[2] == pytest.approx(robot.origin_height, abs=SINK)
     up = data.body("it/chassis").xmat.reshape(3, 3)[2, 2]
@@ -135,7 +136,7 @@ def test_a_positive_wheel_angle_rolls_forward(stand):
     for wheel in robot.wheels:
         # The wheel's contact point must move backwards for the robot to go ahead.
         axis = model.joint(f"it/{wheel.name}").axis
-        assert np.cross(axis, [0, 0, -wheel.radius])[0] < 0
+        assert np.cross(axis, [0, 0, -robot.wheel_radius])[0] < 0
     data.act[:] = 0
     index = index_robot(model, robot, "it/")
     data.ctrl[list(index.actuator)[: len(robot.wheels)]] = 2.0

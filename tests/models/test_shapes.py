@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import pytest
 
 from usarmjx.batch import Batch
-from usarmjx.control import Command, Drive, drive, idle
+from usarmjx.control import Circumstances, Command, Driven, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
-from usarmjx.models.plan import Bodies, RobotState, body_plan, body_poses
+from usarmjx.models.plan import Bodies, body_plan, body_poses
 from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.motion import InsMemory
@@ -101,7 +102,7 @@ def test_world_team_and_status(scene, built):
     assert isinstance(team, TeamState)
     assert isinstance(world.status, Status)
     check(team, (), {"n": ROBOTS})
-    check(team.command, (ROBOTS,), {"joints": JOINTS})
+    check(team.command, (ROBOTS,), {"joints": JOINTS, "keys": 2})
     check(team.memory, (ROBOTS,), {"sensors": SENSORS})
     assert isinstance(team.command, Command)
     assert isinstance(team.memory, Memory)
@@ -159,9 +160,10 @@ def test_a_robots_drive():
         joint_pos=jnp.zeros(JOINTS),
         joint_vel=jnp.zeros(JOINTS),
     )
-    told = jax.eval_shape(lambda s: drive(plan, idle(P2AT), s, jnp.zeros(JOINTS), jnp.zeros(()), 0.02), state)
-    assert isinstance(told, Drive)
-    check(told, (), {"joints": JOINTS})
+    now = Circumstances(time=jnp.zeros(()), powered=jnp.ones((), bool), depth=jnp.zeros(()))
+    told = jax.eval_shape(lambda s: drive(plan, idle(P2AT), s, jnp.zeros(JOINTS), now, 0.02), state)
+    assert isinstance(told, Driven)
+    check(told, (), {"actuators": JOINTS})
 
 
 def test_blocks_and_hits(scene):

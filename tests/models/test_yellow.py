@@ -32,7 +32,7 @@ def scene():
 def place(scene, data, x, y, yaw):
     mujoco.mj_resetData(scene.model, data)
     root = data.joint("r0/root").qpos
-    root[:3] = x, y, start_height(scene.arena, P2AT)
+    root[:3] = x, y, start_height(scene.arena, scene.arena.starts[0], P2AT)
     root[3:] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
     mujoco.mj_kinematics(scene.model, data)
     mujoco.mj_comPos(scene.model, data)

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.plan import RobotState, body_plan, body_poses
+from usarmjx.models.plan import body_plan, body_poses
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT, P2AT_SCANNER
 from usarmjx.models.spec import Mount, RobotSpec, options
+from usarmjx.models.state import RobotState
 from usarmjx.sensors.base import Sight
 from usarmjx.sensors.raycast import FAR_AWAY, gather
 from usarmjx.sensors.suite import Memory, Suite, suite_of
@@ -39,11 +40,11 @@ def encoder(name: str, parent: str, direction: tuple, **keys: object) -> Mount:
 
 
 # Rear wheels further out than the front ones, so that left-most is not simply the first.
-WHEELS = tuple(replace(w, at=(w.at[0], w.at[1] * 1.3, w.at[2])) if w.at[0] < 0 else w for w in P2AT.wheels)
+PARTS = tuple(replace(w, at=(w.at[0], w.at[1] * 1.3, w.at[2])) if w.at[0] < 0 else w for w in P2AT.parts)
 BENCH = replace(
     P2AT,
     name="Bench",
-    wheels=WHEELS,
+    parts=PARTS,
     sensors=(
         *(m for m in P2AT.sensors if m.kind == "Sonar"),
         sonar("Clean", Noise=0.0),

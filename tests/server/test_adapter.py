@@ -328,9 +328,9 @@ def test_an_empty_battery_leaves_only_sta_and_brakes(house, robot):
     house.run(5 * TICK)
     lines = heard(robot)
     assert [re.match(STA, line)["battery"] for line in lines] == ["0"] * 5
-    before = house.world.joints(robot.robot).copy()
+    before = house.world.state(robot.robot).joint_pos.copy()
     house.run(TICK)
-    np.testing.assert_allclose(house.world.joints(robot.robot), before, atol=1e-3)
+    np.testing.assert_allclose(house.world.state(robot.robot).joint_pos, before, atol=1e-3)
 
 
 # Driving
@@ -425,7 +425,7 @@ def pan_tilt(house, robot, *lines, seconds=0):
     for line in lines:
         house.say(robot, "MISPKG {Name CameraPanTilt} " + line)
     house.run(round(seconds / 0.02))
-    return house.world.joints(robot.robot)[4:]
+    return house.world.state(robot.robot).joint_pos[4:]
 
 
 def test_order_0_is_an_angle_as_missta_says(house, robot):
@@ -452,12 +452,54 @@ def test_orders_10_and_11_are_relative(house, robot):
     assert robot.robot.command.target[5] == pytest.approx(0.05), "it was not told a speed before"
 
 
-@pytest.mark.parametrize("line", ["{Link 7} {Value 1}", "{Link 0} {Value 1}", "{Link 1} {Value 1} {Order 2}"])
+@pytest.mark.parametrize("line", ["{Link 7} {Value 1}", "{Link 0} {Value 1}", "{Link 1} {Value 1} {Order 7}"])
 def test_unknown_links_and_orders_are_logged_and_change_nothing(house, robot, caplog, line):
     before = robot.robot.command.target.copy()
     assert house.say(robot, "MISPKG {Name CameraPanTilt} " + line) == []
     np.testing.assert_array_equal(robot.robot.command.target, before)
     assert "no link" in caplog.text or "not supported" in caplog.text
+
+
+def test_torque_orders_push_and_add_up(house, robot):
+    """Order 2 is a torque, 12 adds to the torque in force (KRobot.uc); the pan turns on without a limit."""
+    pan_tilt(house, robot, "{Link 1} {Value 0.02} {Order 2}")
+    assert robot.robot.command.target[4] == pytest.approx(0.02)
+    there = pan_tilt(house, robot, "{Link 1} {Value 0.03} {Order 12}", seconds=1)
+    assert robot.robot.command.target[4] == pytest.approx(0.05)
+    assert there[0] > 0.1
+
+
+def test_a_joint_is_driven_by_name_in_any_case(house, robot):
+    """Manual 9.4: DRIVE {Name}{Order}{Value}, MULTIDRIVE, SET {Type Joint}, which has no RES (KRobot.uc)."""
+    house.say(robot, "DRIVE {Name leftfwheel} {Order 1} {Value 0.175}")
+    assert robot.robot.command.target[:4].tolist() == pytest.approx([0.175, 0, 0, 0])
+    house.say(robot, "MULTIDRIVE {CameraPanTilt_LINK1 0.3} {cameraPanTilt_link2 0.1}")
+    house.run(13 * TICK)
+    joints = house.world.state(robot.robot).joint_pos
+    assert joints[4:] == pytest.approx([0.3, 0.1], abs=0.01)
+    heard(robot)
+    assert house.say(robot, "SET {Type Joint} {Name RightFWheel} {Opcode Velocity} {Params 0.5}") == []
+    assert robot.robot.command.target[1] == pytest.approx(0.5)
+    house.say(robot, "DRIVE {Left 1} {Right 1}")
+    assert robot.robot.command.target[:4].tolist() == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("DRIVE {Speed 1} {FrontSteer 0.2}", "DRIVE {Speed} {FrontSteer}"),
+        ("DRIVE {Name Nose} {Value 1}", "no joint 'Nose'"),
+        ("DRIVE {Name LeftFWheel} {Steer 1.57}", "no joint 'LeftFWheel_Steer'"),
+        ("MULTIDRIVE {FRFlipper 1}", "no joint 'FRFlipper'"),
+        ("DRIVE {Name LeftFWheel} {Order 9} {Value 1}", "no such order as 9"),
+        ("DRIVE {WheelNumber 0} {WheelSpeed 1}", "DRIVE {WheelSpeed0}"),
+    ],
+)
+def test_what_another_robot_could_do_is_logged_and_changes_nothing(house, robot, caplog, line, word):
+    before = robot.robot.command.target.copy()
+    assert house.say(robot, line) == []
+    np.testing.assert_array_equal(robot.robot.command.target, before)
+    assert word in caplog.text
 
 
 def test_an_unknown_package_is_logged(house, robot, caplog):

@@ -100,6 +100,11 @@ CAPTURED = [
         id="captured Encoder",
     ),
     pytest.param(
+        r.sen_touch(None, [("Touch", False)]),
+        "SEN {Type Touch} {Name Touch Touch False}",
+        id="captured Touch",
+    ),
+    pytest.param(
         d.geo_robot(
             d.RobotGeometry(
                 kind="GroundVehicle",
@@ -299,6 +304,12 @@ MANUAL = [
         " {Name ECPan Tick 0}",
         {},
         id="manual 9.3 Encoder",
+    ),
+    pytest.param(
+        r.sen_touch(None, [("Front", True), ("Left", False), ("Right", False)]),
+        "SEN {Type Touch} {Name Front Touch True} {Name Left Touch False} {Name Right Touch False}",
+        {},
+        id="manual 9.3 Touch",
     ),
     pytest.param(
         d.geo_robot(
@@ -574,6 +585,7 @@ def test_a_scanner_line_fits_the_2048_characters_that_old_clients_hold():
         lambda name: r.nfo_start_poses([(name, ZERO, ZERO)]),
         lambda name: r.sen_range("Sonar", None, [(name, 1.0)]),
         lambda name: r.sen_encoder(None, [(name, 1)]),
+        lambda name: r.sen_touch(None, [(name, True)]),
         lambda name: d.geo_items("Sonar", [(name, ZERO, ZERO, "HARD")]),
         lambda name: d.geo_items("Sonar", [("F1", ZERO, ZERO, name)]),
     ],

@@ -100,7 +100,9 @@ def _add_loose(spec: mujoco.MjSpec, loose: Loose, floor: float) -> None:
         _add_geom(body, f"{name}/{i}", shape)
 
 
-def cap_contacts(spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]) -> None:
+def cap_contacts(
+    spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]
+) -> None:
     """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
     geoms += sum(_touching(loose.shapes) for loose in arena.loose)

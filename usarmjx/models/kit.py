@@ -54,7 +54,7 @@ def pan_tilt(
     head = Shape(
         kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
     )
-    usual = {"max_speed": 0.17, "max_torque": 20.0}  # captured
+    speed, torque = 0.17, 20.0  # captured
     return MissionPackage(
         name=name,
         links=(
@@ -66,7 +66,8 @@ def pan_tilt(
                 min_range=1.0,
                 max_range=0.0,
                 shapes=(pan_shape,),
-                **usual,
+                max_speed=speed,
+                max_torque=torque,
             ),
             Link(
                 number=2,
@@ -76,7 +77,8 @@ def pan_tilt(
                 min_range=tilt[0],
                 max_range=tilt[1],
                 shapes=(head,),
-                **usual,
+                max_speed=speed,
+                max_torque=torque,
             ),
         ),
     )
@@ -102,7 +104,7 @@ def sick(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
 
 
 def sick_housing(at: Vec3) -> Shape:
-    """Return a box of the LMS200's size (data sheet: 155 x 156 x 210 mm; the optics sit in its upper half)."""
+    """Return a box of the LMS200's size (data sheet: 155 x 156 x 210 mm; optics in its upper half)."""
     centre = (at[0], at[1], at[2] - 0.03)
     return Shape(kind="box", size=(0.0775, 0.078, 0.08), at=centre, rgba=(0.2, 0.3, 0.7, 1))
 

@@ -1,4 +1,4 @@
-"""Sonar and range scanner (manual 10.2, 10.3)."""
+"""Sonar, infrared and range scanner (manual 10.2, 10.3)."""
 
 import math
 from dataclasses import dataclass
@@ -109,6 +109,36 @@ class Sonar(Sensor):
 
 
 @dataclass(frozen=True)
+class IrSettings(RangeSettings):
+    """Manual 10.2.2; MinRange is that of captured CONF lines of the other range sensors."""
+
+    with_time_stamp: bool = True
+    noise: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Ir(Sensor):
+    """One line each; value: ranges [m] (mounts,).
+
+    The manual lets the line pass through glass (10.2.1). No arena has glass yet, so it meets what any
+    other ray meets.
+    """
+
+    kind = "IR"
+    grouped = True
+    defaults = IrSettings
+
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """Each sensor's line, along its x axis."""
+        pos, mat = self.mount_poses(bodies)
+        return pos, mat[:, :, 0]
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Measure once (manual 10.2.1)."""
+        return memory, report(sight.hits.distance[:, None], self.settings, key)[:, 0]
+
+
+@dataclass(frozen=True)
 class ScannerSettings(RangeSettings):
     """Manual 10.3.2, angles in radians instead of Unreal's units.
 
@@ -182,5 +212,5 @@ class RangeScanner(Sensor):
         return memory if opcode.upper() == "SCAN" else None
 
 
-for _sensor in (Sonar, RangeScanner):
+for _sensor in (Sonar, Ir, RangeScanner):
     SENSORS.add(_sensor.kind, _sensor)

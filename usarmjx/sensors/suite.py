@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+import usarmjx.sensors.gps
 import usarmjx.sensors.motion
-import usarmjx.sensors.ranging  # noqa: F401 - both fill SENSORS
+import usarmjx.sensors.ranging
+import usarmjx.sensors.touch  # noqa: F401 - these fill SENSORS
 from usarmjx.errors import UnknownNameError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from usarmjx.control import FLIP_TIME, Command, Order, steer
+from usarmjx.control import FLIP_TIME, Order, steer
 from usarmjx.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.models.parts import STEER
 from usarmjx.models.robots import ROBOTS

@@ -215,6 +215,40 @@ def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message
     return _sen(_precise(time), "Encoder", *items)
 
 
+def sen_gps(
+    time: float | None, name: str, position: tuple[float, float] | None, satellites: int
+) -> Message:
+    """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
+
+    Args:
+        time: Simulated time [s].
+        name: The sensor's name.
+        position: Latitude and longitude [degrees], north and east positive.
+        satellites: How many are seen.
+    """
+    place: tuple[Segment, ...] = ()
+    if position is not None:
+        latitude, longitude = position
+        place = (
+            ("Latitude", f"{_degrees_and_minutes(latitude)},{'S' if latitude < 0 else 'N'}"),
+            ("Longitude", f"{_degrees_and_minutes(longitude)},{'W' if longitude < 0 else 'E'}"),
+        )
+    fix = ("Fix", "0" if position is None else "1")
+    return _sen(_precise(time), "GPS", ("Name", name), *place, fix, ("Satellites", str(satellites)))
+
+
+def _degrees_and_minutes(angle: float) -> str:
+    """Return an angle [degrees] without its sign as degrees and minutes, cut and never 60 minutes."""
+    degrees, minutes = divmod(float(truncated(abs(angle) * 60)), 60)
+    return f"{degrees:.0f},{minutes:.4f}"
+
+
+def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Message:
+    """Return all touch sensors in one line: (name, whether it is touched)."""
+    items = [("Name", f"{word(name)} Touch {bool(touch)}") for name, touch in touched]
+    return _sen(_precise(time), "Touch", *items)
+
+
 def res(time: float, type_name: str, name: str, status: str) -> Message:
     """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
     return Message("RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status)))

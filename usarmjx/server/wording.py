@@ -10,6 +10,7 @@ from usarmjx.models.parts import joint_names, part_name
 from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.gps import FIX, coordinates
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.server import reports
 from usarmjx.server.descriptions import (
@@ -33,7 +34,7 @@ from usarmjx.server.grammar import Message
 # Reports: (sensor, its value, time or None) -> message.
 
 
-def _sonar(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+def _range(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     pairs = [(mount.name, float(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
     return reports.sen_range(sensor.kind, time, pairs)
 
@@ -67,18 +68,33 @@ def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_encoder(time, ticks)
 
 
+def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_touch(time, touched)
+
+
+def _gps(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    *position, satellites = value.tolist()
+    found = coordinates(sensor.settings[0], position) if satellites >= FIX else None
+    return reports.sen_gps(time, sensor.mounts[0].name, found, int(satellites))
+
+
 REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
-    "Sonar": _sonar,
+    "Sonar": _range,
+    "IR": _range,
     "RangeScanner": _scanner,
     "Odometry": _odometry,
     "INS": _ins,
     "GroundTruth": _ground_truth,
     "Encoder": _encoder,
+    "Touch": _touch,
+    "GPS": _gps,
 }
 
 # CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
 CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
+    "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
     "RangeScanner": (
         ("MaxRange", "max_range"),
         ("MinRange", "min_range"),
@@ -88,9 +104,11 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
         ("Tilting", "pitch"),
     ),
     "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
+    "GPS": (("ScanInterval", "scan_interval"),),
     "INS": (("ScanInterval", "scan_interval"),),
     "GroundTruth": (("ScanInterval", "scan_interval"),),
     "Encoder": (("Resolution", "resolution"),),
+    "Touch": (("Diameter", "diameter"),),
 }
 
 
@@ -212,7 +230,9 @@ def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: flo
         battery: Time left [s].
     """
     names, drive, light = joint_names(plan.robot), plan.robot.drive, bool(command.light)
-    measured = drive.steering_angles(dict(zip(names, joints.tolist(), strict=True)), command.setpoint)
+    angles_of: dict[str, Any] = drive.steering_angles(
+        dict(zip(names, joints.tolist(), strict=True)), command.setpoint
+    )
     return reports.sta(
         drive.vehicle,
         reports.RobotStatus(
@@ -221,7 +241,7 @@ def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: flo
             intensity=100 if light else 0,
             battery=battery,
             joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported),
-            **measured,
+            **angles_of,
         ),
     )
 

@@ -4,7 +4,7 @@ A drive keeps a setpoint, one number per key. It turns it into targets of the ro
 comes (`aim`), into a force on the chassis at every control step (`wrench`), or both.
 """
 
-from abc import ABC
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
@@ -46,9 +46,9 @@ class Drive(ABC):
         return "GroundVehicle"
 
     @property
+    @abstractmethod
     def steering(self) -> str:
         """The SteeringType that CONF reports."""
-        raise NotImplementedError
 
     @property
     def full(self) -> dict[str, float]:
@@ -102,9 +102,9 @@ class Drive(ABC):
         return (0.0, 0.0)
 
     @property
+    @abstractmethod
     def top_speed(self) -> float:
         """About how fast it can go [m/s]; a robot far beyond this is a fault of the physics."""
-        raise NotImplementedError
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -1,0 +1,148 @@
+"""GPS sensor (manual 10.5; 10.13 is an older text, with the axes the other way round).
+
+The sensor itself works in metres, the server turns them into degrees: a degree is 111 km, of which
+float32 would keep half a metre.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.errors import SpecError
+from usarmjx.models.plan import Bodies
+from usarmjx.models.spec import Options, options
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.transforms import Array
+
+LATITUDE_SCALE, LONGITUDE_SCALE = 111200.0, 71670.0
+"""Metres of a degree (GPSSensor.uc); the earth is flat (manual 10.5.1)."""
+SATELLITES, FIX = 12, 4
+"""Most satellites there are, and fewest that a position takes (manual 10.5.2)."""
+MASK = math.radians(5)
+"""Satellites lower than this are not received (GPSSensor.uc) [rad]."""
+
+
+@dataclass(frozen=True)
+class GpsSettings(Common):
+    """Manual 10.5.2; the numbers are GPSSensor.uc's.
+
+    Attributes:
+        scan_interval: Time between two positions [s] (captured CONF).
+        max_noise: Largest error of a coordinate with four satellites [m].
+        min_noise: Largest error of a coordinate with twelve [m].
+        zero_zero_location: LatitudeDegree, LatitudeMinute, LongitudeDegree and LongitudeMinute of the
+            world's origin; south and west are negative. One that is left out is 0.
+    """
+
+    scan_interval: float = 0.2
+    max_noise: float = 2.5
+    min_noise: float = 0.75
+    zero_zero_location: Options = options(
+        LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998
+    )
+
+
+def sky() -> np.ndarray:
+    """Return the directions of the satellites, north, west and up: unit vectors (satellites, 3).
+
+    They stand still, evenly over the sky above the mask: equal steps of height on the unit sphere, the
+    golden angle apart in bearing. Ours; the original followed the orbits of real ones.
+    """
+    place = np.arange(SATELLITES) + 0.5
+    up = math.sin(MASK) + (1 - math.sin(MASK)) * place / SATELLITES
+    bearing = math.pi * (3 - math.sqrt(5)) * place
+    along = np.sqrt(1 - up**2)
+    return np.stack([along * np.cos(bearing), along * np.sin(bearing), up], -1).astype(np.float32)
+
+
+def largest_error(settings: GpsSettings, satellites: Array) -> Array:
+    """Return the largest error of a coordinate [m]: linear in the number of satellites (manual 10.5.2)."""
+    share = (satellites - FIX) / (SATELLITES - FIX)
+    return settings.max_noise + (settings.min_noise - settings.max_noise) * share
+
+
+def reference(location: Options) -> tuple[float, float]:
+    """Return latitude and longitude [degrees] of a `ZeroZeroLocation`.
+
+    A negative degree with a positive minute, as in the manual's own example, means a negative minute
+    (GPSSensor.uc): -359 and 59.9996 are 0.0004 minutes east.
+
+    Raises:
+        SpecError: A key that a location does not have, or a value that is no number.
+    """
+    known = [f"{name}{part}" for name in ("Latitude", "Longitude") for part in ("Degree", "Minute")]
+    values = {key.lower(): value for key, value in location}
+    if unknown := values.keys() - {key.lower() for key in known}:
+        raise SpecError(f"ZeroZeroLocation has no {sorted(unknown)}; it has: {', '.join(known)}")
+    numbers = []
+    for key in known:
+        value = values.get(key.lower(), 0.0)
+        if not isinstance(value, int | float):
+            raise SpecError(f"ZeroZeroLocation: {key} is {value!r}, expected a number")
+        numbers.append(float(value))
+    north, north_minute, east, east_minute = numbers
+    return _degrees(north, north_minute), _degrees(east, east_minute)
+
+
+def _degrees(degree: float, minute: float) -> float:
+    return degree - abs(minute) / 60 if degree < 0 else degree + minute / 60
+
+
+def coordinates(settings: GpsSettings, position: Sequence[float]) -> tuple[float, float]:
+    """Return latitude in [-90, 90] and longitude in [-180, 180) [degrees] of a position x, y [m].
+
+    X is north and the wire's y, to the right of it, east. Past a pole the latitude turns back; the
+    longitude stays, so that beyond it the x axis points the other way (manual 10.5.1). Past 180 degrees
+    east is west.
+    """
+    latitude, longitude = reference(settings.zero_zero_location)
+    latitude = _wrapped(latitude + position[0] / LATITUDE_SCALE)
+    longitude = _wrapped(longitude - position[1] / LONGITUDE_SCALE)
+    if abs(latitude) > 90:
+        latitude = math.copysign(180, latitude) - latitude
+    return latitude, longitude
+
+
+def _wrapped(degrees: float) -> float:
+    return (degrees + 180) % 360 - 180
+
+
+@dataclass(frozen=True, eq=False)
+class Gps(Sensor):
+    """Satellite navigation; value: x, y with their error [m], and the number of satellites seen (3,).
+
+    With fewer than `FIX` satellites there is no position: x and y are 0. A satellite is seen if nothing
+    but the robot itself is between it and the mount: the sky is where no ray hits anything.
+    """
+
+    kind = "GPS"
+    defaults = GpsSettings
+
+    def check(self) -> None:
+        """Find what is wrong; see `Sensor.check`."""
+        super().check()
+        reference(self.settings[0].zero_zero_location)
+
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """One line to each satellite, however the robot is turned."""
+        pos, _ = self.mount_poses(bodies)
+        along = jnp.asarray(sky())
+        return jnp.broadcast_to(pos[0], along.shape), along
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Take a position; the largest error is three standard deviations (GPSSensor.uc), and cut off there."""
+        satellites = jnp.isinf(sight.hits.distance).sum().astype(jnp.float32)
+        pos, _ = self.mount_poses(sight.bodies)
+        error = jax.random.truncated_normal(key, -3.0, 3.0, (2,)) / 3 * largest_error(
+            self.settings[0], satellites
+        )
+        fixed = jnp.where(satellites >= FIX, pos[0, :2] + error, 0.0)
+        return memory, jnp.append(fixed, satellites)
+
+
+SENSORS.add(Gps.kind, Gps)

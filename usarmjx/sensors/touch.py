@@ -1,0 +1,68 @@
+"""Touch sensor (manual 10.8)."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.plan import Bodies
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.ranging import BEAM
+
+TRIGGER = 0.0047
+"""A thing nearer to the button than this touches it [m] (manual 10.8.1)."""
+SETBACK = 0.01
+"""How far behind the button's surface its lines start [m]. Things in contact sink into each other by a
+millimetre or so, and a line that started inside a wall would only meet its far side."""
+
+
+@dataclass(frozen=True)
+class TouchSettings(Common):
+    """Manual 10.8.2.
+
+    Attributes:
+        diameter: Of the button [m].
+    """
+
+    diameter: float = 0.01
+
+
+def button(diameter: float) -> np.ndarray:
+    """Return where the lines of a button start, which is the y-z plane of its mount [m] (lines, 3).
+
+    They stand on the button as those of a sonar's beam do in their cone: one in the middle, four half
+    way out, four on the rim.
+    """
+    spots = [
+        (-SETBACK, share * math.cos(around) * diameter / 2, share * math.sin(around) * diameter / 2)
+        for share, around in BEAM
+    ]
+    return np.array(spots, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Touch(Sensor):
+    """Buttons that look along their x axis; value: 1 where one is touched, else 0 (mounts,)."""
+
+    kind = "Touch"
+    grouped = True
+    defaults = TouchSettings
+
+    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+        """All buttons' lines, button by button, parallel to its x axis."""
+        pos, mat = self.mount_poses(bodies)
+        spots = np.stack([button(settings.diameter) for settings in self.settings])
+        origin = pos[:, None] + jnp.einsum("mij,mlj->mli", mat, spots)
+        along = jnp.broadcast_to(mat[:, None, :, 0], origin.shape)
+        return origin.reshape(-1, 3), along.reshape(-1, 3)
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Feel once (manual 10.8.1); the robot's own parts do not count."""
+        nearest = sight.hits.distance.reshape(len(self.mounts), -1).min(-1)
+        return memory, (nearest < SETBACK + TRIGGER).astype(jnp.float32)
+
+
+SENSORS.add(Touch.kind, Touch)
