@@ -1,14 +1,64 @@
 """What there is: the text of `usarmjx list`."""
 
 import importlib.util
+from collections.abc import Sequence
 
 import jax
 
 from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import Mount, RobotSpec
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
+
+
+def robots_table() -> str:
+    """Return two Markdown tables of all robot classes: figures with their sources, and equipment."""
+    figures = [
+        "| class | type, steering | L x W x H [m] | mass [kg] | payload [kg] | top speed [m/s] | DRIVE keys "
+        "(largest value) | figures from |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    equipment = [
+        "| class | wheels and other joints | mission packages | sensors | cameras | effecters |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, robot in ROBOTS:
+        drive = robot.drive
+        keys = ", ".join(f"{key} {value:.4g}" for key, value in drive.full.items()) or "-"
+        size = " x ".join(f"{side:.3g}" for side in robot.dimensions)
+        sources = "; ".join(f"{field}: {source}" for field, source in robot.sources)
+        figures.append(
+            f"| {name} | {drive.vehicle}, {drive.steering} | {size} | {robot.mass:g} | {robot.payload:g} "
+            f"| {drive.top_speed:.2f} | {keys} | {sources} |"
+        )
+        equipment.append(
+            f"| {name} | {_joints(robot)} | {_packages(robot)} | {_sensors(robot)} "
+            f"| {_names(robot.cameras)} | {_names(robot.effecters)} |"
+        )
+    return "\n".join([*figures, "", *equipment])
+
+
+def _names(mounts: Sequence[Mount]) -> str:
+    return ", ".join(mount.name for mount in mounts) or "-"
+
+
+def _joints(robot: RobotSpec) -> str:
+    others = [part.name for part in robot.parts if not part.rolls and part.motor is not None]
+    return ", ".join([f"{len(robot.wheels)} wheels"] * bool(robot.wheels) + others) or "-"
+
+
+def _packages(robot: RobotSpec) -> str:
+    return ", ".join(f"{package.name} ({len(package.links)})" for package in robot.packages) or "-"
+
+
+def _sensors(robot: RobotSpec) -> str:
+    kinds = [
+        f"{len(sensor.mounts)} {sensor.kind}" if len(sensor.mounts) > 1 else sensor.kind
+        for sensor in suite_of(robot).sensors
+    ]
+    return ", ".join(kinds) or "-"
 
 
 def catalogue() -> str:
@@ -16,14 +66,11 @@ def catalogue() -> str:
     lines = ["Robots (INIT {ClassName USARBot.<name>}):"]
     for name, robot in ROBOTS:
         length, width, height = robot.dimensions
-        sensors = ", ".join(
-            f"{len(s.mounts)} {s.kind}" if len(s.mounts) > 1 else s.kind for s in suite_of(robot).sensors
-        )
-        speed = robot.drive.top_speed
         lines.append(
-            f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, {speed:.2f} m/s"
+            f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, "
+            f"{robot.drive.top_speed:.2f} m/s"
         )
-        lines.append(f"  {'':10} {sensors}")
+        lines.append(f"  {'':10} {_sensors(robot)}")
     lines.append("Arenas:")
     for name, arena in ARENAS:
         aliases = f" ({', '.join(arena.aliases)})" if arena.aliases else ""

@@ -37,11 +37,32 @@ class _Failure:
 
 
 @app.command("list")
-def list_everything() -> None:
+def list_everything(
+    what: Annotated[str, typer.Argument(help="everything, or robots: the full table.")] = "everything",
+) -> None:
     """List robots, arenas, sensors and engines."""
-    from usarmjx.catalogue import catalogue
+    with _Failure():
+        from usarmjx.catalogue import catalogue, robots_table
+        from usarmjx.errors import UsageError
 
-    typer.echo(catalogue())
+        listings = {"everything": catalogue, "robots": robots_table}
+        if what not in listings:
+            raise UsageError(f"cannot list {what!r}; there is: {', '.join(listings)}")
+        typer.echo(listings[what]())
+
+
+@app.command()
+def portraits(
+    out: Annotated[Path, typer.Argument(help="PNG file to write.")],
+    robots: Annotated[list[str] | None, typer.Argument(help="Robot classes; all without any.")] = None,
+) -> None:
+    """Draw robots with the sensors' raycaster."""
+    with _Failure():
+        from usarmjx.models.robots import ROBOTS
+        from usarmjx.portrait import portraits as draw_all
+
+        draw_all(robots or ROBOTS.names(), out)
+        typer.echo(f"wrote {out}")
 
 
 @app.command()

@@ -11,12 +11,13 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec import Mount, Shape, options
 from usarmjx.sensors.settings import resolve
 from usarmjx.sensors.touch import TouchSettings, button
+from usarmjx.server.grammar import format
+from usarmjx.server.wording import configuration, sensor_report
 from usarmjx.transforms import angles_from_mat
 
 HULL_X = 0.276  # m: front face of the P2AT's hull, 0.11 m below its origin
 LOW = 0.11
 HEIGHT = 0.26  # m: origin of a P2AT on the floor
-TRIGGER_MM = 4.7  # manual 10.8.1
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def ahead(gap: float) -> tuple:
     [(-5.0, True), (-1.0, True), (0.0, True), (4.6, True), (4.8, False), (100.0, False)],
 )
 def test_a_wall_nearer_than_4_7_mm_touches(bench, make_arena, gap_mm, touched):
-    """A little inside the wall counts too: bodies in contact sink into each other."""
+    """Manual 10.8.1. A little inside the wall counts too: bodies in contact sink into each other."""
     geoms = make_arena(boxes=[ahead(gap_mm / 1000)])
     assert bench.once("Touch", "Front", geoms=geoms) == float(touched)
     assert bench.once("Touch", "Left", geoms=geoms) == 0.0
@@ -100,3 +101,15 @@ def test_defaults_are_the_manuals():
     settings = resolve(TouchSettings, (), "Touch T")
     assert (settings.diameter, settings.weight, settings.with_time_stamp) == (0.01, 0.4, False)
     assert resolve(TouchSettings, options(Diameter=0.02), "Touch T").diameter == 0.02
+
+
+def test_all_of_a_robot_come_in_one_line(bench):
+    (group,) = bench.suite.sensors
+    assert format(sensor_report(group, np.array([1, 0, 0], np.float32), 1.0)) == (
+        "SEN {Type Touch} {Name Front Touch True} {Name Left Touch False} {Name Wide Touch False}"
+    )
+
+
+def test_getconf_tells_the_diameter(bench):
+    (message,) = configuration(bench.robot, bench.suite.sensors, "Touch", "Wide")
+    assert format(message) == "CONF {Type Touch} {Name Wide} {Diameter 0.0400}"

@@ -100,6 +100,16 @@ CAPTURED = [
         id="captured Encoder",
     ),
     pytest.param(
+        r.sen_gps(None, "GPS", (39 + 8.0341 / 60, -77 - 13.0001 / 60), 11),
+        "SEN {Type GPS} {Name GPS} {Latitude 39,8.0341,N} {Longitude 77,13.0001,W} {Fix 1} {Satellites 11}",
+        id="captured GPS",
+    ),
+    pytest.param(
+        r.sen_gps(None, "GPS", None, 3),
+        "SEN {Type GPS} {Name GPS} {Fix 0} {Satellites 3}",
+        id="GPS without a position, as GPSSensor.uc sends it",
+    ),
+    pytest.param(
         r.sen_touch(None, [("Touch", False)]),
         "SEN {Type Touch} {Name Touch Touch False}",
         id="captured Touch",
@@ -304,6 +314,12 @@ MANUAL = [
         " {Name ECPan Tick 0}",
         {},
         id="manual 9.3 Encoder",
+    ),
+    pytest.param(
+        r.sen_gps(None, "GPS1", (47 + 40.3323 / 60, -122 - 18.5977 / 60), 8),
+        "SEN {Type GPS} {Name GPS1} {Latitude 47,40.3323,N} {Longitude 122,18.5977,W} {Fix 1} {Satellites 8}",
+        {},
+        id="manual 9.3 GPS",
     ),
     pytest.param(
         r.sen_touch(None, [("Front", True), ("Left", False), ("Right", False)]),
@@ -576,6 +592,23 @@ def test_all_packages_come_in_one_line():
 def test_a_scanner_line_fits_the_2048_characters_that_old_clients_hold():
     scan = r.Scan("Scanner1", math.radians(1), math.pi, [20.0] * 181)
     assert len(format(r.sen_scanner("RangeScanner", 99999.99, scan))) + 2 <= 2048
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "place"),
+    [
+        (0.0, 0.0, "{Latitude 0,0.0000,N} {Longitude 0,0.0000,E}"),
+        (-89.5, 179.75, "{Latitude 89,30.0000,S} {Longitude 179,45.0000,E}"),
+        # A hair below a whole degree is that degree or 59.9999 minutes, never 60 minutes.
+        (39 - 1e-12, -40 + 1e-12, "{Latitude 39,0.0000,N} {Longitude 40,0.0000,W}"),
+        (39 - 1e-6, -40 + 1e-6, "{Latitude 38,59.9999,N} {Longitude 39,59.9999,W}"),
+    ],
+)
+def test_gps_degrees_and_minutes(latitude, longitude, place):
+    message = r.sen_gps(12.5, "G", (latitude, longitude), 12)
+    assert (
+        format(message) == f"SEN {{Time 12.5000}} {{Type GPS}} {{Name G}} {place} {{Fix 1}} {{Satellites 12}}"
+    )
 
 
 @pytest.mark.parametrize("name", ["", "two words"])

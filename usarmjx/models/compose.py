@@ -1,8 +1,8 @@
 """Descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
 
 Every robot is a free body with the name prefix that the caller gives ("r0/"); within it, `chassis`, one
-body per part (wheels, flippers, legs, mission package links), each with one joint of the same name and,
-if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
+body per part (wheels, flippers, legs, mission package links, fingers), each with one joint of the same name
+and, if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from usarmjx.models.parts import parts_of
+from usarmjx.models.parts import chassis_shapes, parts_of
 from usarmjx.models.spec import CHASSIS, SURFACES, ArenaSpec, Loose, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 
@@ -115,7 +115,7 @@ def cap_contacts(
 
 
 def _solids(robot: RobotSpec) -> list[tuple[Shape, ...]]:
-    return [robot.chassis, *(part.shapes for part in parts_of(robot))]
+    return [chassis_shapes(robot), *(part.shapes for part in parts_of(robot))]
 
 
 def _touching(shapes: tuple[Shape, ...]) -> int:
@@ -152,7 +152,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     """Add a robot of that class whose chassis origin starts at `pos`, with names starting with `prefix`."""
     chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
     chassis.add_freejoint(name=f"{prefix}root")
-    for i, shape in enumerate(robot.chassis):
+    for i, shape in enumerate(chassis_shapes(robot)):
         _add_geom(chassis, f"{prefix}chassis/{i}", _flip(shape))
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):

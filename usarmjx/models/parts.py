@@ -1,11 +1,13 @@
-"""All parts of a robot in one list: its own parts and the links of its mission packages."""
+"""All parts of a robot in one list: its own, the links of its mission packages, what its effecters add."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from usarmjx.errors import SpecError
-from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec
+from usarmjx.models.effecters import effecters_of
+from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, mat_from_angles
 
 LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
@@ -72,15 +74,19 @@ def _link_parts(package: MissionPackage) -> list[Part]:
 
 @cache
 def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
-    """Return all parts of a robot: its own in their order, then the links of its packages, parents first.
+    """Return all parts of a robot: its own in their order, the links of its packages, those of its effecters.
 
-    This is the order of a robot's joints everywhere.
+    Parents come first. This is the order of a robot's joints everywhere.
 
     Raises:
-        SpecError: Two parts of one name, a part whose parent does not exist, or a drive that names a joint
-            which is missing or has no motor.
+        SpecError: Two parts of one name, a part or an effecter whose parent does not exist, or a drive or an
+            effecter that names a joint which is missing or has no motor.
+        UnknownNameError: An effecter of an unknown type or with an unknown setting.
     """
     waiting = [*robot.parts, *(part for package in robot.packages for part in _link_parts(package))]
+    own = {part.name for part in waiting}
+    brought = (part for effecter in effecters_of(robot) for part in effecter.parts())
+    waiting += [part for part in brought if part.name not in own]
     names = [CHASSIS, *(part.name for part in waiting)]
     doubles = {name for name in names if names.count(name) > 1}
     if doubles:
@@ -93,13 +99,33 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
             lost = ", ".join(f"{part.name} (on {part.parent})" for part in waiting)
             raise SpecError(f"robot {robot.name}: parts without a parent: {lost}; parts: {', '.join(names)}")
         waiting.remove(ready)
-        parts.append(ready)
+        parts.append(replace(ready, shapes=(*ready.shapes, *_effecter_shapes(robot, ready.name))))
         there.add(ready.name)
-    motors = {part.name for part in parts if part.motor is not None}
-    missing = [aim.joint for aim in robot.drive.aims if aim.joint not in motors]
-    if missing:
-        raise SpecError(f"robot {robot.name}: its drive has no motor at {', '.join(missing)}")
+    _check_joints(robot, parts)
     return tuple(parts)
+
+
+def _check_joints(robot: RobotSpec, parts: list[Part]) -> None:
+    motors = {part.name for part in parts if part.motor is not None}
+    users = [("drive", aim.joint) for aim in robot.drive.aims]
+    for effecter in effecters_of(robot):
+        mount = effecter.mount
+        if mount.parent not in (CHASSIS, *(part.name for part in parts)):
+            raise SpecError(f"robot {robot.name}: no part {mount.parent!r} for {mount.kind} {mount.name}")
+        users += [(f"{mount.kind} {mount.name}", joint) for joint in effecter.joints]
+    missing = [f"{joint} ({user})" for user, joint in users if joint not in motors]
+    if missing:
+        raise SpecError(f"robot {robot.name}: no motor at {', '.join(missing)}")
+
+
+def _effecter_shapes(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
+    effecters = (effecter for effecter in effecters_of(robot) if effecter.mount.parent == parent)
+    return tuple(shape for effecter in effecters for shape in effecter.shapes())
+
+
+def chassis_shapes(robot: RobotSpec) -> tuple[Shape, ...]:
+    """Return the solids of the chassis, with what effecters add to it."""
+    return (*robot.chassis, *_effecter_shapes(robot, CHASSIS))
 
 
 def joint_names(robot: RobotSpec) -> tuple[str, ...]:

@@ -138,8 +138,10 @@ class Gps(Sensor):
         """Take a position; the largest error is three standard deviations (GPSSensor.uc), and cut off there."""
         satellites = jnp.isinf(sight.hits.distance).sum().astype(jnp.float32)
         pos, _ = self.mount_poses(sight.bodies)
-        error = jax.random.truncated_normal(key, -3.0, 3.0, (2,)) / 3 * largest_error(
-            self.settings[0], satellites
+        error = (
+            jax.random.truncated_normal(key, -3.0, 3.0, (2,))
+            / 3
+            * largest_error(self.settings[0], satellites)
         )
         fixed = jnp.where(satellites >= FIX, pos[0, :2] + error, 0.0)
         return memory, jnp.append(fixed, satellites)

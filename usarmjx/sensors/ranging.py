@@ -160,8 +160,13 @@ class ScannerSettings(RangeSettings):
 
     @property
     def beams(self) -> int:
-        """Number of beams, both ends included; a rounding error below 1e-3 of a step does not cost one."""
-        return int(self.scan_fov / self.resolution + 1e-3) + 1
+        """Number of beams, both ends included."""
+        return steps(self.scan_fov, self.resolution) + 1
+
+
+def steps(fov: float, resolution: float) -> int:
+    """Return how many whole steps fit; a rounding error below 1e-3 of a step does not cost one."""
+    return int(fov / resolution + 1e-3)
 
 
 def fan(settings: ScannerSettings) -> np.ndarray:
@@ -190,17 +195,21 @@ class RangeScanner(Sensor):
     def check(self) -> None:
         """Find what is wrong; see `Sensor.check`."""
         super().check()
-        fan(self.settings[0])
+        self.lines()
 
     @property
     def manual(self) -> bool:
         """Whether it scans on the SCAN command only."""
         return self.settings[0].scan_interval <= 0
 
+    def lines(self) -> np.ndarray:
+        """Unit directions of the beams about the mount's x axis (beams, 3)."""
+        return fan(self.settings[0])
+
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """One line per step of the fan."""
         pos, mat = self.mount_poses(bodies)
-        direction = jnp.asarray(fan(self.settings[0])) @ mat[0].T
+        direction = jnp.asarray(self.lines()) @ mat[0].T
         return jnp.broadcast_to(pos[0], direction.shape), direction
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401

@@ -12,6 +12,7 @@ from flax import struct
 import usarmjx.sensors.gps
 import usarmjx.sensors.motion
 import usarmjx.sensors.ranging
+import usarmjx.sensors.scanners
 import usarmjx.sensors.touch  # noqa: F401 - these fill SENSORS
 from usarmjx.errors import UnknownNameError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan

@@ -186,6 +186,38 @@ def sen_scanner(kind: str, time: float | None, scan: Scan) -> Message:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Scan3D:
+    """One sweep of a 3D range scanner.
+
+    Attributes:
+        name: The sensor's name.
+        resolution: Vertical and horizontal angle between beams [rad].
+        fov: Vertical and horizontal field of view [rad].
+        ranges: Distances [m], the highest row first, each from right to left (rows * columns,).
+    """
+
+    name: str
+    resolution: tuple[float, float]
+    fov: tuple[float, float]
+    ranges: Sequence[float]
+
+
+def sen_scanner_3d(time: float | None, scan: Scan3D) -> Message:
+    """Return a sweep of a "RangeScanner3D": a range scanner's line with pairs of angles.
+
+    The manual has no such line; this one is what Player's driver for the sensor reads.
+    """
+    return _sen(
+        None if time is None else raw(time),
+        "RangeScanner3D",
+        ("Name", scan.name),
+        ("Resolution", truncated_list(scan.resolution)),
+        ("FOV", truncated_list(scan.fov)),
+        ("Range", truncated_list(scan.ranges)),
+    )
+
+
 def sen_odometry(time: float | None, name: str, pose: Vector) -> Message:
     """Return the estimated pose relative to the start: x [m], y [m], theta [rad]."""
     return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", truncated_list(pose)))
@@ -215,9 +247,7 @@ def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message
     return _sen(_precise(time), "Encoder", *items)
 
 
-def sen_gps(
-    time: float | None, name: str, position: tuple[float, float] | None, satellites: int
-) -> Message:
+def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
     """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
 
     Args:

@@ -29,7 +29,7 @@ from usarmjx.server.descriptions import (
     geo_robot,
 )
 from usarmjx.server.frames import angles, full_turn, vector
-from usarmjx.server.grammar import Message
+from usarmjx.server.grammar import Message, truncated_list
 
 # Reports: (sensor, its value, time or None) -> message.
 
@@ -43,6 +43,14 @@ def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     settings = sensor.settings[0]
     scan = reports.Scan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
     return reports.sen_scanner(sensor.kind, time, scan)
+
+
+def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.Scan3D(
+        sensor.mounts[0].name, settings.resolution, settings.fov, value.reshape(-1).tolist()
+    )
+    return reports.sen_scanner_3d(time, scan)
 
 
 def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
@@ -83,6 +91,8 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
     "Sonar": _range,
     "IR": _range,
     "RangeScanner": _scanner,
+    "IRScanner": _scanner,
+    "RangeScanner3D": _scanner_3d,
     "Odometry": _odometry,
     "INS": _ins,
     "GroundTruth": _ground_truth,
@@ -91,17 +101,25 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
     "GPS": _gps,
 }
 
+_SCANNER_FIELDS = (
+    ("MaxRange", "max_range"),
+    ("MinRange", "min_range"),
+    ("Resolution", "resolution"),
+    ("Fov", "scan_fov"),
+    ("Paning", "yaw"),
+    ("Tilting", "pitch"),
+)
 # CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
 CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
     "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
-    "RangeScanner": (
+    "RangeScanner": _SCANNER_FIELDS,
+    "IRScanner": _SCANNER_FIELDS,
+    "RangeScanner3D": (
         ("MaxRange", "max_range"),
         ("MinRange", "min_range"),
         ("Resolution", "resolution"),
-        ("Fov", "scan_fov"),
-        ("Paning", "yaw"),
-        ("Tilting", "pitch"),
+        ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
     ),
     "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
     "GPS": (("ScanInterval", "scan_interval"),),
@@ -159,8 +177,11 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
 
 def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
     settings: Any = sensor.settings[place]
-    keys = CONFIGURATION[sensor.kind]
-    return [("Name", sensor.mounts[place].name), *((key, getattr(settings, field)) for key, field in keys)]
+    fields: list[Field] = [("Name", sensor.mounts[place].name)]
+    for key, field in CONFIGURATION[sensor.kind]:
+        value = getattr(settings, field)
+        fields.append((key, truncated_list(value) if isinstance(value, tuple) else value))
+    return fields
 
 
 def _camera_fields(mount: Mount) -> list[Field]:

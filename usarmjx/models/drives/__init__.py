@@ -2,5 +2,6 @@
 
 from usarmjx.models.drives.base import DRY, Aim, Drive, Vehicle
 from usarmjx.models.drives.ground import NoDrive, SkidSteer
+from usarmjx.models.drives.tracks import Tracks
 
-__all__ = ["DRY", "Aim", "Drive", "NoDrive", "SkidSteer", "Vehicle"]
+__all__ = ["DRY", "Aim", "Drive", "NoDrive", "SkidSteer", "Tracks", "Vehicle"]

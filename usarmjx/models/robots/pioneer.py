@@ -101,6 +101,12 @@ P2AT = RobotSpec(
     wheel_separation=P2AT_TRACK,
     wheel_base=P2AT_BASE,
     battery_life=3600.0,  # manual 12.1.2
+    sources=(
+        ("dimensions, wheels, spin, torque, mounts", "captured"),
+        ("mass, payload, battery, sonars", "manual 12.1"),
+        ("origin height", "manual 5.3.6"),
+        ("mass distribution, motors", "chosen"),
+    ),
 )
 
 P2DX_WHEEL = 0.0825  # manual 12.3.1: diameter 16.5 cm
@@ -148,4 +154,11 @@ P2DX = RobotSpec(
     wheel_separation=P2DX_TRACK,
     wheel_base=0.0,
     battery_life=3600.0,
+    sources=(
+        ("dimensions, mass, payload, wheels, top speed", "manual 12.3"),
+        ("sonars", "UsarCommander"),
+        ("origin height", "manual 5.3.6"),
+        ("encoder directions, wheel names", "captured"),
+        ("track, caster, scanner and camera mounts, motors", "chosen"),
+    ),
 )

@@ -1,0 +1,151 @@
+"""The drive of cars: wheels that steer about one common turning centre (manual 9.4, 12.5 to 12.8)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import tan
+from types import ModuleType
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.drives.base import Aim, Drive
+from usarmjx.transforms import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheel:
+    """A wheel as drives that steer see it.
+
+    Attributes:
+        joint: Joint that it spins about.
+        steer: Joint that it steers about, positive to the left; empty: it does not.
+        x: Where it is on the chassis, forward [m].
+        y: To the right [m].
+        powered: Whether it has a motor.
+    """
+
+    joint: str
+    steer: str = ""
+    x: float
+    y: float
+    powered: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ackermann(Drive):
+    """Front, and perhaps rear, wheels that steer so that the axes of all wheels meet in one turning centre.
+
+    FrontSteer and RearSteer are the angles of single wheels in the middle of the foremost and the rearmost
+    axle (the bicycle that turns alike), positive to the left. Equal angles make a crab, opposite ones turn
+    about a point beside the robot's middle.
+
+    Attributes:
+        wheels: All wheels.
+        max_spin: Highest speed of the powered wheels [rad/s].
+        radius: Of the powered wheels [m].
+        max_front_steer: Largest FrontSteer [rad].
+        max_rear_steer: Largest RearSteer [rad]; 0 if the rear wheels do not steer.
+    """
+
+    wheeled: ClassVar[bool] = True
+
+    wheels: tuple[Wheel, ...]
+    max_spin: float
+    radius: float
+    max_front_steer: float
+    max_rear_steer: float = 0.0
+
+    @property
+    def steering(self) -> str:
+        """The SteeringType that CONF reports (manual 9.3's spelling)."""
+        return "AckermanSteered"
+
+    @property
+    def full(self) -> dict[str, float]:
+        """Speed of the powered wheels [rad/s], angles of both axles [rad]."""
+        return {
+            "Speed": self.max_spin,
+            "FrontSteer": self.max_front_steer,
+            "RearSteer": self.max_rear_steer,
+        }
+
+    @property
+    def aims(self) -> tuple[Aim, ...]:
+        """The powered wheels, then the joints that steer."""
+        spins = [Aim(joint=wheel.joint) for wheel in self.wheels if wheel.powered]
+        return (*spins, *(Aim(joint=wheel.steer, order=0) for wheel in self.wheels if wheel.steer))
+
+    @property
+    def wheel_base(self) -> float:
+        """Distance of the foremost and the rearmost axle [m]."""
+        return float(np.ptp([wheel.x for wheel in self.wheels]))
+
+    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Speeds of the powered wheels and angles of those that steer.
+
+        Every wheel turns as fast as its distance from the turning centre asks for; Speed is that of the
+        middle of the powered wheels. Where the outermost would have to turn faster than it can, all turn
+        slower.
+        """
+        speed, front, rear = (setpoint[..., i : i + 1] for i in range(3))
+        powered = _places([wheel for wheel in self.wheels if wheel.powered])
+        steered = _places([wheel for wheel in self.wheels if wheel.steer])
+        middle = powered.mean(1, keepdims=True)
+        pace = xp.hypot(*self._heading(powered, front, rear, xp))
+        spin = speed * pace / xp.hypot(*self._heading(middle, front, rear, xp))
+        fastest = xp.max(xp.abs(spin), axis=-1, keepdims=True)
+        spin = spin * (self.max_spin / xp.maximum(fastest, self.max_spin))
+        ahead, left = self._heading(steered, front, rear, xp)
+        return xp.concatenate([spin, xp.arctan2(left, ahead)], -1)
+
+    def _heading(
+        self, places: np.ndarray, front: Array, rear: Array, xp: ModuleType
+    ) -> tuple[Array, Array]:
+        """Return which way places of the chassis (2, places) go, ahead and left (..., places).
+
+        The length is their distance from the turning centre over that of the robot's middle line, so that
+        it stays finite when the robot goes straight on.
+        """
+        x, y = places
+        curvature = (xp.tan(front) - xp.tan(rear)) / self.wheel_base
+        behind = x - max(wheel.x for wheel in self.wheels)
+        return 1.0 + curvature * y, xp.tan(front) + curvature * behind
+
+    def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
+        """Return FrontSteer and RearSteer that the measured angles of the wheels amount to [rad].
+
+        A wheel of angle a at y turns with the angle c of its axle's middle: tan c = tan a (1 + y / r) for a
+        turning radius r. The mean of that over both axles' wheels gives r, then the angles.
+        """
+        front, rear = (self._axle(joints, pick) for pick in (max, min))
+        curvature = (front[0] - rear[0]) / (self.wheel_base - front[1] + rear[1])
+        angles = [float(np.arctan(tangent + curvature * lever)) for tangent, lever in (front, rear)]
+        return {"front_steer": angles[0], "rear_steer": angles[1]}
+
+    def _axle(self, joints: Mapping[str, float], pick: type[max] | type[min]) -> tuple[float, float]:
+        """Return the means of tan a and of y tan a over the foremost or the rearmost wheels."""
+        place = pick(wheel.x for wheel in self.wheels)
+        axle = [wheel for wheel in self.wheels if wheel.x == place]
+        tangents = [tan(joints[wheel.steer]) if wheel.steer else 0.0 for wheel in axle]
+        levers = [wheel.y * tangent for wheel, tangent in zip(axle, tangents, strict=True)]
+        return float(np.mean(tangents)), float(np.mean(levers))
+
+    @property
+    def max_speed(self) -> float:
+        """Highest speed of the powered wheels [rad/s]."""
+        return self.max_spin
+
+    @property
+    def steers(self) -> tuple[float, float]:
+        """The largest FrontSteer and RearSteer [rad]."""
+        return (self.max_front_steer, self.max_rear_steer)
+
+    @property
+    def top_speed(self) -> float:
+        """What the wheels make of their highest speed [m/s]."""
+        return self.max_spin * self.radius
+
+
+def _places(wheels: list[Wheel]) -> np.ndarray:
+    return np.array([(wheel.x, wheel.y) for wheel in wheels], np.float32).T

@@ -1,0 +1,27 @@
+"""Drive of tracked vehicles whose tracks run over wheels of several sizes."""
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.drives.ground import SkidSteer
+from usarmjx.transforms import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracks(SkidSteer):
+    """Tracks, each a row of wheels (manual 12.10.2): the wheels of a side all have the speed of its belt.
+
+    `radius` is that of the wheel whose speed DRIVE sets; a wheel of half that radius turns twice as fast.
+
+    Attributes:
+        ratios: Speed of each wheel, left ones first, over the speed that DRIVE sets.
+    """
+
+    ratios: tuple[float, ...]
+
+    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Every wheel's surface is as fast as its side's belt."""
+        return super().values(setpoint, xp) * np.array(self.ratios, np.float32)

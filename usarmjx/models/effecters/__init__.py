@@ -1,0 +1,49 @@
+"""Effecters: what robots act on the world with (manual 8, 11)."""
+
+from functools import cache
+
+from usarmjx.models.effecters.base import (
+    EFFECTERS,
+    TAG_ROOM,
+    Effect,
+    Effecter,
+    Opcode,
+    Tags,
+    no_tags,
+)
+from usarmjx.models.effecters.gripper import Gripper
+from usarmjx.models.effecters.roller import RollerTable
+from usarmjx.models.effecters.still import Headlight, RfidReleaser
+from usarmjx.models.settings import resolve
+from usarmjx.models.spec import RobotSpec
+
+__all__ = [
+    "EFFECTERS",
+    "TAG_ROOM",
+    "Effect",
+    "Effecter",
+    "Gripper",
+    "Headlight",
+    "Opcode",
+    "RfidReleaser",
+    "RollerTable",
+    "Tags",
+    "effecters_of",
+    "no_tags",
+]
+
+
+@cache
+def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
+    """Return the effecters of a robot class, in the order of their mounts.
+
+    Raises:
+        UnknownNameError: A mount of an unknown type or with an unknown setting.
+        UsageError: A setting of the wrong kind.
+    """
+    effecters = []
+    for mount in robot.effecters:
+        kind = EFFECTERS.get(mount.kind)
+        settings = resolve(kind.defaults, mount.options, f"{mount.kind} {mount.name}")
+        effecters.append(kind(mount=mount, settings=settings))
+    return tuple(effecters)

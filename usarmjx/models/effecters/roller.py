@@ -1,0 +1,70 @@
+"""The roller table (manual 11.3): a row of driven rollers that move things along its x axis."""
+
+from dataclasses import dataclass
+from types import ModuleType
+
+from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
+from usarmjx.models.kit import wheel
+from usarmjx.models.spec import Motor, Part, Shape
+from usarmjx.transforms import Array
+
+# All measures are chosen: the manual gives none.
+RADIUS, WIDTH = 0.03, 0.36
+"""Of a roller [m]."""
+ROLLERS, PITCH = 6, 0.08
+"""How many there are, and how far from one to the next [m]."""
+PLATE = (0.23, 0.2, 0.01)
+"""Half lengths of the base below them [m]; its top closes the gaps between rollers to things that fall in."""
+MOTOR = Motor(max_speed=6.0, torque=2.0, stiffness=20.0, damping=1.0, armature=0.01)
+
+
+@dataclass(frozen=True)
+class RollerTableSettings(EffecterSettings):
+    """Manual 11.3.2.
+
+    Attributes:
+        max_speed: Highest speed of the rollers in either direction [rad/s].
+    """
+
+    max_speed: float = 6.0
+
+
+@dataclass(frozen=True)
+class RollerTable(Effecter):
+    """Turns all rollers at one speed; its mount is the middle of the plane that things lie on."""
+
+    kind = "RollerTable"
+    defaults = RollerTableSettings
+
+    @property
+    def opcodes(self) -> tuple[Opcode, ...]:
+        """Animate with a speed; Reset and NOP stop."""
+        top = self.settings.max_speed
+        return (Opcode("Animate", top, -top, None), RESET, NOP)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """All rollers, rear to front."""
+        return tuple(f"{self.mount.name}_{i}" for i in range(1, ROLLERS + 1))
+
+    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+        """A positive speed moves what lies on the rollers along +x."""
+        del stock
+        return Effect(target=value if opcode.takes_value else xp.zeros_like(value), order=1)
+
+    def parts(self) -> tuple[Part, ...]:
+        """The rollers."""
+        motor = Motor(**{**vars(MOTOR), "max_speed": self.settings.max_speed})
+        places = [(i - (ROLLERS - 1) / 2) * PITCH for i in range(ROLLERS)]
+        return tuple(
+            self.part(wheel(name, at=(x, 0.0, RADIUS), size=(RADIUS, WIDTH), mass=0.3, motor=motor))
+            for name, x in zip(self.joints, places, strict=True)
+        )
+
+    def shapes(self) -> tuple[Shape, ...]:
+        """The base plate, its top half a radius below the plane that things lie on."""
+        plate = Shape(kind="box", size=PLATE, at=(0.0, 0.0, RADIUS / 2 + PLATE[2]), rgba=(0.5, 0.5, 0.55, 1.0))
+        return (self.shape(plate),)
+
+
+EFFECTERS.add(RollerTable.kind, RollerTable)

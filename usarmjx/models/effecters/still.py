@@ -1,0 +1,73 @@
+"""Effecters without moving parts: the RFID releaser and the headlight (manual 11.2, 11.5)."""
+
+from dataclasses import dataclass
+from types import ModuleType
+
+from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
+from usarmjx.transforms import Array
+
+
+@dataclass(frozen=True)
+class ReleaserSettings(EffecterSettings):
+    """Manual 11.2.2.
+
+    Attributes:
+        num_tags: How many tags it carries.
+    """
+
+    num_tags: int = 10
+
+
+TAGS_REMAINING = Opcode("TagsRemaining")
+RELEASE = Opcode("Release")
+
+
+@dataclass(frozen=True)
+class RfidReleaser(Effecter):
+    """Drops one RFID tag after the other on the ground below it."""
+
+    kind = "RFIDReleaser"
+    defaults = ReleaserSettings
+
+    @property
+    def opcodes(self) -> tuple[Opcode, ...]:
+        """Reset reloads (manual 8); the others are those of manual 11.2.1."""
+        return (RELEASE, TAGS_REMAINING, RESET, NOP)
+
+    @property
+    def stock(self) -> int:
+        """Tags that it starts with."""
+        return self.settings.num_tags
+
+    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+        """Without tags left it fails to release one."""
+        del value
+        if opcode == RELEASE:
+            return Effect(stock=stock - 1, drops=True, possible=stock > 0)
+        if opcode == TAGS_REMAINING:
+            return Effect(number=stock)
+        return Effect(stock=xp.full_like(stock, self.stock) if opcode == RESET else None)
+
+
+ACTIVATE = Opcode("Activate", 1.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Headlight(Effecter):
+    """Switches the robot's headlight, as DRIVE {Light} does (manual 11.5 wants it to be an effecter)."""
+
+    kind = "Headlight"
+
+    @property
+    def opcodes(self) -> tuple[Opcode, ...]:
+        """Activate with 1 or nothing is on, with 0 off; Reset and NOP are off."""
+        return (ACTIVATE, RESET, NOP)
+
+    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+        """On is what is nearer to 1 than to 0."""
+        del stock
+        return Effect(light=value > 0.5 if opcode == ACTIVATE else xp.zeros_like(value, bool))
+
+
+for _effecter in (RfidReleaser, Headlight):
+    EFFECTERS.add(_effecter.kind, _effecter)

@@ -1,0 +1,92 @@
+"""What the sections and keys of USARBot.ini stand for, as tables: what is mapped elsewhere is not here."""
+
+ITEM_CLASSES = {
+    "SonarSensor": "Sonar",
+    "IRSensor": "IR",
+    "RangeScanner": "RangeScanner",
+    "IRScanner": "IRScanner",
+    "RangeScanner3D": "RangeScanner3D",
+    "OdometrySensor": "Odometry",
+    "GPSSensor": "GPS",
+    "INS": "INS",
+    "INSSensor": "INS",
+    "EncoderSensor": "Encoder",
+    "TouchSensor": "Touch",
+    "RFIDSensor": "RFID",
+    "VictSensor": "VictSensor",
+    "SoundSensor": "Sound",
+    "HumanMotionSensor": "HumanMotion",
+    "GroundTruth": "GroundTruth",
+    "GroundTruthSensor": "GroundTruth",
+    "RobotCamera": "Camera",
+    "Gripper": "Gripper",
+    "RFIDReleaser": "RFIDReleaser",
+    "RollerTable": "RollerTable",
+}
+"""Class of an item (manual 10 and 11) and the type that the wire and `Mount.kind` know it by."""
+
+UU_ANGLES = ("Resolution", "ScanFov")
+"""Angles that the manual gives in whole Unreal units (10.3.2); a number with a point is in radians."""
+
+OLD_PARTS = {"cameratilt": "CameraPanTilt_Link2", "camerapan": "CameraPanTilt_Link1"}
+"""Part names from before V3.0, which the excerpt of manual 12.1.2 still has, and the captured ones."""
+
+_LOOKS = "robots look as their solids do: there are no Unreal meshes and textures"
+_CONTACT = "MuJoCo's contacts have one friction coefficient, that of the surface `wheel`, and no such number"
+_SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
+
+KNOWN_IGNORED = {
+    "bAbsoluteCamera": "it belongs to the CAMERA command, which V3.1 no longer has: MISPKG takes an Order",
+    "StaticMesh": _LOOKS,
+    "DrawScale": _LOOKS,
+    "DrawScale3D": _LOOKS,
+    "RobotSkins": _LOOKS,
+    "KParams": "it names a Karma object inside an Unreal package; CenterOfMass (ours) moves the mass",
+    "ConverterClass": "units and axes of the wire are fixed: metres, radians, z down",
+    "HingePropGap": _SERVO,
+    "SteerPropGap": _SERVO,
+    "TireRollFriction": _CONTACT,
+    "TireLateralFriction": _CONTACT,
+    "TireRollSlip": _CONTACT,
+    "TireLateralSlip": _CONTACT,
+    "TireMinSlip": _CONTACT,
+    "TireSlipRate": _CONTACT,
+    "TireSoftness": _CONTACT,
+    "TireAdhesion": _CONTACT,
+    "TireRestitution": _CONTACT,
+    "TorqueCurve": "motors have one torque at all speeds",
+    "SafeForce": "joints do not stall under overload",
+    "ProtectTime": "joints do not stall under overload",
+    "FlipTorque": "DRIVE {Flip} turns a robot with a torque that follows from its weight and length",
+    "FlipTime": "DRIVE {Flip} lasts 3 s, the original's default, for every robot",
+    "HeadLights": "every robot has one headlight, at its front",
+    "CamTexActors": "an omnidirectional camera needs no second camera behind a texture",
+    "logging_period": "usarmjx writes no position log of its own",
+    "bDebug": "there is no Unreal log",
+    "bBarCode": "it drew into the Unreal client's window",
+    "bDisplayTeamBeacon": "it drew into the Unreal client's window",
+    "isStereo": "a stereo camera is two cameras",
+    "stereoSpacing": "a stereo camera is two cameras, apart by their Position",
+    "uuStereoSpacing": "a stereo camera is two cameras, apart by their Position",
+}
+"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, 3.2.6.2, KRobot.uc) that change nothing, and why."""
+
+JOINT_IGNORED = {
+    "BrakeTorque": "wheels brake with all the torque of their motor",
+    "DrawScale3D": _LOOKS,
+}
+"""The same for a part-joint pair (14.4.2.4)."""
+
+ITEM_IGNORED = {"uuDirection": "it is the original's own note of Direction in Unreal units"}
+"""The same for a mounted item (14.4.2.5)."""
+
+SECTIONS_IGNORED = {
+    "MultiView": "views of several robots are the image server's, which has options for them",
+}
+"""Other sections of USARBot.ini, by the name behind `USARBot.`."""
+
+LINK_IGNORED = {
+    name: "it refers to a class of an Unreal package; Location, Orientation and the limits are given directly"
+    for name in ("LinkClass", "ParentMount", "SelfMount", "DrawScale3D")
+}
+"""Fields of the original's Links (KRobot.uc) that stand for what is given directly here."""

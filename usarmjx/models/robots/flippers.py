@@ -1,0 +1,221 @@
+"""The robots on tracks with four flippers: Tarantula and Kenaf (manual 12.10, 12.23).
+
+Flipper angles are the manual's and UsarCommander's: negative in front and positive behind is up, and
+{FR,FL} 1.5 with {RR,RL} -1.5 lifts the chassis (12.23).
+"""
+
+import math
+from dataclasses import replace
+
+from usarmjx.models.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, camera
+from usarmjx.models.spec import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
+from usarmjx.models.tracks import FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
+
+RIGHT = (0.0, 1.0, 0.0)
+ORANGE = (0.9, 0.45, 0.1, 1.0)
+GREEN = (0.2, 0.45, 0.25, 1.0)
+
+# The Tarantula is a toy that stands on its four tracked arms alone; where the inner ends of front and rear
+# track meet is the chassis' row of wheels here, so that no edge gets between them.
+TARANTULA_HEIGHT = 0.1406  # manual 12.10.1; that of the tracks, whose wheels fill it
+TARANTULA_WIDTH, TARANTULA_LENGTH = 0.444, 0.6778  # manual 12.10.1; with the flippers out
+TARANTULA_BELT = Belt(
+    radius=TARANTULA_HEIGHT / 2,
+    spin=3.1416,  # manual 12.10.1
+    width=0.06,  # chosen, as all below
+    pull=50.0,
+    inertia=0.8,
+    wheel_mass=0.12,
+)
+TARANTULA_PIVOT, TARANTULA_TIP = 0.12, 0.035
+TARANTULA_SEPARATION = TARANTULA_WIDTH - TARANTULA_BELT.width
+TARANTULA_FLIPPERS = Flippers(
+    pivot=(TARANTULA_PIVOT, TARANTULA_SEPARATION / 2),
+    height=0.0,
+    length=TARANTULA_LENGTH / 2 - TARANTULA_PIVOT - TARANTULA_TIP,
+    tip=TARANTULA_TIP,
+    count=3,
+    mass=0.25,
+    motor=Motor(max_speed=1.5, torque=25.0, stiffness=400.0, damping=14.0, armature=0.2),
+)
+TARANTULA_MASS = 8.0  # chosen: the toy with batteries and a computer
+
+
+def tarantula(wheels: int = 4) -> RobotSpec:
+    """Return the Tarantula with so many wheels in each row of the chassis (manual 12.10.2)."""
+    rows = track_pair(
+        TARANTULA_BELT,
+        wheels,
+        separation=TARANTULA_SEPARATION,
+        front=TARANTULA_PIVOT,
+        rear=-TARANTULA_PIVOT,
+        height=0.0,
+    )
+    parts = (*rows, *TARANTULA_FLIPPERS.parts(TARANTULA_BELT))
+    return RobotSpec(
+        name="Tarantula",
+        dimensions=(TARANTULA_LENGTH, TARANTULA_WIDTH, TARANTULA_HEIGHT),
+        mass=TARANTULA_MASS,
+        origin_height=TARANTULA_BELT.radius,
+        chassis=(
+            Shape(
+                kind="box",
+                size=(0.16, 0.155, 0.03),
+                at=(0.0, 0.0, -0.035),
+                mass=TARANTULA_MASS - mass_of(parts),
+                rgba=ORANGE,
+            ),
+        ),
+        parts=parts,
+        drive=drive_tracks(parts, TARANTULA_BELT),
+        sensors=POSE_SENSORS,
+        wheel_radius=TARANTULA_BELT.radius,
+        wheel_separation=TARANTULA_SEPARATION,
+        wheel_base=2 * TARANTULA_PIVOT,
+        reported=FLIPPERS,
+        sources=(
+            ("dimensions", "manual 12.10"),
+            ("top speed", "manual 12.10"),
+            ("flippers", "manual 12.10"),
+            ("wheel_radius", "chosen"),
+            ("mass", "chosen"),
+            ("layout", "chosen"),
+            ("sensors", "chosen"),
+        ),
+    )
+
+
+TARANTULA = tarantula()
+
+# Hokuyo URG-04LX, data sheet: 4 m, 240 degrees in steps of 0.352, a scan each 100 ms.
+HOKUYO = options(
+    MaxRange=4.0,
+    MinRange=0.02,
+    Resolution=math.radians(0.3515625),
+    ScanFov=math.radians(240),
+    ScanInterval=0.1,
+)
+# Six motors (manual 12.23.1): one for each track, one for each flipper.
+KENAF_ENCODERS = (
+    ("ECLeft", "LeftFWheel"),
+    ("ECRight", "RightFWheel"),
+    ("ECFR", "FRFlipper"),
+    ("ECFL", "FLFlipper"),
+    ("ECRR", "RRFlipper"),
+    ("ECRL", "RLFlipper"),
+)
+
+KENAF_SHORT, KENAF_LONG = 0.575, 0.937  # manual 12.23.1: without and with flippers
+KENAF_WIDTH, KENAF_HEIGHT = 0.429, 0.259  # manual 12.23.1
+KENAF_MASS = 20.0  # manual 12.23.1
+KENAF_BELT = Belt(
+    radius=0.0875,  # chosen, as all without a source
+    spin=6.2832,  # the wheel joint's default in the Kenaf of the UDK version: 0.55 m/s
+    width=0.14,
+    pull=60.0,
+    inertia=1.0,
+    wheel_mass=0.3,
+)
+KENAF_NARROW = replace(KENAF_BELT, width=0.05, wheel_mass=0.15)
+KENAF_PIVOT, KENAF_TIP = KENAF_SHORT / 2 - KENAF_BELT.radius, 0.04
+KENAF_SEPARATION = KENAF_WIDTH - 2 * KENAF_NARROW.width - KENAF_BELT.width
+KENAF_FLIPPERS = Flippers(
+    pivot=(KENAF_PIVOT, (KENAF_WIDTH - KENAF_NARROW.width) / 2),
+    height=0.0,
+    length=KENAF_LONG / 2 - KENAF_PIVOT - KENAF_TIP,
+    tip=KENAF_TIP,
+    count=3,
+    mass=0.5,
+    motor=Motor(max_speed=1.5, torque=60.0, stiffness=1200.0, damping=42.0, armature=0.6),
+)
+KENAF_DECK = KENAF_BELT.radius - KENAF_HEIGHT  # z of the body's top
+KENAF_HEAD = (0.10, 0.0, KENAF_DECK - 0.03)  # pan joint
+KENAF_SCANNER = (0.20, 0.0, KENAF_DECK - 0.04)
+KENAF_MAST = (-0.20, 0.0, KENAF_DECK - 0.40)  # top of the pole that carries the bird's-eye camera
+KENAF_HEAD_MOTOR = Motor(max_speed=1.0, torque=3.0, stiffness=40.0, damping=1.4, armature=0.02)
+
+KENAF_CAMERA = (
+    # MULTIDRIVE moves it (manual 12.23.1), so its joints are the robot's own. Pan to the left and tilt up are
+    # positive, as on every camera here; the manual's example leaves the side open.
+    Part(
+        name="kenafCameraPan",
+        at=KENAF_HEAD,
+        axis=UP,
+        motor=KENAF_HEAD_MOTOR,
+        shapes=(Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK),),
+    ),
+    Part(
+        name="kenafCameraTilt",
+        parent="kenafCameraPan",
+        at=(0.0, 0.0, -0.06),
+        axis=RIGHT,
+        motor=KENAF_HEAD_MOTOR,
+        limits=(-1.0, 1.5),
+        shapes=(Shape(kind="box", size=(0.05, 0.04, 0.03), mass=0.3, surface="fixture", rgba=BLACK),),
+    ),
+)
+
+
+def kenaf(wheels: int = 6) -> RobotSpec:
+    """Return the Kenaf with so many wheels in each of its two body tracks (manual 12.10.2)."""
+    rows = track_pair(
+        KENAF_BELT, wheels, separation=KENAF_SEPARATION, front=KENAF_PIVOT, rear=-KENAF_PIVOT, height=0.0
+    )
+    parts = (*rows, *KENAF_FLIPPERS.parts(KENAF_NARROW), *KENAF_CAMERA)
+    body = -KENAF_DECK / 2
+    return RobotSpec(
+        name="kenaf",  # manual 12.23.1 spells it so
+        dimensions=(KENAF_LONG, KENAF_WIDTH, KENAF_HEIGHT),
+        mass=KENAF_MASS,
+        origin_height=KENAF_BELT.radius,
+        chassis=(
+            # Over the tracks and no lower than their axles; its mass lies in a pan between them.
+            Shape(kind="box", size=(0.235, 0.15, body - 0.01), at=(0.0, 0.0, -body - 0.01), rgba=GREEN),
+            Shape(
+                kind="box",
+                size=(0.20, 0.15, 0.05),
+                at=(0.0, 0.0, -0.03),
+                mass=KENAF_MASS - mass_of(parts),
+                surface="fixture",
+                rgba=GREEN,
+            ),
+            Shape(kind="box", size=(0.03, 0.03, 0.035), at=KENAF_SCANNER, surface="fixture", rgba=BLACK),
+            Shape(
+                kind="box",
+                size=(0.01, 0.01, 0.20),
+                at=(KENAF_MAST[0], 0.0, KENAF_MAST[2] + 0.20),
+                surface="fixture",
+                rgba=BLACK,
+            ),
+        ),
+        parts=parts,
+        drive=drive_tracks(parts, KENAF_BELT),
+        sensors=(
+            Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, options=HOKUYO),
+            *POSE_SENSORS,
+            *(
+                Mount(kind="Encoder", name=name, parent=part, direction=ENCODER_AXIS)
+                for name, part in KENAF_ENCODERS
+            ),
+        ),
+        cameras=(
+            camera(at=(0.05, 0.0, 0.0), parent="kenafCameraTilt"),
+            camera("BirdsEye", at=KENAF_MAST, direction=(0.0, -0.9, 0.0), parent=CHASSIS),
+        ),
+        wheel_radius=KENAF_BELT.radius,
+        wheel_separation=KENAF_SEPARATION,
+        wheel_base=2 * KENAF_PIVOT,
+        reported=FLIPPERS,
+        sources=(
+            ("dimensions", "manual 12.23"),
+            ("mass", "manual 12.23"),
+            ("sensors", "manual 12.23"),
+            ("flippers", "manual 12.23"),
+            ("top speed", "chosen"),
+            ("wheel_radius", "chosen"),
+            ("layout", "chosen"),
+        ),
+    )
+
+
+KENAF = kenaf()

@@ -1,0 +1,30 @@
+"""Pioneers that look all around: OmniP2AT and OmniP2DX, classes of a 2011 release (manual 10.15 mounts them)."""
+
+from dataclasses import replace
+
+from usarmjx.models.kit import camera
+from usarmjx.models.packages import PACKAGES, mounted
+from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, P2DX, P2DX_SCANNER
+from usarmjx.models.spec import MissionPackage, RobotSpec
+from usarmjx.transforms import Vec3
+
+LOOKS_UP: Vec3 = (-3.1415927, 1.5707964, 0.0)
+"""Direction of the camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""
+ON_SCANNER = -0.11
+"""The base stands on the scanner's housing [m] (chosen)."""
+
+
+def _omni(base: RobotSpec, package: MissionPackage, link: int, at: Vec3) -> RobotSpec:
+    pillar = mounted(package, (at[0], at[1], at[2] + ON_SCANNER))
+    eye = camera(at=(0.0, 0.0, -0.09), parent=f"{package.name}_Link{link}", direction=LOOKS_UP)
+    return replace(
+        base,
+        name=f"Omni{base.name}",
+        packages=(pillar,),
+        cameras=(eye,),
+        sources=(*base.sources, ("camera", "chosen")),
+    )
+
+
+OMNI_P2AT = _omni(P2AT, PACKAGES.get("OmniCamPillar"), 4, P2AT_SCANNER)
+OMNI_P2DX = _omni(P2DX, PACKAGES.get("OmniCamera"), 1, P2DX_SCANNER)
