@@ -157,6 +157,10 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
+        if part.geared is not None:
+            gear = spec.add_equality(name=prefix + part.name, type=mujoco.mjtEq.mjEQ_JOINT)
+            gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
+            gear.data[:2] = 0.0, 1.0
     names = [body.name for body in bodies.values()]
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
@@ -164,10 +168,13 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
 
 
 def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
-    """Remove the robot with that prefix, with its joints, actuators and exclusions."""
+    """Remove the robot with that prefix, with its joints, gears, actuators and exclusions."""
     for exclude in list(spec.excludes):
         if exclude.bodyname1.startswith(prefix):
             spec.delete(exclude)
+    for gear in list(spec.equalities):
+        if gear.name.startswith(prefix):
+            spec.delete(gear)
     for actuator in list(spec.actuators):
         if actuator.name.startswith(prefix):
             spec.delete(actuator)

@@ -135,6 +135,7 @@ class Part:
         limits: Lowest and highest position; None: no limits. Servos stay within; joints without a motor
             are stopped by MuJoCo.
         spring: Spring and damper.
+        geared: Part whose joint this one's is geared to: both have the same position.
         shapes: Its solids; together they need a mass.
         rolls: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
     """
@@ -148,6 +149,7 @@ class Part:
     motor: Motor | None = None
     limits: tuple[float, float] | None = None
     spring: Spring | None = None
+    geared: str | None = None
     shapes: tuple[Shape, ...] = ()
     rolls: bool = False
 

@@ -77,9 +77,7 @@ def track(
         parent: What they are mounted on.
     """
     places = zip(*(_along(a, b, len(names)) for a, b in zip(front, rear, strict=True)), strict=True)
-    return tuple(
-        belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True)
-    )
+    return tuple(belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True))
 
 
 def track_pair(
@@ -96,9 +94,7 @@ def track_pair(
         height: z of the axles, down.
     """
     sides = (("Left", -separation / 2), ("Right", separation / 2))
-    rows = [
-        track(belt, track_names(side, count), (front, y, height), (rear, y, height)) for side, y in sides
-    ]
+    rows = [track(belt, track_names(side, count), (front, y, height), (rear, y, height)) for side, y in sides]
     return tuple(part for row in rows for part in row)
 
 
@@ -135,7 +131,9 @@ class Flippers:
         for corner, at in corners.items():
             out = 1 if at[0] > 0 else -1
             name = f"{corner}Flipper"
-            flippers.append(Part(name=name, at=(*at, self.height), motor=self.motor, shapes=(self._arm(out, belt),)))
+            flippers.append(
+                Part(name=name, at=(*at, self.height), motor=self.motor, shapes=(self._arm(out, belt),))
+            )
             for i in range(1, self.count + 1):
                 share = i / self.count
                 radius = belt.radius + (self.tip - belt.radius) * share

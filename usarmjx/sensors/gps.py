@@ -26,6 +26,9 @@ SATELLITES, FIX = 12, 4
 MASK = math.radians(5)
 """Satellites lower than this are not received (GPSSensor.uc) [rad]."""
 
+GAITHERSBURG = options(LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998)
+"""Where the world's origin lies unless told otherwise (GPSSensor.uc)."""
+
 
 @dataclass(frozen=True)
 class GpsSettings(Common):
@@ -42,9 +45,7 @@ class GpsSettings(Common):
     scan_interval: float = 0.2
     max_noise: float = 2.5
     min_noise: float = 0.75
-    zero_zero_location: Options = options(
-        LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998
-    )
+    zero_zero_location: Options = GAITHERSBURG
 
 
 def sky() -> np.ndarray:
@@ -135,7 +136,7 @@ class Gps(Sensor):
         return jnp.broadcast_to(pos[0], along.shape), along
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
-        """Take a position; the largest error is three standard deviations (GPSSensor.uc), and cut off there."""
+        """Take a position. The largest error is three standard deviations (GPSSensor.uc), cut off there."""
         satellites = jnp.isinf(sight.hits.distance).sum().astype(jnp.float32)
         pos, _ = self.mount_poses(sight.bodies)
         error = (

@@ -105,6 +105,7 @@ class Gripper(Effecter):
             axis=axis,
             motor=MOTOR,
             limits=limits,
+            geared=None if True else self.settings.left_finger if side > 0 else None,
             shapes=(pad,),
         )
 

@@ -4,7 +4,6 @@ Flipper angles are the manual's and UsarCommander's: negative in front and posit
 {FR,FL} 1.5 with {RR,RL} -1.5 lifts the chassis (12.23).
 """
 
-import math
 from dataclasses import replace
 
 from usarmjx.models.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, camera
@@ -87,14 +86,8 @@ def tarantula(wheels: int = 4) -> RobotSpec:
 
 TARANTULA = tarantula()
 
-# Hokuyo URG-04LX, data sheet: 4 m, 240 degrees in steps of 0.352, a scan each 100 ms.
-HOKUYO = options(
-    MaxRange=4.0,
-    MinRange=0.02,
-    Resolution=math.radians(0.3515625),
-    ScanFov=math.radians(240),
-    ScanInterval=0.1,
-)
+# Hokuyo URG-04LX as the UDK version's ini has it: 228 beams over 240 degrees. MinRange from its data sheet.
+HOKUYO = options(MaxRange=4.0, MinRange=0.02, Resolution=0.0184087, ScanFov=4.189, ScanInterval=0.3)
 # Six motors (manual 12.23.1): one for each track, one for each flipper.
 KENAF_ENCODERS = (
     ("ECLeft", "LeftFWheel"),

@@ -1,0 +1,100 @@
+"""A served world on a real socket, and a client to talk to it."""
+
+import asyncio
+import contextlib
+import re
+import socket
+import struct
+import threading
+
+from usarmjx.server.net import Server, Settings
+
+PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
+STA_TIME = re.compile(rb"STA \{Type GroundVehicle\} \{Time ([\d.]+)\}")
+
+
+class Peer:
+    """A client: a socket and the lines that came out of it."""
+
+    def __init__(self, port, text="", room=None):
+        self.socket = socket.socket()
+        self.socket.settimeout(PATIENCE)
+        if room:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
+        self.socket.connect(("127.0.0.1", port))
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._rest = b""
+        self.times = []
+        """Simulated times of all status lines so far."""
+        if text:
+            self.say(text)
+
+    def say(self, text):
+        self.socket.sendall(text.encode() + b"\r\n")
+
+    def line(self):
+        """The next line; b"" when the server has closed the connection."""
+        while b"\r\n" not in self._rest:
+            try:
+                data = self.socket.recv(65536)
+            except ConnectionError:
+                data = b""
+            if not data:
+                return b""
+            self._rest += data
+        line, self._rest = self._rest.split(b"\r\n", 1)
+        if status := STA_TIME.match(line):
+            self.times.append(float(status[1]))
+        return line
+
+    def until(self, *starts):
+        """The next line that starts so."""
+        while line := self.line():
+            if line.startswith(starts):
+                return line
+        raise AssertionError("the server hung up")
+
+    def ahead(self):
+        """What the sonar F4, which looks ahead, hears next [m]."""
+        while not (heard := re.match(rb"SEN .*{Type Sonar}.*{Name F4 Range ([\d.]+)}", self.until(b"SEN"))):
+            pass
+        return float(heard[1])
+
+    def sta_times(self, count):
+        """Simulated times of the next status lines."""
+        for _ in range(count):
+            self.until(b"STA")
+        return self.times[-count:]
+
+    def close(self):
+        self.socket.close()
+
+    def reset(self):
+        """Break the connection off instead of closing it."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.socket.close()
+
+
+@contextlib.contextmanager
+def serving(world, **settings):
+    """A running server's (port, Server)."""
+    started, box = threading.Event(), {}
+
+    async def main():
+        box["loop"] = asyncio.get_running_loop()
+        box["server"] = Server(world, Settings(port=0, **settings))
+        task = asyncio.create_task(box["server"].run())
+        while not box["server"].port and not task.done():
+            await asyncio.sleep(0.01)
+        started.set()
+        await task
+
+    thread = threading.Thread(target=lambda: asyncio.run(main()), daemon=True)
+    thread.start()
+    assert started.wait(PATIENCE)
+    try:
+        yield box["server"].port, box["server"]
+    finally:
+        box["loop"].call_soon_threadsafe(box["server"].stop)
+        thread.join(PATIENCE)
+        assert not thread.is_alive()

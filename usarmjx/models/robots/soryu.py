@@ -1,0 +1,101 @@
+"""The Soryu: three cars on two tracks each, with a joint to pan and one to tilt between them (12.15)."""
+
+from usarmjx.models.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.spec import CHASSIS, LEFT, UP, Motor, Part, RobotSpec, Shape
+from usarmjx.models.tracks import Belt, drive_tracks, mass_of, track, track_names
+from usarmjx.transforms import Vec3
+
+RIGHT: Vec3 = (0.0, 1.0, 0.0)
+DOWN: Vec3 = (0.0, 0.0, 1.0)
+YELLOW = (0.85, 0.75, 0.15, 1.0)
+
+LENGTH, WIDTH, HEIGHT = 1.21, 0.122, 0.145  # manual 12.15.1
+MASS = 10.0  # manual 12.15.1
+BELT = Belt(
+    radius=HEIGHT / 2,  # chosen, as all without a source: tracks above and below, as it drives on either
+    spin=0.37 / (HEIGHT / 2),  # manual 12.15.1: 0.37 m/s
+    width=0.055,
+    pull=50.0,
+    inertia=0.4,
+    wheel_mass=0.06,
+)
+SEPARATION = WIDTH - BELT.width
+CAR = 0.38  # length of a car
+PITCH = (LENGTH - CAR) / 2  # from car to car
+AXLE = CAR / 2 - BELT.radius  # x of a car's first axle from its middle
+CAR_MASS = 2.6
+JOINT_MASS = 0.2
+TILT_MOTOR = Motor(max_speed=1.0, torque=50.0, stiffness=1000.0, damping=35.0, armature=0.5)
+PAN_MOTOR = Motor(max_speed=1.0, torque=30.0, stiffness=600.0, damping=21.0, armature=0.3)
+
+
+def _body(mass: float, at: Vec3 = (0.0, 0.0, 0.0)) -> tuple[Shape, ...]:
+    """A car between and inside its tracks: a hull that its wheels' rims stand out of on all sides."""
+    half = (CAR / 2 - 0.04, WIDTH / 2 - 0.003, 0.02)
+    return (Shape(kind="box", size=half, at=at, mass=mass, rgba=YELLOW),)
+
+
+def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
+    """Return the joints before (sign 1) or behind the middle car: pan first, then tilt with the car on it.
+
+    Positive pans the end to the left and tilts it up, in front as behind.
+    """
+    pan = Part(
+        name=f"{end}Pan",
+        at=(sign * PITCH / 2, 0.0, 0.0),
+        axis=UP if sign > 0 else DOWN,
+        motor=PAN_MOTOR,
+        limits=(-0.8, 0.8),
+        shapes=(Shape(kind="sphere", size=(0.02,), mass=JOINT_MASS, surface="fixture", rgba=BLACK),),
+    )
+    tilt = Part(
+        name=f"{end}Tilt",
+        parent=pan.name,
+        axis=RIGHT if sign > 0 else LEFT,
+        motor=TILT_MOTOR,
+        limits=(-1.5, 1.5),
+        shapes=_body(CAR_MASS, (sign * PITCH / 2, 0.0, 0.0)),
+    )
+    return pan, tilt
+
+
+def soryu(wheels: int = 4) -> RobotSpec:
+    """Return the Soryu with so many wheels in each of its six tracks (manual 12.10.2)."""
+    joints = (*_joint_pair("Front", 1), *_joint_pair("Rear", -1))
+    cars = (("FrontTilt", PITCH / 2), (CHASSIS, 0.0), ("RearTilt", -PITCH / 2))
+    tracks: list[Part] = []
+    for side, y in (("Left", -SEPARATION / 2), ("Right", SEPARATION / 2)):
+        names = track_names(side, wheels * len(cars))
+        for (parent, x), some in zip(cars, zip(*[iter(names)] * wheels, strict=True), strict=True):
+            tracks += track(BELT, some, (x + AXLE, y, 0.0), (x - AXLE, y, 0.0), parent)
+    parts = (*joints, *tracks)
+    return RobotSpec(
+        name="Soryu",
+        dimensions=(LENGTH, WIDTH, HEIGHT),
+        mass=MASS,
+        origin_height=BELT.radius,
+        chassis=_body(MASS - mass_of(parts)),
+        parts=parts,
+        drive=drive_tracks(parts, BELT),
+        sensors=POSE_SENSORS,
+        cameras=(
+            camera(at=(PITCH / 2 + CAR / 2, 0.0, -0.03), parent="FrontTilt"),
+            camera("Camera2", at=(PITCH / 2 + CAR / 2, 0.0, 0.0), parent="FrontTilt"),
+        ),
+        wheel_radius=BELT.radius,
+        wheel_separation=SEPARATION,
+        wheel_base=2 * (PITCH + AXLE),
+        reported=tuple(joint.name for joint in joints),
+        sources=(
+            ("dimensions", "manual 12.15"),
+            ("mass", "manual 12.15"),
+            ("top speed", "manual 12.15"),
+            ("cameras", "manual 12.15"),
+            ("wheel_radius", "chosen"),
+            ("layout", "chosen"),
+            ("joints", "chosen"),
+        ),
+    )
+
+
+SORYU = soryu()

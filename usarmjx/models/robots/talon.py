@@ -1,0 +1,197 @@
+"""The robots on two tracks: Talon and Rugbot (manual 12.12, 12.22)."""
+
+import math
+
+from usarmjx.models.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick, sick_housing
+from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, RobotSpec, Shape
+from usarmjx.models.tracks import Belt, drive_tracks, mass_of, track_pair
+from usarmjx.transforms import Vec3
+
+OLIVE = (0.35, 0.38, 0.22, 1.0)
+RED = (0.75, 0.1, 0.1, 1.0)
+
+TALON_LENGTH, TALON_WIDTH, TALON_HEIGHT = 0.9117, 0.5903, 0.3654  # manual 12.12.1
+TALON_MASS, TALON_PAYLOAD = 34.0, 45.0  # manual 12.12.1
+TALON_ORIGIN = 0.13  # manual 5.3.6
+TALON_BELT = Belt(
+    radius=0.14,  # manual 12.12.1: 0.28 (its unit is wrong), taken for a diameter: 0.90 m/s
+    spin=6.43,  # manual 12.12.1
+    width=0.15,  # chosen, as all without a source
+    pull=90.0,
+    inertia=2.0,
+    wheel_mass=1.0,
+)
+TALON_SEPARATION = TALON_WIDTH - TALON_BELT.width
+TALON_AXLE = TALON_LENGTH / 2 - TALON_BELT.radius
+TALON_AXLE_HEIGHT = TALON_ORIGIN - TALON_BELT.radius  # z down: the axles are 1 cm above the origin
+
+
+def _arm_motor(torque: float, armature: float) -> Motor:
+    """Stiff enough that the arm's weight bends no joint by a hundredth of a radian."""
+    return Motor(
+        max_speed=0.5, torque=torque, stiffness=4000.0 * armature, damping=60.0 * armature, armature=armature
+    )
+
+
+def _arm_link(
+    number: int, location: Vec3, orientation: Vec3, limits: tuple[float, float], motor: Motor, length: float
+) -> Link:
+    bar = Shape(
+        kind="box", size=(length / 2, 0.025, 0.025), at=(length / 2, 0.0, 0.0), mass=2.4 * length, rgba=BLACK
+    )
+    return Link(
+        number=number,
+        parent=number - 1 if number > 1 else -1,
+        location=location,
+        orientation=orientation,
+        max_speed=motor.max_speed,
+        max_torque=motor.torque,
+        min_range=limits[0],
+        max_range=limits[1],
+        shapes=(bar,),
+        motor=motor,
+    )
+
+
+UPPER, LOWER, HAND = 0.45, 0.33, 0.06  # chosen lengths: at zero the arm lies ahead along the deck
+TILT: Vec3 = (-math.pi / 2, 0.0, 0.0)  # turns z to the right: positive lifts the arm
+TALON_ARM = MissionPackage(
+    # The manual's text has two joints, its example of MISPKG moves links 1 and 3: shoulder, elbow and a wrist.
+    name="TalonArm",
+    links=(
+        _arm_link(1, (-0.33, 0.0, -0.19), TILT, (-0.1, 2.6), _arm_motor(120.0, 2.0), UPPER),
+        _arm_link(2, (UPPER, 0.0, 0.0), (0.0, 0.0, 0.0), (-2.6, 2.6), _arm_motor(60.0, 1.0), LOWER),
+        _arm_link(3, (LOWER, 0.0, 0.0), (0.0, math.pi / 2, 0.0), (1.0, 0.0), _arm_motor(20.0, 0.3), HAND),
+    ),
+)
+
+
+def talon(wheels: int = 6) -> RobotSpec:
+    """Return the Talon with so many wheels in each track (manual 12.10.2)."""
+    parts = track_pair(
+        TALON_BELT,
+        wheels,
+        separation=TALON_SEPARATION,
+        front=TALON_AXLE,
+        rear=-TALON_AXLE,
+        height=TALON_AXLE_HEIGHT,
+    )
+    packages = (TALON_ARM,)
+    top = TALON_ORIGIN - TALON_BELT.radius - 0.13  # z of the deck
+    return RobotSpec(
+        name="Talon",
+        dimensions=(TALON_LENGTH, TALON_WIDTH, TALON_HEIGHT),
+        mass=TALON_MASS,
+        payload=TALON_PAYLOAD,
+        origin_height=TALON_ORIGIN,
+        chassis=(
+            Shape(kind="box", size=(0.38, TALON_WIDTH / 2, 0.05), at=(0.0, 0.0, top + 0.05), rgba=OLIVE),
+            Shape(
+                kind="box",
+                size=(0.35, 0.14, 0.05),
+                mass=TALON_MASS - mass_of(parts, packages),
+                surface="fixture",
+                rgba=OLIVE,
+            ),
+        ),
+        parts=parts,
+        drive=drive_tracks(parts, TALON_BELT),
+        packages=packages,
+        sensors=POSE_SENSORS,
+        cameras=(
+            camera(at=(0.38, 0.0, top), parent=CHASSIS),
+            camera("Camera2", at=(-0.38, 0.0, top), direction=(0.0, 0.0, math.pi), parent=CHASSIS),
+            camera("Camera3", at=(0.0, 0.0, -0.06), parent="TalonArm_Link2"),
+            camera("Camera4", at=(0.0, 0.0, -0.06), parent="TalonArm_Link3"),
+        ),
+        wheel_radius=TALON_BELT.radius,
+        wheel_separation=TALON_SEPARATION,
+        wheel_base=2 * TALON_AXLE,
+        sources=(
+            ("dimensions", "manual 12.12"),
+            ("mass", "manual 12.12"),
+            ("payload", "manual 12.12"),
+            ("wheel_radius", "manual 12.12"),
+            ("top speed", "manual 12.12"),
+            ("origin_height", "manual 5.3.6"),
+            ("sensors", "manual 12.12"),
+            ("layout", "chosen"),
+            ("arm", "chosen"),
+        ),
+    )
+
+
+TALON = talon()
+
+RUGBOT_LENGTH, RUGBOT_WIDTH, RUGBOT_HEIGHT = 0.385, 0.255, 0.270  # manual 12.22
+RUGBOT_MASS, RUGBOT_PAYLOAD = 34.0, 45.0  # manual 12.22
+RUGBOT_BELT = Belt(
+    radius=0.125,  # manual 12.22, its unit read as m
+    spin=6.0,  # manual 12.22
+    width=0.06,  # chosen, as all without a source
+    pull=35.0,
+    inertia=2.0,
+    wheel_mass=0.8,
+)
+RUGBOT_SEPARATION = RUGBOT_WIDTH - RUGBOT_BELT.width
+RUGBOT_AXLE = RUGBOT_LENGTH / 2 - RUGBOT_BELT.radius
+RUGBOT_DECK = RUGBOT_BELT.radius - RUGBOT_HEIGHT  # z
+RUGBOT_SCANNER = (0.08, 0.0, RUGBOT_DECK - 0.055)
+
+
+def rugbot(wheels: int = 3) -> RobotSpec:
+    """Return the Rugbot with so many wheels in each track (manual 12.10.2)."""
+    parts = track_pair(
+        RUGBOT_BELT,
+        wheels,
+        separation=RUGBOT_SEPARATION,
+        front=RUGBOT_AXLE,
+        rear=-RUGBOT_AXLE,
+        height=0.0,
+    )
+    packages = (pan_tilt((-0.05, 0.0, RUGBOT_DECK - 0.05)),)
+    return RobotSpec(
+        name="Rugbot",
+        dimensions=(RUGBOT_LENGTH, RUGBOT_WIDTH, RUGBOT_HEIGHT),
+        mass=RUGBOT_MASS,
+        payload=RUGBOT_PAYLOAD,
+        origin_height=RUGBOT_BELT.radius,
+        chassis=(
+            Shape(
+                kind="box",
+                size=(0.10, RUGBOT_WIDTH / 2, 0.0425),
+                at=(0.0, 0.0, RUGBOT_DECK + 0.0425),
+                rgba=RED,
+            ),
+            # Its mass lies low, between the tracks.
+            Shape(
+                kind="box",
+                size=(0.15, 0.06, 0.05),
+                at=(0.0, 0.0, 0.04),
+                mass=RUGBOT_MASS - mass_of(parts, packages),
+                surface="fixture",
+                rgba=RED,
+            ),
+            sick_housing(RUGBOT_SCANNER),
+        ),
+        parts=parts,
+        drive=drive_tracks(parts, RUGBOT_BELT),
+        packages=packages,
+        sensors=(sick(RUGBOT_SCANNER), *POSE_SENSORS),
+        cameras=(camera(),),
+        wheel_radius=RUGBOT_BELT.radius,
+        wheel_separation=RUGBOT_SEPARATION,
+        wheel_base=2 * RUGBOT_AXLE,
+        sources=(
+            ("dimensions", "manual 12.22"),
+            ("mass", "manual 12.22"),
+            ("payload", "manual 12.22"),
+            ("wheel_radius", "manual 12.22"),
+            ("top speed", "manual 12.22"),
+            ("sensors", "manual 12.22"),
+            ("layout", "chosen"),
+        ),
+    )
+
+
+RUGBOT = rugbot()

@@ -1,0 +1,183 @@
+"""The TeleMax: four flippers that carry it, and an arm with seven joints (manual 12.19)."""
+
+import math
+
+from usarmjx.models.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, RobotSpec, Shape
+from usarmjx.models.tracks import FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
+from usarmjx.transforms import Vec3
+
+SILVER = (0.75, 0.75, 0.78, 1.0)
+
+TELEMAX_LENGTH, TELEMAX_WIDTH, TELEMAX_HEIGHT = 0.80, 0.40, 0.75  # manual 12.19.1, stowed
+TELEMAX_BELT = Belt(
+    radius=0.381 / 2,  # manual 12.19.1
+    spin=1.3 / (0.381 / 2),  # manual 12.19.1: 1.3 m/s
+    width=0.095,  # manual 12.19.1
+    pull=110.0,  # chosen, as all without a source
+    inertia=2.0,
+    wheel_mass=2.0,
+)
+TELEMAX_MASS = 80.0
+# Stowed, the flippers point up, and the wheels around their hinges are the ends of it. In the middle of each
+# side a third wheel closes the gap between the tracks' inner ends.
+TELEMAX_PIVOT = TELEMAX_LENGTH / 2 - TELEMAX_BELT.radius
+TELEMAX_SEPARATION = TELEMAX_WIDTH - TELEMAX_BELT.width
+TELEMAX_FLIPPERS = Flippers(
+    pivot=(TELEMAX_PIVOT, TELEMAX_SEPARATION / 2),
+    height=0.0,
+    length=0.34,
+    tip=0.06,
+    count=3,
+    mass=1.5,
+    motor=Motor(max_speed=1.0, torque=250.0, stiffness=8000.0, damping=280.0, armature=4.0),
+)
+
+# Lengths of UsarCommander's inverse kinematics [m]. The captured mounts of links 1 and 2 are those of its L1
+# (turret) and L2 (shoulder); L3 and L4 are the upper arm up to and beyond the telescope's joint, L5 the lower
+# arm, L6 and L7 the wrist.
+L3, L4, L5, L6, L7 = 0.4436, 0.18996, 0.3999, 0.125, 0.125
+TURN = 0.10  # chosen: from elbow to the joint that turns the lower arm
+UP_FROM_DOWN, TILT, ALONG, BACK = (
+    (math.pi, 0.0, 0.0),
+    (math.pi / 2, 0.0, 0.0),
+    (0.0, math.pi / 2, 0.0),
+    (0.0, -math.pi / 2, 0.0),
+)
+"""Orientations: of the turret (captured), of the shoulder on it (captured), from a tilting joint to one along
+the arm, and from there to the next tilting joint."""
+
+
+def _motor(torque: float, armature: float, speed: float = 0.17) -> Motor:
+    """Stiff enough that the arm's weight bends no joint by more than some thousandths of a radian."""
+    return Motor(
+        max_speed=speed,
+        torque=torque,
+        stiffness=4000.0 * armature,
+        damping=60.0 * armature,
+        armature=armature,
+    )
+
+
+def _link(
+    number: int,
+    location: Vec3,
+    orientation: Vec3,
+    limits: tuple[float, float],
+    *,
+    motor: Motor,
+    bar: tuple[float, float, float],
+    mass: float,
+    joint: str = "Revolute",
+) -> Link:
+    """Return a link whose solid is a bar from `bar[0]` to `bar[1]` ahead of its joint, `bar[2]` thick."""
+    start, end, thick = bar
+    return Link(
+        number=number,
+        parent=number - 1 if number > 1 else -1,
+        location=location,
+        orientation=orientation,
+        max_speed=0.17,
+        max_torque=300.0,
+        min_range=limits[0],
+        max_range=limits[1],
+        joint=joint,  # type: ignore[arg-type]
+        motor=motor,
+        shapes=(
+            Shape(
+                kind="box",
+                size=((end - start) / 2, thick / 2, thick / 2),
+                at=((start + end) / 2, 0.0, 0.0),
+                mass=mass,
+                rgba=BLACK,
+            ),
+        ),
+    )
+
+
+ANY = (1.0, 0.0)  # captured for link 1: unlimited
+SHOULDER, ELBOW, WRIST = _motor(300.0, 12.0), _motor(120.0, 4.0), _motor(40.0, 1.0)
+
+TELEMAX_ARM = MissionPackage(
+    name="TeleMaxArm",
+    links=(
+        _link(
+            1, (0.1789, -0.0014, -0.0905), UP_FROM_DOWN, ANY, motor=SHOULDER, bar=(-0.05, 0.05, 0.1), mass=2.0
+        ),
+        _link(2, (0.0258, -0.0720, 0.1566), TILT, (-0.5, 2.6), motor=SHOULDER, bar=(0.0, L3, 0.06), mass=2.5),
+        _link(
+            3,
+            (L3, 0.0, 0.0),
+            ALONG,
+            (0.0, 0.3),
+            motor=Motor(max_speed=0.17, torque=600.0, stiffness=80000.0, damping=1200.0, armature=20.0),
+            bar=(-0.2, L4, 0.05),
+            mass=1.2,
+            joint="Prismatic",
+        ),
+        _link(4, (0.0, 0.0, L4), BACK, (-2.6, 2.6), motor=ELBOW, bar=(0.0, TURN, 0.05), mass=0.6),
+        _link(
+            5, (TURN, 0.0, 0.0), ALONG, (-math.pi, math.pi), motor=WRIST, bar=(0.0, L5 - TURN, 0.05), mass=0.8
+        ),
+        _link(6, (0.0, 0.0, L5 - TURN), BACK, (-2.0, 2.0), motor=WRIST, bar=(0.0, L6, 0.04), mass=0.4),
+        _link(7, (L6, 0.0, 0.0), ALONG, ANY, motor=WRIST, bar=(0.0, 0.04, 0.05), mass=0.2),
+    ),
+)
+
+
+def telemax(wheels: int = 3) -> RobotSpec:
+    """Return the TeleMax with so many wheels in each row of the chassis (manual 12.10.2)."""
+    rows = track_pair(
+        TELEMAX_BELT,
+        wheels,
+        separation=TELEMAX_SEPARATION,
+        front=TELEMAX_PIVOT,
+        rear=-TELEMAX_PIVOT,
+        height=0.0,
+    )
+    parts = (*rows, *TELEMAX_FLIPPERS.parts(TELEMAX_BELT))
+    packages = (TELEMAX_ARM,)
+    return RobotSpec(
+        name="TeleMax",
+        dimensions=(TELEMAX_LENGTH, TELEMAX_WIDTH, TELEMAX_HEIGHT),
+        mass=TELEMAX_MASS,
+        origin_height=TELEMAX_BELT.radius,
+        chassis=(
+            # Over the axles, so that edges meet the tracks; its mass, batteries, lies between them.
+            Shape(kind="box", size=(0.34, 0.20, 0.06), at=(0.0, 0.0, -0.08), rgba=SILVER),
+            Shape(
+                kind="box",
+                size=(0.30, 0.10, 0.08),
+                at=(0.0, 0.0, 0.02),
+                mass=TELEMAX_MASS - mass_of(parts, packages),
+                surface="fixture",
+                rgba=SILVER,
+            ),
+        ),
+        parts=parts,
+        drive=drive_tracks(parts, TELEMAX_BELT),
+        packages=packages,
+        sensors=POSE_SENSORS,
+        cameras=(
+            camera(at=(0.35, 0.0, -0.10), parent=CHASSIS),
+            camera("GCam", at=(0.0, 0.0, -0.05), parent="TeleMaxArm_Link7"),
+        ),
+        wheel_radius=TELEMAX_BELT.radius,
+        wheel_separation=TELEMAX_SEPARATION,
+        wheel_base=2 * TELEMAX_PIVOT,
+        battery_life=7200.0,
+        reported=FLIPPERS,
+        sources=(
+            ("dimensions", "manual 12.19"),
+            ("wheel_radius", "manual 12.19"),
+            ("top speed", "manual 12.19"),
+            ("battery_life", "manual 12.19"),
+            ("arm mounts", "captured"),
+            ("mass", "chosen"),
+            ("layout", "chosen"),
+            ("sensors", "manual 12.19"),
+        ),
+    )
+
+
+TELEMAX = telemax()
