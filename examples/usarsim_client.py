@@ -162,6 +162,10 @@ class UsarsimClient(AbstractContextManager):
         """Turn the left and right wheels forward [rad/s, or percent when normalized]."""
         self.send("DRIVE", Left=left, Right=right, **({"Normalized": True} if normalized else {}))
 
+    def multidrive(self, joints: dict[str, float]) -> None:
+        """Move joints, by name, to absolute positions [rad], all at the same time."""
+        self.send("MULTIDRIVE", **joints)
+
     def geo(self, type_name: str, name: str = ""):
         """Return where sensors are mounted, or the size of the robot (type Robot)."""
         return self._ask("GETGEO", type_name, name)

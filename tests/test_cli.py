@@ -84,7 +84,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(words, says):
 
 
 def test_bench_refuses_what_it_does_not_know():
-    result = invoke("bench", "step", "--robot", "Dalek", "--engine", "c")
+    result = invoke("bench", "step", "--roster", "Dalek", "--engine", "c")
     assert result.exit_code == 2
     assert re.fullmatch(r"usarmjx: unknown robot 'Dalek'; known: .*\n", result.stderr)
 

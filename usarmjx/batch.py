@@ -16,6 +16,8 @@ from flax import struct
 from usarmjx.control import Order, check_keys, steer
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
 from usarmjx.errors import EngineError, UnknownNameError, UsageError
+from usarmjx.models.effecters import Opcode
+from usarmjx.operate import Outcome, find_operation, operate
 from usarmjx.scene import Scene
 from usarmjx.sensors.base import Reading
 from usarmjx.transforms import Array
@@ -81,6 +83,7 @@ class Batch:
         self._restart = self._compile(jax.vmap(partial(restart, scene, shuffle=shuffle)))
         self._first = self._compile(jax.vmap(partial(first_episode, scene, shuffle=shuffle)))
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
+        self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
         traceable = self.engine.traceable
         self.step: Callable[[State], State] = self._compile(self._step) if traceable else self._step
         """Advance every world by one control step under the commands in force."""
@@ -90,9 +93,9 @@ class Batch:
         """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
 
     @staticmethod
-    def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
+    def _compile(function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
         # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
-        return jax.jit(jax.default_matmul_precision("highest")(function))
+        return jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static_argnums)
 
     def reset(self) -> State:
         """Return all worlds at the start of their first episode."""
@@ -169,6 +172,55 @@ class Batch:
         return self.with_team(
             state, team, members.replace(command=members.command.replace(target=target, order=orders))
         )
+
+    def operate(
+        self,
+        state: State,
+        team: int,
+        name: str,
+        opcode: str,
+        value: Array | None = None,
+        where: Array = True,
+    ) -> tuple[State, Outcome]:
+        """Let a team's robots operate an effecter (manual 8), as SET does.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            name: Name of the effecter, case ignored.
+            opcode: Name of one of its operations, case ignored.
+            value: Its parameter, broadcast to (worlds, robots); None: the usual one.
+            where: Which robots shall do it, broadcast to (worlds, robots).
+
+        Returns:
+            The batch, and per world and robot what became of it.
+
+        Raises:
+            UnknownNameError: The robots have no such effecter, or it has no such operation; lists those known.
+            UsageError: The operation needs a parameter.
+        """
+        place, operation = find_operation(self.scene.teams[team], name, opcode)
+        value = operation.usual if value is None else value
+        if value is None:
+            raise UsageError(f"{operation.name} of {name} needs a value")
+        shape = state.worlds.teams[team].active.shape
+        told = (jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape))
+        worlds, outcome = self._operate(state.worlds, self.physics(state), (team, place), operation, *told)
+        return state.replace(worlds=worlds), outcome
+
+    def _operate_all(
+        self,
+        worlds: World,
+        physics: PhysicsState,
+        where: tuple[int, int],
+        opcode: Opcode,
+        value: jax.Array,
+        asked: jax.Array,
+    ) -> tuple[World, Outcome]:
+        def one(world: World, physics: PhysicsState, value: jax.Array, asked: jax.Array) -> Any:  # noqa: ANN401
+            return operate(self.scene, world, physics, where, opcode, value, asked)
+
+        return jax.vmap(one)(worlds, physics, value, asked)
 
     @staticmethod
     def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState

@@ -216,7 +216,9 @@ def drive(
     wrench += jnp.where(now.powered, robot.drive.wrench(command.setpoint, state, now.depth), 0.0)
     if robot.drive.wheeled:
         wrench += jnp.where(now.time < command.flip_until, righting(plan, state), 0.0)
-    return Driven(ctrl=ctrl, act=act, wrench=wrench, refused=(~finite).sum() + (~sound).sum())
+    # A key of a drive that aims joints has reached their targets already.
+    refused = (~finite).sum() + (0 if robot.drive.aims else (~sound).sum())
+    return Driven(ctrl=ctrl, act=act, wrench=wrench, refused=refused)
 
 
 def _servo(

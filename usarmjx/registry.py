@@ -34,6 +34,13 @@ class Registry(Generic[T]):
         self._aliases.update({alias.lower(): name.lower() for alias in aliases})
         return entry
 
+    def replace(self, name: str, entry: T) -> T:
+        """Register `entry` in place of what has that name or alias, under its name, or anew."""
+        key = self._aliases.get(name.lower(), name.lower())
+        spelt = self._entries[key][0] if key in self._entries else name
+        self._entries[key] = (spelt, entry)
+        return entry
+
     def get(self, name: str) -> T:
         """Return the entry of that name or alias, case ignored.
 

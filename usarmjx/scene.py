@@ -10,6 +10,7 @@ import numpy as np
 from usarmjx.errors import SpecError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
+from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
@@ -62,6 +63,16 @@ class Team:
     def robot(self) -> RobotSpec:
         """The robot class."""
         return self.plan.robot
+
+    @property
+    def effecters(self) -> tuple[Effecter, ...]:
+        """The effecters of the class."""
+        return effecters_of(self.robot)
+
+    @property
+    def stock(self) -> tuple[int, ...]:
+        """What each effecter carries to release."""
+        return tuple(effecter.stock for effecter in self.effecters)
 
     @cached_property
     def root_qpos(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from flax import struct
 from usarmjx.control import Circumstances, Command, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
 from usarmjx.models.drives import DRY
+from usarmjx.models.effecters import Tags, no_tags
 from usarmjx.models.plan import Bodies, body_poses, geom_poses
 from usarmjx.models.spec import ArenaSpec, RobotSpec
 from usarmjx.models.state import RobotState
@@ -38,6 +39,7 @@ class TeamState(struct.PyTreeNode, kw_only=True):
         active: Whether the robot is in use; the others are parked (n,).
         born: When its battery was full [s] (n,).
         drowned: Whether water has killed its battery (n,).
+        stock: What each of their effecters has left to release (n, effecters).
         memory: What their sensors remember.
     """
 
@@ -45,6 +47,7 @@ class TeamState(struct.PyTreeNode, kw_only=True):
     active: jax.Array
     born: jax.Array
     drowned: jax.Array
+    stock: jax.Array
     memory: Memory
 
 
@@ -72,6 +75,7 @@ class World(struct.PyTreeNode, kw_only=True):
         episode: Resets so far ().
         step: Control steps since the last reset ().
         teams: The robots by class.
+        tags: RFID tags that robots have dropped.
         status: What went wrong.
     """
 
@@ -79,6 +83,7 @@ class World(struct.PyTreeNode, kw_only=True):
     episode: jax.Array
     step: jax.Array
     teams: tuple[TeamState, ...]
+    tags: Tags
     status: Status
 
 
@@ -109,9 +114,8 @@ def first_episode(scene: Scene, key: jax.Array, *, shuffle: bool = False) -> tup
     """Return a new world and the qpos (nq,) it starts from; see `restart`."""
     zero = jnp.zeros((), jnp.int32)
     status = Status(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
-    return restart(
-        scene, World(key=key, episode=zero - 1, step=zero, teams=(), status=status), shuffle=shuffle
-    )
+    world = World(key=key, episode=zero - 1, step=zero, teams=(), tags=no_tags(), status=status)
+    return restart(scene, world, shuffle=shuffle)
 
 
 def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World, jax.Array]:
@@ -122,7 +126,9 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
         world: The world as it was; its key and status live on.
         shuffle: Draw the robots' start poses instead of handing them out in the arena's order.
     """
-    world = world.replace(episode=world.episode + 1, step=jnp.zeros((), jnp.int32), teams=())
+    world = world.replace(
+        episode=world.episode + 1, step=jnp.zeros((), jnp.int32), teams=(), tags=no_tags()
+    )
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
     teams = []
@@ -130,9 +136,15 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
         n = len(team.slots)
         active = jnp.array([not scene.roster[slot].parked for slot in team.slots])
         command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle(team.robot))
-        dry = jnp.zeros(n, bool)
         teams.append(
-            TeamState(command=command, active=active, born=jnp.zeros(n), drowned=dry, memory=NO_MEMORY)
+            TeamState(
+                command=command,
+                active=active,
+                born=jnp.zeros(n),
+                drowned=jnp.zeros(n, bool),
+                stock=jnp.tile(jnp.array(team.stock, jnp.int32), (n, 1)),
+                memory=NO_MEMORY,
+            )
         )
     world = world.replace(teams=tuple(teams))
     key = episode_key(world, START_STREAM)
@@ -233,6 +245,12 @@ def drowns(robot: RobotSpec, depth: jax.Array) -> jax.Array:
     return (depth > 0) & (robot.drive.vehicle != "NauticVehicle")
 
 
+def powered(scene: Scene, world: World, team: Team, state: TeamState) -> jax.Array:
+    """Return which robots of a team are in use and have a battery that lasts (n,)."""
+    age = time_of(scene, world) - state.born
+    return state.active & (age < team.robot.battery_life) & ~state.drowned
+
+
 def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
     """Turn the commands in force into the engine's inputs for one control step.
 
@@ -252,8 +270,8 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         robots = team_states(team, physics)
         depth = jax.vmap(partial(depth_in_water, scene.arena))(robots.pos)
         state = state.replace(drowned=state.drowned | (state.active & drowns(team.robot, depth)))
-        powered = state.active & (time - state.born < team.robot.battery_life) & ~state.drowned
-        now = Circumstances(time=jnp.broadcast_to(time, powered.shape), powered=powered, depth=depth)
+        awake = powered(scene, world, team, state)
+        now = Circumstances(time=jnp.broadcast_to(time, awake.shape), powered=awake, depth=depth)
 
         run = jax.vmap(partial(drive, team.plan, period=scene.physics.period))
         driven = run(state.command, robots, physics.act[team.actuator], now)

@@ -21,13 +21,14 @@ GRAZE = 1e-4  # m: rays whose C answer changes when moved by this are left out .
 JUMP = 3e-3  # ... if by more than this: distance [m] or normal
 FEW = 0.03  # ... and no more than this share of rays
 RAYS = 400
-# The size numbers in use: plane's half lengths, half lengths, radius, radius and half length.
+# The size numbers in use: plane's half lengths, half lengths, radius, radius and half length, radii.
 KINDS = {
     "plane": Geom.mjGEOM_PLANE,
     "box": Geom.mjGEOM_BOX,
     "sphere": Geom.mjGEOM_SPHERE,
     "capsule": Geom.mjGEOM_CAPSULE,
     "cylinder": Geom.mjGEOM_CYLINDER,
+    "ellipsoid": Geom.mjGEOM_ELLIPSOID,
 }
 
 
@@ -207,11 +208,11 @@ def test_rays_along_the_faces_of_a_box(origin, direction, distance):
 
 
 def test_unknown_type_is_refused_by_type_and_name():
-    types = [Geom.mjGEOM_BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_ELLIPSOID, Geom.mjGEOM_MESH]
+    types = [Geom.mjGEOM_BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD, Geom.mjGEOM_MESH]
     with pytest.raises(UnsupportedGeomError) as caught:
-        check_types(types, ["crate", "statue", "egg", "bust"])
+        check_types(types, ["crate", "statue", "hill", "bust"])
     message = str(caught.value)
-    for word in ("mjGEOM_MESH", "mjGEOM_ELLIPSOID", "statue", "egg", "bust"):
+    for word in ("mjGEOM_MESH", "mjGEOM_HFIELD", "statue", "hill", "bust"):
         assert word in message
     assert "crate" not in message
     check_types([int(kind) for kind in KINDS.values()], list(KINDS))

@@ -198,6 +198,8 @@ def _add_geom(body: mujoco.MjsBody, name: str, shape: Shape, kind: mujoco.mjtGeo
         rgba=shape.rgba,
         friction=[surface.friction, 0.005, 0.0001],
         priority=surface.priority,
+        solref=surface.solref,
+        solimp=(*surface.solimp, 0.5, 2.0),
         contype=surface.contype,
         conaffinity=surface.conaffinity,
         condim=3,

@@ -1,4 +1,4 @@
-"""Mounted items of an ini file: the lists Sensors, Effecters and Cameras, and the defaults of their classes."""
+"""Mounted items of an ini file: Sensors, Effecters and Cameras, and the defaults of their classes."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,10 +4,8 @@ The manual shows no section of USARMisPkg.ini, and the original's refers to clas
 Ours gives the links of a package directly, close to the part-joint pairs of 14.4.2.4; see `docs/robots.md`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from usarmjx.models.ini import IniFile, Line, Struct, Value
 from usarmjx.models.ini_items import Notes
@@ -24,6 +22,7 @@ from usarmjx.models.ini_read import (
     reject_unknown,
     vector_of,
 )
+from usarmjx.models.packages import PACKAGES, mounted
 from usarmjx.models.spec import ZERO, Link, MissionPackage, RobotSpec, Shape
 from usarmjx.registry import Registry
 from usarmjx.transforms import Vec3
@@ -123,10 +122,11 @@ def _shapes(link: LinkLine, before: Link) -> tuple[Shape, ...]:
     return (Shape(kind="box", size=(x, y, z), mass=mass, surface="fixture", rgba=(0.1, 0.1, 0.1, 1.0)),)
 
 
-def _link(link: LinkLine, before: Link, base: Vec3) -> Link:
+def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
     """Return a link: as before, but for what its line says; `base` is where the package is mounted."""
     line, fields, units = link.line, link.fields, link.units
-    parent = int(number_of(line, fields, "Parent", before.parent))
+    parent = int(number_of(line, fields, "Parent", before.parent if before else -1))
+    before = before or replace(UNKNOWN, location=base if parent == -1 else ZERO)
     location = before.location
     if fields.get("Location") is not None:
         own = units.place(vector_of(line, fields, "Location"))
@@ -159,12 +159,14 @@ def _link(link: LinkLine, before: Link, base: Vec3) -> Link:
     )
 
 
-def redefine(package: MissionPackage, lines: Sequence[LinkLine]) -> MissionPackage:
-    """Return a package with the links of an ini file; what their lines leave open stays as it was."""
+def redefine(package: MissionPackage, definitions: Definitions) -> MissionPackage:
+    """Return a package with the links that an ini file gives it; what their lines leave open stays."""
+    lines = definitions.get(package.name.lower(), ())
+    if not lines:
+        return package
     base = base_of(package)
     before = {link.number: link for link in package.links}
-    blank = replace(UNKNOWN, location=base)
-    links = tuple(_link(line, before.get(line.number, blank), base) for line in lines)
+    links = tuple(_link(line, before.get(line.number), base) for line in lines)
     return MissionPackage(name=package.name, links=links)
 
 
@@ -173,28 +175,31 @@ def base_of(package: MissionPackage) -> Vec3:
     return next((link.location for link in package.links if link.parent == -1), ZERO)
 
 
-def _sum(first: Vec3, second: Vec3, sign: float = 1.0) -> Vec3:
-    x, y, z = (np.array(first) + sign * np.array(second)).tolist()
+def _sum(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
+    x, y, z = (a + sign * b for a, b in zip(first, second, strict=True))
     return (x, y, z)
 
 
-def moved(package: MissionPackage, name: str, to: Vec3) -> MissionPackage:
-    """Return a package under another name, mounted elsewhere."""
-    base = base_of(package)
-    links = tuple(
-        replace(link, location=_sum(to, _sum(link.location, base, -1.0))) if link.parent == -1 else link
-        for link in package.links
-    )
-    return MissionPackage(name=name, links=links)
+def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> dict[str, MissionPackage]:
+    """Return packages by class name in lower case, as the ini files have them, mounted at the origin."""
+    found = {}
+    for package in packages:
+        bare = mounted(package, _sum(ZERO, base_of(package), -1))
+        found[package.name.lower()] = redefine(bare, definitions)
+    return found
 
 
-def mounted_package(
-    line: Line, robot: RobotSpec, robots: Registry[RobotSpec], definitions: Definitions
-) -> MissionPackage:
+def known_packages(robots: Registry[RobotSpec], definitions: Definitions) -> dict[str, MissionPackage]:
+    """Return all packages there are: the robots', those of `PACKAGES`, and new ones of the ini files."""
+    new = [MissionPackage(name=name, links=()) for name in definitions]
+    others = [package for _, robot in robots for package in robot.packages]
+    return templates([*new, *others, *(package for _, package in PACKAGES)], definitions)
+
+
+def read_package(line: Line, known: Mapping[str, MissionPackage]) -> MissionPackage:
     """Return the package that a MisPkgs line mounts (manual 10.15.2).
 
-    Location is in metres and z down whatever bMountByUU says (KRobot.uc). The links are those of the ini
-    file's `[USARMisPkg.X]`, of the robot's own package of that name, or of another robot's.
+    Location is in metres and z down whatever bMountByUU says (KRobot.uc).
 
     Raises:
         SpecError: No such package class; names file and line, and the classes there are.
@@ -202,15 +207,8 @@ def mounted_package(
     struct = as_struct(line)
     reject_unknown(line, struct, ("PkgName", "Location", "PkgClass"))
     name = as_name(line, struct.get("PkgName"), "PkgName")
-    kind = as_class(line, struct.get("PkgClass", name), "PkgClass").lower()
-    known: dict[str, MissionPackage] = {}
-    for _, other in robots:
-        known |= {package.name.lower(): package for package in other.packages}
-    known |= {package.name.lower(): package for package in robot.packages}
-    if kind not in known and kind not in definitions:
-        names = sorted({package.name for package in known.values()} | set(definitions))
+    kind = as_class(line, struct.get("PkgClass", name), "PkgClass")
+    if kind.lower() not in known:
+        names = sorted({package.name for package in known.values()})
         fail(line, f"unknown PkgClass {kind!r}", f"one of {', '.join(names)}")
-    package = known.get(kind, MissionPackage(name=name, links=()))
-    if kind in definitions:
-        package = redefine(package, definitions[kind])
-    return moved(package, name, vector_of(line, struct, "Location"))
+    return mounted(known[kind.lower()], vector_of(line, struct, "Location"), name)

@@ -32,10 +32,10 @@ class Units:
         if not self.by_uu:
             return vector
         x, y, z = (value / self.uu_per_metre for value in vector)
-        return (x, y, -z)
+        return (x, y, 0.0 - z)
 
     def angles(self, vector: Vec3) -> Vec3:
-        """Return rotations about x, y, z in radians: roll, pitch, yaw, which have the same signs in Unreal."""
+        """Return rotations about x, y, z in radians: roll, pitch, yaw, whose signs are Unreal's too."""
         if not self.by_uu:
             return vector
         x, y, z = (value / UU_PER_RADIAN for value in vector)
@@ -111,8 +111,10 @@ def vector_of(line: Line, struct: Struct, name: str, default: Vec3 = (0.0, 0.0, 
 def number_of(
     line: Line, struct: Struct, name: str, default: float | None = None, *, above: float = -math.inf
 ) -> float:
-    """Return a number of a struct, or the default; without a default it must be there."""
-    value = struct.get(name, default)
+    """Return a number of a struct, or the default as it is; without a default it must be there."""
+    value = struct.get(name)
+    if value is None and default is not None:
+        return default
     if value is None:
         fail(line, f"{shown(line)} has no {name}", f"{name}=number")
     return as_number(line, value, name, above=above)

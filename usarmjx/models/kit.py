@@ -1,15 +1,21 @@
 """Parts that many robots share: wheels, pan-tilt heads, the usual sensors."""
 
 import math
+from dataclasses import replace
 
 from usarmjx.models.spec import (
     CHASSIS,
+    STEER,
+    SUSPENSION,
+    UP,
+    ZERO,
     Link,
     MissionPackage,
     Motor,
     Mount,
     Part,
     Shape,
+    Spring,
     options,
 )
 from usarmjx.transforms import Vec3
@@ -38,6 +44,74 @@ def wheel(
         kind="cylinder", size=(radius, width / 2), rotation=AXLE, mass=mass, surface=surface, rgba=RUBBER
     )
     return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), rolls=True)
+
+
+def firm_motor(max_speed: float, torque: float, inertia: float, armature: float) -> Motor:
+    """Return a firm servo: gains a tenth and a third of those at which steps of 5 ms break down.
+
+    Args:
+        max_speed: [rad/s].
+        torque: [N m].
+        inertia: Of what it turns [kg m2].
+        armature: Its own, seen at the joint [kg m2].
+    """
+    whole = inertia + armature
+    return Motor(
+        max_speed=max_speed, torque=torque, stiffness=4000.0 * whole, damping=60.0 * whole, armature=armature
+    )
+
+
+def car_wheel(
+    tyre: Part,
+    *,
+    hub: float,
+    spring: Spring | None = None,
+    travel: float = 0.0,
+    steer: Motor | None = None,
+    lock: float = 0.0,
+) -> tuple[Part, ...]:
+    """Return the manual's car-wheel joint (14.4.2.4): `<wheel>_Suspension`, `<wheel>_Steer`, then the wheel.
+
+    Args:
+        tyre: The wheel as it would be without them (`kit.wheel`).
+        hub: Mass of what does not spin with it: brake, a share of axle and springs [kg].
+        spring: Its suspension, positive when compressed; None: it has none.
+        travel: How far it springs, up and down [m].
+        steer: What turns it about the vertical, positive to the left; None: it does not steer.
+        lock: How far it steers to each side [rad].
+    """
+    name, joints = tyre.name, (spring is not None) + (steer is not None)
+    # Out of sight and of contacts, within the tyre.
+    size = (tyre.shapes[0].size[1],)
+    knuckle = Shape(kind="sphere", size=size, mass=hub / max(1, joints), surface="fixture", rgba=BLACK)
+    parts: list[Part] = []
+    parent, at = tyre.parent, tyre.at
+    if spring is not None:
+        slide = Part(
+            name=name + SUSPENSION,
+            parent=parent,
+            at=at,
+            axis=UP,
+            joint="slide",
+            limits=(-travel, travel),
+            spring=spring,
+            shapes=(knuckle,),
+        )
+        parts.append(slide)
+        parent, at = slide.name, ZERO
+    if steer is not None:
+        turn = Part(
+            name=name + STEER,
+            parent=parent,
+            at=at,
+            axis=UP,
+            motor=steer,
+            limits=(-lock, lock),
+            shapes=(knuckle,),
+        )
+        parts.append(turn)
+        parent, at = turn.name, ZERO
+    return (*parts, replace(tyre, parent=parent, at=at))
 
 
 def pan_tilt(

@@ -14,11 +14,6 @@ LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 """Servo of a mission package joint [N m/rad], [N m s/rad], [kg m2]: stiff for parts of some 0.5 kg."""
 
 
-STEER, SUSPENSION = "_Steer", "_Suspension"
-"""What follows a wheel's name in the names of the joints that steer and spring it: the manual's car-wheel
-joint (14.4.2.4) is one joint for all three."""
-
-
 def part_name(package: MissionPackage, link: Link) -> str:
     """Return the wire's name of a mission package part (captured: `CameraPanTilt_Link2`)."""
     return f"{package.name}_Link{link.number}"

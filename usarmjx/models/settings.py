@@ -1,4 +1,4 @@
-"""Settings of mounted items: dataclass fields named after the manual's ini keys, and how a mount overrides them."""
+"""Settings of mounted items: fields named after the manual's ini keys, and how a mount overrides them."""
 
 import dataclasses
 import re

@@ -20,6 +20,10 @@ FORWARD: Vec3 = (1.0, 0.0, 0.0)
 CHASSIS = "HARD"
 """The wire's name for 'mounted on the chassis' (captured GEO lines)."""
 
+STEER, SUSPENSION = "_Steer", "_Suspension"
+"""What follows a wheel's name in the names of the joints that steer and spring it: the manual's car-wheel
+joint (14.4.2.4) is one joint for all three."""
+
 Options = tuple[tuple[str, object], ...]
 
 
@@ -37,12 +41,16 @@ class Surface:
         priority: MuJoCo's: of two touching surfaces the one with the higher priority sets the friction.
         contype: MuJoCo's collision type bits.
         conaffinity: MuJoCo's collision affinity bits.
+        solref: MuJoCo's: time in which a contact settles [s], and its damping ratio.
+        solimp: MuJoCo's: share of the force that a contact takes up where it begins and at a depth [m].
     """
 
     friction: float
     priority: int
     contype: int
     conaffinity: int
+    solref: tuple[float, float] = (0.02, 1.0)
+    solimp: tuple[float, float, float] = (0.9, 0.95, 0.001)
 
 
 HULL, WHEEL, FIXED = 1, 2, 4
@@ -57,7 +65,16 @@ SURFACES = {
     "hull": Surface(friction=0.3, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
     "wheel": Surface(friction=0.8, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
     "caster": Surface(friction=0.01, priority=1, contype=WHEEL, conaffinity=HULL | FIXED),
-    "finger": Surface(friction=1.5, priority=3, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
+    # Under a steady load a soft contact creeps, by 0.5 mm/s with MuJoCo's own figures: a brick would be lost
+    # after a minute. These make it 0.2 mm/s; still harder ones need more iterations than the solver has.
+    "finger": Surface(
+        friction=1.5,
+        priority=3,
+        contype=HULL,
+        conaffinity=HULL | WHEEL | FIXED,
+        solref=(0.01, 1.0),
+        solimp=(0.95, 0.98, 0.001),
+    ),
     "loose": Surface(friction=0.6, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
     "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }

@@ -139,11 +139,8 @@ class Gps(Sensor):
         """Take a position. The largest error is three standard deviations (GPSSensor.uc), cut off there."""
         satellites = jnp.isinf(sight.hits.distance).sum().astype(jnp.float32)
         pos, _ = self.mount_poses(sight.bodies)
-        error = (
-            jax.random.truncated_normal(key, -3.0, 3.0, (2,))
-            / 3
-            * largest_error(self.settings[0], satellites)
-        )
+        deviation = largest_error(self.settings[0], satellites) / 3
+        error = deviation * jax.random.truncated_normal(key, -3.0, 3.0, (2,))
         fixed = jnp.where(satellites >= FIX, pos[0, :2] + error, 0.0)
         return memory, jnp.append(fixed, satellites)
 

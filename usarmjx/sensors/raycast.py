@@ -152,12 +152,24 @@ def ray_capsule(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax
     return _nearest(*hits)
 
 
+def ray_ellipsoid(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+    """Distance to an ellipsoid with radii `size`: a unit ball where every axis is measured in its radius."""
+    start, along = origin / size, direction / size
+    stretch = (along * along).sum(0)
+    middle = -(start * along).sum(0) / stretch
+    foot = start + middle * along  # as in `_ball`
+    under = 1.0 - (foot * foot).sum(0)
+    half = jnp.sqrt(jnp.maximum(under, 0.0) / stretch)
+    return jnp.where(under >= 0, _nearest(middle - half, middle + half), jnp.inf)
+
+
 KERNELS: dict[int, Callable[[jax.Array, jax.Array, jax.Array], jax.Array]] = {
     int(GeomType.mjGEOM_PLANE): ray_plane,
     int(GeomType.mjGEOM_BOX): ray_box,
     int(GeomType.mjGEOM_SPHERE): ray_sphere,
     int(GeomType.mjGEOM_CAPSULE): ray_capsule,
     int(GeomType.mjGEOM_CYLINDER): ray_cylinder,
+    int(GeomType.mjGEOM_ELLIPSOID): ray_ellipsoid,
 }
 
 
@@ -220,6 +232,9 @@ def _surface_cosine(kind: int, point: jax.Array, direction: jax.Array, size: jax
         normal = jnp.array([0.0, 0.0, 1.0])
     elif kind == GeomType.mjGEOM_BOX:
         normal = jax.nn.one_hot(jnp.argmax(jnp.abs(point) - size), 3)
+    elif kind == GeomType.mjGEOM_ELLIPSOID:
+        normal = point / size**2
+        normal = normal / jnp.maximum(jnp.linalg.norm(normal), TINY)
     else:
         tube = kind != GeomType.mjGEOM_SPHERE
         axis_point = jnp.array([0.0, 0.0, 1.0]) * jnp.clip(point[2], -size[1], size[1]) * tube

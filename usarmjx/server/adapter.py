@@ -8,9 +8,8 @@ import numpy as np
 
 from usarmjx.control import FLIP_TIME, Order, steer
 from usarmjx.errors import PeerError, UnknownNameError, UsageError
-from usarmjx.models.parts import STEER
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec import STEER, RobotSpec
 from usarmjx.scene import start_height
 from usarmjx.server import commands as wire
 from usarmjx.server import reports
@@ -237,14 +236,30 @@ class Client:
         robot = self._present
         if self.battery_empty:
             return
-        place = robot.suite.find(command.type, command.name)
-        values, done = self._numbers(command.params), False
-        if place is not None and values is not None:
-            if command.opcode.upper() == "POSE" and len(values) == 6:
-                values = (*vector(values[:3]), *angles(values[3:]))
-            done = self._world.order(robot, place, command.opcode, values)
-        status = "OK" if done else "Failed"
+        values = self._numbers(command.params)
+        status = "Failed"
+        if values is not None:
+            sensor = robot.suite.find(command.type, command.name)
+            if sensor is not None:
+                status = self._order_sensor(robot, sensor, command.opcode, values)
+            else:
+                status = self._operate(robot, command, values)
         self.session.send(reports.res(self._world.time, command.type, command.name, status))
+
+    def _order_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
+        """Carry out a SET on a sensor; return the Status to answer."""
+        if opcode.upper() == "POSE" and len(values) == 6:
+            values = (*vector(values[:3]), *angles(values[3:]))
+        return "OK" if self._world.order(robot, sensor, opcode, values) else "Failed"
+
+    def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
+        """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
+        place = robot.effecter(command.type, command.name)
+        opcode = None if place is None else robot.effecters[place].opcode(command.opcode)
+        value = values[0] if values else opcode and opcode.usual
+        if place is None or opcode is None or value is None:
+            return "Failed"
+        return self._world.operate(robot, place, opcode, value)
 
     def _numbers(self, params: str) -> tuple[float, ...] | None:
         """Return the numbers of a SET; None, logged, when one is not finite: the client stays."""

@@ -15,12 +15,13 @@ import numpy as np
 from usarmjx.batch import Batch
 from usarmjx.control import Command, idle
 from usarmjx.errors import UsageError
+from usarmjx.models.effecters import Opcode
 from usarmjx.models.plan import body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
-from usarmjx.server.host import HostWorld, Robot
+from usarmjx.server.host import HostWorld, Robot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
 from usarmjx.world import TeamState, feel, team_states, time_of
 
@@ -62,6 +63,9 @@ class ClaimedWorld(HostWorld):
             self.observe([robot])
             self.tell(robot, robot.command)
             self.state(robot)
+            for place, effecter in enumerate(team.effecters):
+                for opcode in effecter.opcodes:
+                    self.operate(robot, place, opcode, opcode.usual or 0.0)
             self.remove(robot)
         self._state = before
 
@@ -107,7 +111,8 @@ class ClaimedWorld(HostWorld):
         command = jax.tree.map(np.array, idle(robot))
         new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
-        self._edit(new, active=True, born=world_time, drowned=False, command=command)
+        stock = np.array(self._batch.scene.teams[team].stock, np.int32)
+        self._edit(new, active=True, born=world_time, drowned=False, command=command, stock=stock)
         key = jax.random.fold_in(
             jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
         )
@@ -182,3 +187,15 @@ class ClaimedWorld(HostWorld):
         if memory is not None:
             self._edit(robot, memory=memory)
         return memory is not None
+
+    def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
+        """Carry out a SET command on an effecter, as the batch does it."""
+        team, place = self._batch.scene.team_of(robot.slot)
+        at = (self._instance, place)
+        where = np.zeros(self._state.worlds.teams[team].active.shape, bool)
+        where[at] = True
+        name = robot.effecters[effecter].mount.name
+        self._state, outcome = self._batch.operate(self._state, team, name, opcode.name, value, where)
+        command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.teams[team].command)
+        robot.command = command.replace(flip_until=robot.command.flip_until)
+        return status_of(jax.tree.map(lambda x: x[at], outcome))

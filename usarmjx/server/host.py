@@ -13,9 +13,11 @@ import numpy as np
 
 from usarmjx.control import Command
 from usarmjx.errors import UsageError
+from usarmjx.models.effecters import Effecter, Opcode, effecters_of
 from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import ArenaSpec, RobotSpec
 from usarmjx.models.state import RobotState
+from usarmjx.operate import OK, Outcome
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.transforms import Vec3
 
@@ -56,6 +58,25 @@ class Robot:
     def spec(self) -> RobotSpec:
         """Its class."""
         return self.plan.robot
+
+    @property
+    def effecters(self) -> tuple[Effecter, ...]:
+        """Its class's effecters."""
+        return effecters_of(self.spec)
+
+    def effecter(self, kind: str, name: str) -> int | None:
+        """Return the place of the first effecter of that type and name, case ignored; None without one."""
+        for place, effecter in enumerate(self.effecters):
+            if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
+                return place
+        return None
+
+
+def status_of(outcome: Outcome) -> str:
+    """Return the Status that RES tells of one robot's operation (manual 11)."""
+    if not outcome.done:
+        return "Failed"
+    return "OK" if outcome.number == OK else str(int(outcome.number))
 
 
 class HostWorld(ABC):
@@ -109,6 +130,20 @@ class HostWorld(ABC):
     @abstractmethod
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor; return whether it was valid."""
+
+    @abstractmethod
+    def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
+        """Carry out a SET command on an effecter.
+
+        Args:
+            robot: The robot.
+            effecter: Place among `effecters_of` its class.
+            opcode: One of the effecter's operations.
+            value: Its parameter.
+
+        Returns:
+            The Status that RES tells (manual 11): OK, Failed, or a number.
+        """
 
     @staticmethod
     def check_place(pos: Vec3) -> None:

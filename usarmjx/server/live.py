@@ -1,12 +1,14 @@
 """A served world on C MuJoCo: robots of any class are added and removed while it runs.
 
 Nothing here depends on the roster's shape: sensors are compiled once per robot class, against arrays of
-geoms with room for a full house, so that a new robot costs a recompilation of the MuJoCo model (tens of
-milliseconds) and none of the sensors.
+geoms with room to spare, so that a new robot costs a recompilation of the MuJoCo model (tens of
+milliseconds) and none of the sensors. When the room no longer suffices it doubles, and what depends on it is
+compiled in `prepare`, beside the loop.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -18,21 +20,24 @@ from usarmjx.control import Circumstances, Command, Driven, drive, idle
 from usarmjx.engines.c import buffer_warnings
 from usarmjx.errors import UsageError
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
+from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import Bodies, body_plan, body_poses, lowest_point, robot_state
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import ArenaSpec, RobotSpec
 from usarmjx.models.state import RobotState
+from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of
 from usarmjx.sensors.base import Sight
 from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, NO_HITS, Block, Geoms, Hits, cast_incidence
 from usarmjx.sensors.suite import Memory, suite_of
-from usarmjx.server.host import HostWorld, Robot
+from usarmjx.server.host import HostWorld, Robot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
 from usarmjx.world import depth_in_water, drowns
 
 log = logging.getLogger(__name__)
 
+SPARE = 8
+"""Geoms of each type for which there is always room."""
 RAYS = 512
 """Robots cast their rays in lots of this size, so that few sizes are ever compiled."""
 
@@ -48,27 +53,33 @@ class LiveWorld(HostWorld):
 
     Attributes:
         companions: The other worlds of the batch, which are stepped along.
+        tags: RFID tags that robots have dropped; numpy arrays.
     """
 
     def __init__(self, arena: ArenaSpec, physics: Physics, key: jax.Array, seats: int = 16) -> None:
         self.arena, self.period, self.robots = arena, physics.period, {}
         self.companions: tuple[LiveWorld, ...] = ()
+        self.tags = no_tags(np)
         self._physics, self._key, self._seats = physics, key, seats
         self._spec = new_spec(arena, physics)
         # We count and reset worlds that go bad; C MuJoCo would do it without a word.
         self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._model = self._spec.compile()
         self._data = mujoco.MjData(self._model)
+        # What dropped things fall on: the arena without anything loose.
+        self._ground = new_spec(replace(arena, loose=()), physics).compile()
+        self._ground_data = mujoco.MjData(self._ground)
+        mujoco.mj_kinematics(self._ground, self._ground_data)
         self._steps = 0
         self._spawned = 0
         self._index: dict[int, RobotIndex] = {}
         self._memory: dict[int, Any] = {}
+        self._stock: dict[int, np.ndarray] = {}
         self._homes: dict[int, np.ndarray] = {}
         self._compiled: dict[str, Compiled] = {}
-        self._room = _rooms(self._model, seats)
+        self._room = _room_for(self._model.geom_type)
         self._cast = jax.jit(cast_incidence)
-        rays = np.ones((RAYS, 3), np.float32)
-        self._cast(self._geoms(), rays, rays, np.int32(0))  # compiles it, before anyone waits for it
+        self._compile_cast(self._room)
 
     @property
     def time(self) -> float:
@@ -79,6 +90,16 @@ class LiveWorld(HostWorld):
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
             self._compiled[robot.name] = Compiled(robot, self.arena, self.period)
+        self._compile_cast(self._roomier(robot))
+
+    def _roomier(self, robot: RobotSpec) -> dict[int, int]:
+        """Return the room for what is there and one more robot of that class; never less than now."""
+        wanted = _room_for([*self._model.geom_type, *body_plan(robot).geom_type])
+        return {kind: max(n, wanted.get(kind, 0)) for kind, n in (wanted | self._room).items()}
+
+    def _compile_cast(self, room: dict[int, int]) -> None:
+        rays = np.ones((RAYS, 3), np.float32)
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0))
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Add a robot to the running model; the states of the others are kept bit for bit."""
@@ -87,7 +108,7 @@ class LiveWorld(HostWorld):
         if not free:
             raise UsageError(f"no seat left for another robot: {self._seats} are taken")
         self.prepare(robot)
-        slot = free[0]
+        slot, self._room = free[0], self._roomier(robot)
         add_robot(self._spec, robot, prefix_of(slot), pos)
         self._recompile()
         index = self._index[slot] = index_robot(self._model, robot, prefix_of(slot))
@@ -100,6 +121,7 @@ class LiveWorld(HostWorld):
         command = jax.tree.map(np.array, idle(robot))
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, born=self.time)
         self.robots[slot] = new
+        self._stock[slot] = np.array([effecter.stock for effecter in new.effecters], np.int32)
         self._spawned += 1
         self._memory[slot] = self._compiled[robot.name].start(
             self._sight(new), self._noise(new, self._spawned)
@@ -111,7 +133,7 @@ class LiveWorld(HostWorld):
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
             remove_robot(self._spec, prefix_of(robot.slot))
-            for table in (self._index, self._memory, self._homes):
+            for table in (self._index, self._memory, self._stock, self._homes):
                 table.pop(robot.slot)
             self._recompile()
 
@@ -211,6 +233,33 @@ class LiveWorld(HostWorld):
             self._memory[robot.slot] = memory
         return memory is not None
 
+    def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
+        """Carry out a SET command on an effecter."""
+        one, stock = robot.effecters[effecter], self._stock[robot.slot]
+        load, outcome = perform(
+            Operation(robot=robot.spec, effecter=one, opcode=opcode),
+            np.array([value], np.float32),
+            Load(
+                command=jax.tree.map(lambda x: x[None], robot.command),
+                stock=stock[effecter : effecter + 1],
+                tags=self.tags,
+            ),
+            asked=np.array([self.battery(robot) > 0]),
+            ground=lambda: self._below(robot, one)[None],
+            xp=np,
+        )
+        self.tell(robot, jax.tree.map(lambda x: np.array(x[0]), load.command))
+        stock[effecter], self.tags = load.stock[0], load.tags
+        return status_of(jax.tree.map(lambda x: x[0], outcome))
+
+    def _below(self, robot: Robot, effecter: Effecter) -> np.ndarray:
+        """Return the ground below an effecter [m] (3,), infinitely low where there is none."""
+        bodies, _, _ = self._compiled[robot.spec.name].stretch(self._state(robot.slot))
+        point = mount_point(effecter, robot.plan, jax.device_get(bodies)).astype(float)
+        hit = np.zeros(1, np.int32)
+        depth = mujoco.mj_ray(self._ground, self._ground_data, point, (0.0, 0.0, -1.0), None, 1, -1, hit)
+        return point - (0.0, 0.0, depth if hit[0] >= 0 else np.inf)
+
 
 class Compiled:
     """The functions of one robot class, compiled here and not at their first call.
@@ -259,11 +308,10 @@ def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:
     return jax.jit(function).lower(*example).compile()
 
 
-def _rooms(model: mujoco.MjModel, seats: int) -> dict[int, int]:
-    """Return how many geoms of each type there can be: the arena's, and the richest class on every seat."""
-    plans = [body_plan(robot) for _, robot in ROBOTS]
-    most = {kind: max(int((plan.geom_type == kind).sum()) for plan in plans) for kind in KERNELS}
-    return {kind: int((model.geom_type == kind).sum()) + seats * most[kind] for kind in sorted(KERNELS)}
+def _room_for(kinds: Sequence[int]) -> dict[int, int]:
+    """Return for how many geoms of each type to make room: the next power of two, with some to spare."""
+    counts = {kind: int(np.sum(np.asarray(kinds) == kind)) for kind in sorted(KERNELS)}
+    return {kind: max(SPARE, 1 << (n + SPARE - 1).bit_length()) if n else 0 for kind, n in counts.items()}
 
 
 def _blank_geoms(room: dict[int, int]) -> Geoms:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.control import Command
+from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.parts import joint_names, part_name
 from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
@@ -19,6 +20,7 @@ from usarmjx.server.descriptions import (
     LinkGeometry,
     RobotConfiguration,
     RobotGeometry,
+    conf_effecters,
     conf_items,
     conf_mispkg,
     conf_nothing,
@@ -140,6 +142,15 @@ def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
     return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
 
 
+def _mounts(mounts: Sequence[Mount], kind: str, name: str) -> list[Mount]:
+    return [mount for mount in mounts if _asked(kind, name, mount.kind, mount.name)]
+
+
+def _effecters(robot: RobotSpec, kind: str, name: str) -> list[Effecter]:
+    own = (effecter for effecter in effecters_of(robot) if effecter.is_type(kind))
+    return [effecter for effecter in own if not name or effecter.mount.name.lower() == name.lower()]
+
+
 def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
     return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
 
@@ -161,8 +172,8 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
             )
         ]
     answers = []
-    for mounts in (robot.sensors, robot.cameras):
-        matching = [m for m in mounts if _asked(kind, name, m.kind, m.name)]
+    effecters = [effecter.mount for effecter in _effecters(robot, kind, name)]
+    for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
         if matching:
             answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
     packages = _packages(robot, kind, name)
@@ -220,13 +231,22 @@ def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: 
     ]
     if fields:
         answers.append(conf_items(kind, fields))
-    cameras = [m for m in robot.cameras if _asked(kind, name, m.kind, m.name)]
+    cameras = _mounts(robot.cameras, kind, name)
     if cameras:
         answers.append(conf_items(kind, [_camera_fields(m) for m in cameras]))
+    effecters = _effecters(robot, kind, name)
+    if effecters and kind.lower() == "effecter":
+        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
+    elif effecters:
+        answers.append(conf_items(kind, [[("Name", e.mount.name)] for e in effecters]))
     packages = _packages(robot, kind, name)
     if packages:
         answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
     return answers or [conf_nothing(kind, name)]
+
+
+def _operations(effecter: Effecter) -> list[tuple[str, float, float]]:
+    return [(opcode.name, opcode.max_val, opcode.min_val) for opcode in effecter.opcodes]
 
 
 def _link_configuration(link: Link) -> LinkConfiguration:

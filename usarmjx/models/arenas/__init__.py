@@ -1,9 +1,11 @@
 """The arenas that ship with usarmjx."""
 
+from usarmjx.models.arenas.field import FIELD
+from usarmjx.models.arenas.pool import POOL
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.spec import ArenaSpec
 from usarmjx.registry import Registry
 
 ARENAS: Registry[ArenaSpec] = Registry("arena")
-for _spec in (YELLOW,):
+for _spec in (YELLOW, FIELD, POOL):
     ARENAS.add(_spec.name, _spec, aliases=_spec.aliases)

@@ -1,7 +1,20 @@
 """How robots are driven: one module per kind of locomotion."""
 
 from usarmjx.models.drives.base import DRY, Aim, Drive, Vehicle
+from usarmjx.models.drives.flying import Blimp, RotaryWing
 from usarmjx.models.drives.ground import NoDrive, SkidSteer
 from usarmjx.models.drives.tracks import Tracks
+from usarmjx.models.drives.underwater import Underwater
 
-__all__ = ["DRY", "Aim", "Drive", "NoDrive", "SkidSteer", "Tracks", "Vehicle"]
+__all__ = [
+    "DRY",
+    "Aim",
+    "Blimp",
+    "Drive",
+    "NoDrive",
+    "RotaryWing",
+    "SkidSteer",
+    "Tracks",
+    "Underwater",
+    "Vehicle",
+]

@@ -13,6 +13,10 @@ from usarmjx.models.drives.base import Aim, Drive
 from usarmjx.transforms import Array
 
 
+POSITION, VELOCITY, TORQUE = 0, 1, 2
+"""Orders of a joint (manual 9.4); `control.Order` has them too, one layer up."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wheel:
     """A wheel as drives that steer see it.
@@ -23,6 +27,7 @@ class Wheel:
         x: Where it is on the chassis, forward [m].
         y: To the right [m].
         powered: Whether it has a motor.
+        brakes: Whether it has a brake although it is not powered.
     """
 
     joint: str
@@ -30,6 +35,7 @@ class Wheel:
     x: float
     y: float
     powered: bool = False
+    brakes: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +78,17 @@ class Ackermann(Drive):
 
     @property
     def aims(self) -> tuple[Aim, ...]:
-        """The powered wheels, then the joints that steer."""
+        """The powered wheels, those that only brake, then the joints that steer."""
         spins = [Aim(joint=wheel.joint) for wheel in self.wheels if wheel.powered]
-        return (*spins, *(Aim(joint=wheel.steer, order=0) for wheel in self.wheels if wheel.steer))
+        brakes = [Aim(joint=wheel.joint, order=TORQUE) for wheel in self.wheels if _only_brakes(wheel)]
+        turns = [Aim(joint=wheel.steer, order=POSITION) for wheel in self.wheels if wheel.steer]
+        return (*spins, *brakes, *turns)
+
+    def orders(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Return the orders of `aims` (..., aims): wheels that only brake are held at Speed 0, else free."""
+        orders = np.array([aim.order for aim in self.aims], np.int32)
+        stands = (setpoint[..., 0:1] == 0.0) & (orders == TORQUE)
+        return xp.where(stands, VELOCITY, orders)
 
     @property
     def wheel_base(self) -> float:
@@ -82,7 +96,7 @@ class Ackermann(Drive):
         return float(np.ptp([wheel.x for wheel in self.wheels]))
 
     def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
-        """Speeds of the powered wheels and angles of those that steer.
+        """Speeds of the powered wheels, zeros for those that only brake, angles of those that steer.
 
         Every wheel turns as fast as its distance from the turning centre asks for; Speed is that of the
         middle of the powered wheels. Where the outermost would have to turn faster than it can, all turn
@@ -97,7 +111,8 @@ class Ackermann(Drive):
         fastest = xp.max(xp.abs(spin), axis=-1, keepdims=True)
         spin = spin * (self.max_spin / xp.maximum(fastest, self.max_spin))
         ahead, left = self._heading(steered, front, rear, xp)
-        return xp.concatenate([spin, xp.arctan2(left, ahead)], -1)
+        still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
+        return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
     def _heading(
         self, places: np.ndarray, front: Array, rear: Array, xp: ModuleType
@@ -145,6 +160,10 @@ class Ackermann(Drive):
     def top_speed(self) -> float:
         """What the wheels make of their highest speed [m/s]."""
         return self.max_spin * self.radius
+
+
+def _only_brakes(wheel: Wheel) -> bool:
+    return wheel.brakes and not wheel.powered
 
 
 def _places(wheels: list[Wheel]) -> np.ndarray:

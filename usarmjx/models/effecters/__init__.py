@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from usarmjx.errors import SpecError
 from usarmjx.models.effecters.base import (
     EFFECTERS,
     TAG_ROOM,
@@ -40,7 +41,11 @@ def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
     Raises:
         UnknownNameError: A mount of an unknown type or with an unknown setting.
         UsageError: A setting of the wrong kind.
+        SpecError: Two effecters of one name.
     """
+    names = [mount.name.lower() for mount in robot.effecters]
+    if len(set(names)) < len(names):
+        raise SpecError(f"robot {robot.name}: effecters of one name among {', '.join(names)}")
     effecters = []
     for mount in robot.effecters:
         kind = EFFECTERS.get(mount.kind)

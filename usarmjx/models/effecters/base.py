@@ -1,4 +1,4 @@
-"""What an effecter is: parts it adds to its robot, operations it understands, what each does (manual 8, 14.3).
+"""What an effecter is: the parts it adds to its robot, its operations, what each does (manual 8, 14.3).
 
 An effecter acts in three ways only: it gives its joints an order, it switches the headlight, or it takes
 something from its stock and drops it. `effect` says which as plain arrays; `usarmjx.operate` carries it out.
@@ -72,7 +72,7 @@ class Effect:
     """What a valid operation does; arrays (...,).
 
     Attributes:
-        target: Goes to all of the effecter's joints [rad, rad/s]; None leaves them alone.
+        target: What all of the effecter's joints are told, by way of `joint_target`; None leaves them alone.
         order: What `target` is: 0 for a position, 1 for a velocity.
         light: Whether the headlight is on; None leaves it alone.
         stock: What is left in stock; None: as much as before.
@@ -139,6 +139,11 @@ class Effecter(ABC):
         """Names of the joints that it moves, all alike."""
         return ()
 
+    def joint_target(self, part: Part, target: Array, xp: ModuleType) -> Array:
+        """Return the target of one of its joints [rad or m, or per second] for that of all (...,)."""
+        del part, xp
+        return target
+
     @property
     def stock(self) -> int:
         """How much it carries to release."""
@@ -152,6 +157,10 @@ class Effecter(ABC):
         """Return solids that it adds to the part it is mounted on, in that part's axes."""
         return ()
 
+    def is_type(self, kind: str) -> bool:
+        """Return whether it is of that type, case ignored; all are of the type Effecter (manual 9.4)."""
+        return kind.lower() in (self.kind.lower(), "effecter")
+
     def opcode(self, name: str) -> Opcode | None:
         """Return the operation of that name, case ignored; None when there is none."""
         return next((opcode for opcode in self.opcodes if opcode.name.lower() == name.lower()), None)
@@ -163,9 +172,7 @@ class Effecter(ABC):
 
     def part(self, part: Part) -> Part:
         """Return a part, described in the effecter's axes, as its parent has it."""
-        return replace(
-            part, parent=self.mount.parent, at=self.placed(part.at), rotation=self.mount.direction
-        )
+        return replace(part, parent=self.mount.parent, at=self.placed(part.at), rotation=self.mount.direction)
 
     def shape(self, shape: Shape) -> Shape:
         """Return a solid, upright in the effecter's axes, as its parent has it."""

@@ -5,24 +5,18 @@ from dataclasses import dataclass
 from types import ModuleType
 
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.spec import UP, Motor, Part, Shape
-from usarmjx.transforms import Array, Vec3
+from usarmjx.models.spec import Motor, Part, Shape
+from usarmjx.transforms import Array
 
 # All measures are chosen: the manual gives none.
-FINGER_LENGTH = 0.12
-"""From hinge to tip [m]."""
-HINGE = 0.03
-"""How far each hinge is from the middle [m]: half of the object that lies flat between the pads."""
-PAD = (0.006, 0.015)
-"""Half thickness and half height of a finger's pad [m]."""
+LEVER = 0.12
+"""Length of the linkage that carries a finger [m]; turned by half the angle it puts the finger that far out."""
+FINGER = (0.05, 0.006, 0.015)
+"""Half lengths of a finger [m]."""
 PALM = (0.01, 0.05, 0.02)
-"""Half lengths of the plate that the fingers hinge on [m]."""
-TOE_IN = math.asin(HINGE / FINGER_LENGTH)
-"""By how much a pad is turned inward on its finger, so that closed fingers meet at their tips [rad]. A thing
-thinner than 6 cm is then pushed toward the palm, not out."""
-# A closed finger presses with some 30 N at its middle: enough to lift a 2 kg brick by friction.
-MOTOR = Motor(max_speed=1.0, torque=2.0, stiffness=40.0, damping=2.0, armature=0.02)
-DOWN: Vec3 = (0.0, 0.0, 1.0)
+"""Half lengths of the plate that the fingers stand on [m]."""
+# 60 N hold 2 kg through a skid-steered turn. Gains as the servo of a 0.6 kg slide wants them at 5 ms.
+MOTOR = Motor(max_speed=0.1, torque=60.0, stiffness=2000.0, damping=60.0, armature=0.5)
 GREY = (0.3, 0.3, 0.3, 1.0)
 
 
@@ -45,9 +39,11 @@ class GripperSettings(EffecterSettings):
 
 @dataclass(frozen=True)
 class Gripper(Effecter):
-    """Opens and closes two fingers about its x axis; each has half of the angle between them.
+    """Opens and closes two fingers, which point along its x axis.
 
-    Fingers that are parts of the robot open by positive angles, as the gripper's own do.
+    Its own fingers stay parallel, as those of a linkage do, so that flat things are held by their faces:
+    fingers that turned would squeeze all but one size of them out. What is commanded is the angle of the
+    linkage. Fingers that are parts of the robot turn by half the angle each, and open by positive angles.
     """
 
     kind = "Gripper"
@@ -65,49 +61,41 @@ class Gripper(Effecter):
         return (self.settings.left_finger, self.settings.right_finger)
 
     def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
-        """Closing on a thing, the servos press with their full torque."""
+        """Closing on a thing, the servos press with their full force."""
         del stock
         if opcode == NOP:
             return Effect(target=xp.zeros_like(value), order=1)
-        angle = xp.full_like(value, self.settings.min_angle) if opcode == RESET else value
-        return Effect(target=angle / 2, order=0)
+        return Effect(target=xp.full_like(value, self.settings.min_angle) if opcode == RESET else value)
+
+    def joint_target(self, part: Part, target: Array, xp: ModuleType) -> Array:
+        """Each finger has half of the angle."""
+        return LEVER * xp.sin(target / 2) if part.joint == "slide" else target / 2
 
     def parts(self) -> tuple[Part, ...]:
-        """Two fingers, parallel when closed."""
-        return (
-            self.part(self._finger(self.settings.left_finger, -1.0)),
-            self.part(self._finger(self.settings.right_finger, 1.0)),
+        """Two fingers, geared to each other, that meet at angle 0."""
+        left, right = self.settings.left_finger, self.settings.right_finger
+        return (self._finger(left, -1.0, None), self._finger(right, 1.0, left))
+
+    def _finger(self, name: str, side: float, twin: str | None) -> Part:
+        low, high = (LEVER * math.sin(a / 2) for a in (self.settings.min_angle, self.settings.max_angle))
+        at = (FINGER[0], side * FINGER[1], 0.0)
+        shape = Shape(kind="box", size=FINGER, at=at, mass=0.1, surface="finger", rgba=GREY)
+        return self.part(
+            Part(
+                name=name,
+                at=(2 * PALM[0], 0.0, 0.0),
+                axis=(0.0, side, 0.0),
+                joint="slide",
+                motor=MOTOR,
+                limits=(low, high),
+                geared=twin,
+                shapes=(shape,),
+            )
         )
 
     def shapes(self) -> tuple[Shape, ...]:
         """The palm."""
         return (self.shape(Shape(kind="box", size=PALM, at=(PALM[0], 0.0, 0.0), rgba=GREY)),)
-
-    def _finger(self, name: str, side: float) -> Part:
-        """Return the finger on one side (-1 left, 1 right), in the gripper's axes."""
-        half, thickness = FINGER_LENGTH / 2, PAD[0]
-        along, across = (math.cos(TOE_IN), -side * math.sin(TOE_IN)), (math.sin(TOE_IN), math.cos(TOE_IN))
-        pad = Shape(
-            kind="box",
-            size=(half, *PAD),
-            # The pad's inner face goes from the hinge to the tip; its body lies outside of that.
-            at=(half * along[0] + thickness * across[0], half * along[1] + side * thickness * across[1], 0.0),
-            rotation=(0.0, 0.0, -side * TOE_IN),
-            mass=0.1,
-            surface="finger",
-            rgba=GREY,
-        )
-        limits = (self.settings.min_angle / 2, self.settings.max_angle / 2)
-        axis = UP if side < 0 else DOWN
-        return Part(
-            name=name,
-            at=(2 * PALM[0], side * HINGE, 0.0),
-            axis=axis,
-            motor=MOTOR,
-            limits=limits,
-            geared=None if True else self.settings.left_finger if side > 0 else None,
-            shapes=(pad,),
-        )
 
 
 EFFECTERS.add(Gripper.kind, Gripper)

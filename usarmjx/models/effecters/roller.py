@@ -63,7 +63,9 @@ class RollerTable(Effecter):
 
     def shapes(self) -> tuple[Shape, ...]:
         """The base plate, its top half a radius below the plane that things lie on."""
-        plate = Shape(kind="box", size=PLATE, at=(0.0, 0.0, RADIUS / 2 + PLATE[2]), rgba=(0.5, 0.5, 0.55, 1.0))
+        plate = Shape(
+            kind="box", size=PLATE, at=(0.0, 0.0, RADIUS / 2 + PLATE[2]), rgba=(0.5, 0.5, 0.55, 1.0)
+        )
         return (self.shape(plate),)
 
 

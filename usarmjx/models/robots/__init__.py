@@ -1,15 +1,35 @@
 """The robot classes that INIT can spawn."""
 
+from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
 from usarmjx.models.robots.flippers import KENAF, TARANTULA
 from usarmjx.models.robots.legged import ERS, QRIO
 from usarmjx.models.robots.omni_pioneer import OMNI_P2AT, OMNI_P2DX
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.robots.soryu import SORYU
+from usarmjx.models.robots.station import COMSTATION
 from usarmjx.models.robots.talon import RUGBOT, TALON
 from usarmjx.models.robots.telemax import TELEMAX
+from usarmjx.models.robots.underwater import SUBMARINE
 from usarmjx.models.spec import RobotSpec
 from usarmjx.registry import Registry
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
-for _spec in (P2AT, P2DX, OMNI_P2AT, OMNI_P2DX, ERS, QRIO, TARANTULA, TALON, SORYU, TELEMAX, RUGBOT, KENAF):
+for _spec in (
+    P2AT,
+    P2DX,
+    OMNI_P2AT,
+    OMNI_P2DX,
+    ERS,
+    QRIO,
+    TARANTULA,
+    TALON,
+    SORYU,
+    TELEMAX,
+    RUGBOT,
+    KENAF,
+    AIRROBOT,
+    PASSAROLA,
+    SUBMARINE,
+    COMSTATION,
+):
     ROBOTS.add(_spec.name, _spec)

@@ -23,7 +23,7 @@ TARANTULA_BELT = Belt(
     spin=3.1416,  # manual 12.10.1
     width=0.06,  # chosen, as all below
     pull=50.0,
-    inertia=0.8,
+    inertia=1.0,
     wheel_mass=0.12,
 )
 TARANTULA_PIVOT, TARANTULA_TIP = 0.12, 0.035
@@ -105,8 +105,8 @@ KENAF_BELT = Belt(
     radius=0.0875,  # chosen, as all without a source
     spin=6.2832,  # the wheel joint's default in the Kenaf of the UDK version: 0.55 m/s
     width=0.14,
-    pull=60.0,
-    inertia=1.0,
+    pull=120.0,
+    inertia=2.0,
     wheel_mass=0.3,
 )
 KENAF_NARROW = replace(KENAF_BELT, width=0.05, wheel_mass=0.15)

@@ -77,9 +77,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
     shoulder, knee = _ers_rest(end)
     shin = ERS_LOWER[end] - ERS_PAW
     name = f"{side}{end}"
-    paw = Shape(
-        kind="sphere", size=(ERS_PAW,), at=(0.0, 0.0, shin), mass=0.015, surface="wheel", rgba=RUBBER
-    )
+    paw = Shape(kind="sphere", size=(ERS_PAW,), at=(0.0, 0.0, shin), mass=0.015, surface="wheel", rgba=RUBBER)
     # Pitch is positive up, so a hanging limb with a positive pitch points forward.
     rotator = Part(
         name=f"{name}Rotator",
@@ -239,12 +237,27 @@ def _qrio_arm(side: str, y: float) -> tuple[Part, ...]:
     name = f"{side}{{}}".format
     upper = _box((0.05, 0.05, 0.09), 0.20, (0.0, 0.0, 0.045), "fixture")
     lower = _box((0.045, 0.045, 0.11), 0.20, (0.0, 0.0, 0.055))
-    joints = (
-        ("ShoulderPitch", "BodyTilt", LIFT, (-90, 180), _gear(0.025, 0.10), (0.0, y, -0.12)),
-        ("ShoulderRoll", name("ShoulderPitch"), _out(y), (-10, 150), upper, (0.0, 0.0, 0.0)),
-        ("Elbow", name("ShoulderRoll"), LIFT, (0, 130), lower, (0.0, 0.0, 0.09)),
+    return (
+        _qrio_part(
+            name("ShoulderPitch"),
+            "BodyTilt",
+            LIFT,
+            (-90, 180),
+            _gear(0.025, 0.10),
+            at=(0.0, y, -0.12),
+            motor=QRIO_ARM,
+        ),
+        _qrio_part(name("ShoulderRoll"), name("ShoulderPitch"), _out(y), (-10, 150), upper, motor=QRIO_ARM),
+        _qrio_part(
+            name("Elbow"),
+            name("ShoulderRoll"),
+            LIFT,
+            (0, 130),
+            lower,
+            at=(0.0, 0.0, 0.09),
+            motor=QRIO_ARM,
+        ),
     )
-    return tuple(_qrio_part(name(joint), *figures, motor=QRIO_ARM) for joint, *figures in joints)
 
 
 QRIO = RobotSpec(
@@ -257,7 +270,9 @@ QRIO = RobotSpec(
         *_qrio_leg("Left", -QRIO_HIP),
         *_qrio_leg("Right", QRIO_HIP),
         _qrio_part("BodyPan", CHASSIS, UP, (-60, 60), _gear(0.03, 0.10), (0.0, 0.0, -0.05)),
-        _qrio_part("BodyTilt", "BodyPan", LIFT, (-45, 20), _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))),
+        _qrio_part(
+            "BodyTilt", "BodyPan", LIFT, (-45, 20), _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))
+        ),
         *_qrio_arm("Left", -0.105),
         *_qrio_arm("Right", 0.105),
         _qrio_part("HeadPan", "BodyTilt", UP, (-90, 90), _gear(0.02, 0.05), (0.0, 0.0, -0.15), QRIO_ARM),

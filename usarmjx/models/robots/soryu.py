@@ -15,8 +15,8 @@ BELT = Belt(
     radius=HEIGHT / 2,  # chosen, as all without a source: tracks above and below, as it drives on either
     spin=0.37 / (HEIGHT / 2),  # manual 12.15.1: 0.37 m/s
     width=0.055,
-    pull=50.0,
-    inertia=0.4,
+    pull=60.0,
+    inertia=1.0,
     wheel_mass=0.06,
 )
 SEPARATION = WIDTH - BELT.width

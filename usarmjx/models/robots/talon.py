@@ -17,8 +17,8 @@ TALON_BELT = Belt(
     radius=0.14,  # manual 12.12.1: 0.28 (its unit is wrong), taken for a diameter: 0.90 m/s
     spin=6.43,  # manual 12.12.1
     width=0.15,  # chosen, as all without a source
-    pull=90.0,
-    inertia=2.0,
+    pull=300.0,
+    inertia=4.0,
     wheel_mass=1.0,
 )
 TALON_SEPARATION = TALON_WIDTH - TALON_BELT.width
@@ -66,7 +66,7 @@ TALON_ARM = MissionPackage(
 )
 
 
-def talon(wheels: int = 6) -> RobotSpec:
+def talon(wheels: int = 10) -> RobotSpec:
     """Return the Talon with so many wheels in each track (manual 12.10.2)."""
     parts = track_pair(
         TALON_BELT,
@@ -129,8 +129,8 @@ RUGBOT_BELT = Belt(
     radius=0.125,  # manual 12.22, its unit read as m
     spin=6.0,  # manual 12.22
     width=0.06,  # chosen, as all without a source
-    pull=35.0,
-    inertia=2.0,
+    pull=60.0,
+    inertia=8.0,
     wheel_mass=0.8,
 )
 RUGBOT_SEPARATION = RUGBOT_WIDTH - RUGBOT_BELT.width

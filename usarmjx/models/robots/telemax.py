@@ -14,8 +14,8 @@ TELEMAX_BELT = Belt(
     radius=0.381 / 2,  # manual 12.19.1
     spin=1.3 / (0.381 / 2),  # manual 12.19.1: 1.3 m/s
     width=0.095,  # manual 12.19.1
-    pull=110.0,  # chosen, as all without a source
-    inertia=2.0,
+    pull=300.0,  # chosen, as all without a source
+    inertia=10.0,
     wheel_mass=2.0,
 )
 TELEMAX_MASS = 80.0

@@ -1,0 +1,172 @@
+"""What air and water do to a hull: buoyancy, added mass and drag of an ellipsoid.
+
+All of it acts as an external wrench, so that every engine computes the same. Body axes are MuJoCo's
+(x forward, y left, z up) with the origin in the hull's middle.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.state import RobotState
+from usarmjx.rotations import mat_from_quat
+from usarmjx.transforms import Array, Vec3
+
+GRAVITY = 9.81
+AIR, WATER = 1.225, 1000.0
+"""Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
+NODES = 40
+"""Points of the quadrature; Lamb's integrals come out to 1e-9 for hulls six times as long as wide."""
+
+
+def shape_factors(radii: Vec3) -> np.ndarray:
+    """Return Lamb's alpha, beta and gamma of an ellipsoid (3,); their sum is 2 (Hydrodynamics, 114).
+
+    alpha = a b c times the integral over s from 0 to infinity of 1 / ((a^2 + s) sqrt((a^2 + s) (b^2 + s)
+    (c^2 + s))). With s = (1 / t^2 - 1) a^2 the integrand is smooth on [0, 1].
+    """
+    points, weights = np.polynomial.legendre.leggauss(NODES)
+    t, weights = (points + 1) / 2, weights / 2
+    scale = max(radii) ** 2
+    grown = scale + (np.square(radii)[:, None] - scale) * t**2  # t^2 (a^2 + s)
+    integrals = 2 * scale * (weights * t**2 / grown / np.sqrt(grown.prod(0))).sum(1)
+    return math.prod(radii) * integrals
+
+
+def added_mass(radii: Vec3) -> tuple[np.ndarray, np.ndarray]:
+    """Return what an ellipsoid drags along, as shares of the fluid that it displaces.
+
+    Returns:
+        Shares of its mass for motion along the axes (3,), and of its moments of inertia for turns about
+        them (3,): k1, k2 and k' of Lamb's table (Hydrodynamics, 115) where two axes are the same.
+    """
+    factors, square = shape_factors(radii), np.square(radii)
+    along = factors / (2 - factors)
+    about = np.zeros(3)
+    for axis in range(3):
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        difference, total, bent = square[j] - square[k], square[j] + square[k], factors[k] - factors[j]
+        if difference:
+            about[axis] = difference**2 * bent / (2 * difference - total * bent) / total
+    return along, about
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hull:
+    """An ellipsoid that weighs as much as the fluid that it displaces, with what is inside it.
+
+    Two things differ from a bare ellipsoid: the moment that turns a long hull broadside on (Munk's) is
+    left out, as if fixed fins balanced it, and roll and pitch have some damping at rest.
+
+    Attributes:
+        radii: Half length, half width, half height [m].
+        density: Of the fluid [kg/m3].
+        mass: Of the robot as the physics engine has it; less than the displaced fluid's where the gas in
+            the hull does not count [kg].
+        inertia: Of the robot as the physics engine has it, about its centre of gravity [kg m2].
+        drag: Drag coefficients for flow along x, y and z, on the areas seen from there.
+        arm: Centre of gravity below the hull's middle [m].
+        damping: Damping ratio of roll and pitch.
+    """
+
+    radii: Vec3
+    density: float
+    mass: float
+    inertia: Vec3
+    drag: Vec3
+    arm: float
+    damping: float = 0.2
+
+    @cached_property
+    def displaced(self) -> float:
+        """Mass of the displaced fluid [kg]."""
+        return self.density * 4 / 3 * math.pi * math.prod(self.radii)
+
+    @cached_property
+    def weight(self) -> float:
+        """Of the hull with all that is inside [N]."""
+        return self.displaced * GRAVITY
+
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """Moments of inertia of the displaced fluid [kg m2] (3,)."""
+        square = np.square(self.radii)
+        return self.displaced / 5 * (square.sum() - square)
+
+    @cached_property
+    def added(self) -> tuple[np.ndarray, np.ndarray]:
+        """The shares of `added_mass`."""
+        return added_mass(self.radii)
+
+    @cached_property
+    def resistance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Drag over squared speed [N s2/m2] (3,), and its moment over squared turning rate [N m s2] (3,).
+
+        The moment is that of the drag of all strips of the hull across the flow: the integral of
+        sqrt(1 - t^2) |t|^3 over the hull's length is 4/15.
+        """
+        a, b, c = self.radii
+        x, y, z = self.drag
+        pressure = self.density / 2
+        along = pressure * math.pi * np.array([x * b * c, y * a * c, z * a * b])
+        about = np.array([a * (y * c**4 + z * b**4), b * (z * a**4 + x * c**4), c * (y * a**4 + x * b**4)])
+        return along, pressure * 8 / 15 * about
+
+    def effective(self, share: Array = 1.0) -> tuple[Array, Array]:
+        """Return mass (3,) and inertia (3,) with what is dragged along, for an immersed share ()."""
+        along, about = self.added
+        return self.displaced * (1 + share * along), self.turning * (1 + share * about)
+
+    def immersion(self, depth: Array, up: Array) -> tuple[jax.Array, jax.Array]:
+        """Return the share of the hull under water () and where its middle is [m] (3,).
+
+        An ellipsoid is a stretched ball, and so is the part of it below a plane.
+
+        Args:
+            depth: Of the hull's middle below the surface [m] ().
+            up: The upward direction in body axes (3,).
+        """
+        radii = np.array(self.radii, np.float32)
+        reach = jnp.linalg.norm(radii * up)
+        level = jnp.clip(depth / reach, -1.0, 1.0)
+        share = (2 + 3 * level - level**3) / 4
+        middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / jnp.maximum(4 * share, 1e-6)
+        return share, radii**2 * up / reach * middle
+
+    def wrench(self, mat: Array, force: Array, torque: Array, share: Array = 1.0) -> jax.Array:
+        """Return the wrench (6,), world axes, that moves the engine's body as `force` and `torque` the hull.
+
+        Args:
+            mat: Orientation (3, 3).
+            force: Body axes [N] (3,).
+            torque: About the centre of gravity, body axes [N m] (3,).
+            share: Immersed share, which drags along fluid ().
+        """
+        mass, inertia = self.effective(share)
+        force = force * (self.mass / mass)
+        torque = torque * (np.array(self.inertia) / inertia)
+        return jnp.concatenate([mat @ force, mat @ torque])
+
+    def afloat(self, state: RobotState, depth: Array | None = None) -> jax.Array:
+        """Return the wrench (6,), world axes, of weight, buoyancy and drag, less the engine's own gravity.
+
+        Args:
+            state: The robot.
+            depth: Of its origin below the surface [m] (); None: it is wholly immersed.
+        """
+        mat = mat_from_quat(state.quat)
+        up, linear, angular = mat[2], state.linear @ mat, state.angular
+        share, middle = (jnp.ones(()), jnp.zeros(3)) if depth is None else self.immersion(depth, up)
+        along, about = self.resistance
+        stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.arm
+        calm = 2 * self.damping * jnp.sqrt(stiff * self.effective()[1])
+        force = (share - 1) * self.weight * up - share * along * jnp.abs(linear) * linear
+        lever = middle + np.array([0.0, 0.0, self.arm])
+        torque = jnp.cross(lever, share * self.weight * up)
+        torque -= share * (about * jnp.abs(angular) + calm) * angular
+        gravity = np.array([0.0, 0.0, self.mass * GRAVITY, 0.0, 0.0, 0.0])
+        return self.wrench(mat, force, torque, share) + gravity

@@ -1,0 +1,100 @@
+"""The Submarine (manual 12.9): a standard boat, not based on any real one.
+
+The manual gives its size, areas, angles and propeller. Its mass is that of the water that an ellipsoid of
+its size displaces, as it neither rises nor sinks; the CONF example's 50 kg is that of other robots.
+"""
+
+import math
+
+from usarmjx.models.drives import Underwater
+from usarmjx.models.drives.fluid import WATER, Hull
+from usarmjx.models.kit import BLACK, POSE_SENSORS, Colour, camera, pan_tilt
+from usarmjx.models.spec import Mount, RobotSpec, Shape
+from usarmjx.transforms import Vec3
+
+NAVY: Colour = (0.2, 0.25, 0.35, 1.0)
+GREY: Colour = (0.5, 0.5, 0.55, 1.0)
+
+LENGTH, WIDTH, HEIGHT = 6.5364, 1.1428, 1.9929  # manual
+RADII: Vec3 = (LENGTH / 2, WIDTH / 2, HEIGHT / 2)
+MASS = WATER * 4 / 3 * math.pi * math.prod(RADII)  # 7795 kg
+HEAD_MASS = 0.5  # of kit.pan_tilt
+RUDDER_AREA, PLANE_AREA, CHORD = 0.3378, 0.2152, 0.4  # manual; chosen chord
+TUBE = WIDTH / 2  # radius of the pressure hull, which leaves the height to sail, keel and mast (chosen)
+BOW, TAIL = (
+    LENGTH / 2,
+    LENGTH / 2 - CHORD,
+)  # from the middle to the tips of the pressure hull; plates behind it
+STERN = LENGTH / 2 - CHORD / 2  # where the plates' middle is
+BALLAST, BALLAST_AT = 1000.0, 0.78  # in the keel (chosen)
+
+
+def _plate(size: Vec3) -> Shape:
+    return Shape(kind="box", size=size, at=(-STERN, 0.0, 0.0), surface="fixture", rgba=GREY)
+
+
+SUBMARINE = RobotSpec(
+    name="Submarine",
+    dimensions=(LENGTH, WIDTH, HEIGHT),
+    mass=MASS,
+    origin_height=HEIGHT / 2,
+    chassis=(
+        Shape(
+            kind="capsule",
+            size=(TUBE, (BOW + TAIL) / 2 - TUBE),
+            at=((BOW - TAIL) / 2, 0.0, 0.0),
+            rotation=(0.0, math.pi / 2, 0.0),
+            surface="fixture",
+            rgba=NAVY,
+        ),
+        # What it touches with: length and sides, which carry all but the ballast; keel; sail.
+        Shape(kind="box", size=(LENGTH / 2, 0.2, 0.2), rgba=NAVY),
+        Shape(kind="box", size=(2.6, TUBE, 0.22), mass=MASS - BALLAST - HEAD_MASS, rgba=NAVY),
+        Shape(
+            kind="box",
+            size=(1.2, 0.1, HEIGHT / 2 - BALLAST_AT),
+            at=(0.0, 0.0, BALLAST_AT),
+            mass=BALLAST,
+            rgba=BLACK,
+        ),
+        Shape(kind="box", size=(0.6, 0.15, 0.2), at=(0.0, 0.0, -0.65), rgba=NAVY),
+        Shape(
+            kind="box",
+            size=(0.02, 0.02, (HEIGHT / 2 - 0.85) / 2),
+            at=(-0.4, 0.0, -(HEIGHT / 2 + 0.85) / 2),
+            surface="fixture",
+        ),
+        _plate((CHORD / 2, 0.02, RUDDER_AREA / CHORD / 2)),
+        _plate((CHORD / 2, PLANE_AREA / CHORD / 2, 0.02)),
+    ),
+    drive=Underwater(
+        hull=Hull(
+            radii=RADII,
+            density=WATER,
+            mass=MASS,
+            inertia=(1400.0, 16450.0, 16530.0),
+            # Along it, with keel, sail and plates; across the flat side; up and down (chosen).
+            drag=(0.15, 1.2, 0.5),
+            arm=BALLAST * BALLAST_AT / MASS,
+        ),
+        pitch=0.3048,
+        max_spin=6.28,
+        slip=0.1,  # chosen
+        rudder_area=RUDDER_AREA,
+        plane_area=PLANE_AREA,
+        max_angle=0.4363,
+        stern=STERN,
+        slope=math.pi,  # thin plates twice as wide as deep: 2 pi A / (A + 2)
+    ),
+    packages=(pan_tilt((0.0, 0.0, -0.85), tilt=(-math.pi / 4, math.pi / 4)),),
+    sensors=(
+        Mount(kind="Sonar", name="S1", at=(0.0, 0.0, HEIGHT / 2), direction=(0.0, -math.pi / 2, 0.0)),
+        *(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry"),
+    ),
+    cameras=(camera(),),
+    sources=(
+        ("dimensions, areas, angles, propeller, sonar, camera's pan", "manual 12.9"),
+        ("mass", "manual 12.9: of the water that its size displaces"),
+        ("layout, drag, slip, tilt range", "chosen"),
+    ),
+)
