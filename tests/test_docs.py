@@ -153,3 +153,10 @@ def test_examples_of_a_document_share_names():
     run_python("x = 20", names, "sample")
     run_python(">>> y = x + 1\n>>> y\n21\n", names, "sample")
     run_python("assert y == 21", names, "sample")
+
+
+def test_the_page_of_all_robots_is_the_generated_one():
+    """After a change: `usarmjx list robots > docs/all-robots.md`, `usarmjx portraits docs/robots.png`."""
+    from usarmjx.catalogue import robots_table
+
+    assert (dev.ROOT / "docs" / "all-robots.md").read_text() == robots_table() + "\n"

@@ -13,11 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.comms.links import Links
+from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
 from usarmjx.control import Order, check_keys, steer
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
 from usarmjx.errors import EngineError, UnknownNameError, UsageError
 from usarmjx.models.effecters import Opcode
 from usarmjx.operate import Outcome, find_operation, operate
+from usarmjx.radio import boxes, every, kept_links, links_due, mail_of, present_links, radio_of, send
 from usarmjx.scene import Scene
 from usarmjx.sensors.base import Reading
 from usarmjx.transforms import Array
@@ -84,6 +87,8 @@ class Batch:
         self._first = self._compile(jax.vmap(partial(first_episode, scene, shuffle=shuffle)))
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
         self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
+        self._links = self._compile(self._look_at_links)
+        self._send = self._compile(jax.vmap(partial(send, scene)))
         traceable = self.engine.traceable
         self.step: Callable[[State], State] = self._compile(self._step) if traceable else self._step
         """Advance every world by one control step under the commands in force."""
@@ -125,6 +130,61 @@ class Batch:
         """Read the sensors that are due; the others repeat their last reading, marked as not fresh."""
         worlds, readings = self._observe(state.worlds, self.physics(state))
         return state.replace(worlds=worlds), readings
+
+    def _look_at_links(self, worlds: World, physics: PhysicsState) -> Links:
+        look, keep = jax.vmap(partial(present_links, self.scene)), jax.vmap(kept_links)
+        if every(self.scene) == 1:
+            return look(worlds, physics)
+        due = jax.vmap(partial(links_due, self.scene))(worlds).any()
+        return jax.lax.cond(due, look, lambda worlds, _: keep(worlds), worlds, physics)
+
+    def links(self, state: State) -> tuple[State, Links]:
+        """Look at the radio links, which are evaluated at most once in a control step, or radio `period`.
+
+        Returns:
+            The batch, and the links (worlds, ...). Their events tell what changed since the evaluation
+            before; a table that is older than the control step has none.
+
+        Raises:
+            UsageError: The scene has no radio.
+        """
+        radio_of(self.scene)
+        links = self._links(state.worlds, self.physics(state))
+        return state.replace(worlds=state.worlds.replace(links=links)), links
+
+    def send(self, state: State, to: Array, payload: Array, length: Array | None = None) -> State:
+        """Let each robot send a message to any of the others, over the links of `links`.
+
+        What arrives is in `state.worlds.mail` at once, and what did not is counted there.
+
+        Args:
+            state: The batch.
+            to: Receivers, sender by row, broadcast to (worlds, robots, robots).
+            payload: What is said, broadcast to (worlds, robots, numbers).
+            length: What each message stands for [bytes], broadcast to (worlds, robots); None: 4 a number.
+
+        Raises:
+            UsageError: The scene has no mail.
+        """
+        mail, robots = mail_of(self.scene), self.scene.robots
+        state, _ = self.links(state)
+        shape = (self.worlds, robots)
+        size = BYTES_PER_NUMBER * mail.numbers if length is None else length
+        letters = Letters(
+            to=jnp.broadcast_to(to, (*shape, robots)),
+            payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
+            length=jnp.broadcast_to(size, shape),
+        )
+        return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, letters)))
+
+    def empty_mail(self, state: State, where: Array = True) -> State:
+        """Empty the boxes of robots that have read their mail: those masked, broadcast to (worlds, robots).
+
+        Raises:
+            UsageError: The scene has no mail.
+        """
+        mail = empty(boxes(self.scene, state.worlds), where)
+        return state.replace(worlds=state.worlds.replace(mail=mail))
 
     def drive(self, state: State, team: int, values: Mapping[str, Array]) -> State:
         """Set keys of DRIVE for a team's robots; the other keys keep what they were last set to.
@@ -196,7 +256,7 @@ class Batch:
             The batch, and per world and robot what became of it.
 
         Raises:
-            UnknownNameError: The robots have no such effecter, or it has no such operation; lists those known.
+            UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
             UsageError: The operation needs a parameter.
         """
         place, operation = find_operation(self.scene.teams[team], name, opcode)

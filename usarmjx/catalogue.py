@@ -12,9 +12,19 @@ from usarmjx.models.spec import Mount, RobotSpec
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
 
+TABLE_HEAD = """# All robots
+
+This page is the output of `usarmjx list robots`; a test keeps it so. Sizes in m, masses in kg. The last column
+says where each figure is from: the manual's section, lines captured from a real server, the machine's data
+sheet, or chosen by us because nothing was found. What was measured on the built robots is in
+[robots.md](robots.md).
+
+![All robots, drawn by `usarmjx portraits`](robots.png)
+"""
+
 
 def robots_table() -> str:
-    """Return two Markdown tables of all robot classes: figures with their sources, and equipment."""
+    """Return a Markdown page with all robot classes: figures with their sources, and equipment."""
     figures = [
         "| class | type, steering | L x W x H [m] | mass [kg] | payload [kg] | top speed [m/s] | DRIVE keys "
         "(largest value) | figures from |",
@@ -37,7 +47,7 @@ def robots_table() -> str:
             f"| {name} | {_joints(robot)} | {_packages(robot)} | {_sensors(robot)} "
             f"| {_names(robot.cameras)} | {_names(robot.effecters)} |"
         )
-    return "\n".join([*figures, "", *equipment])
+    return "\n".join([TABLE_HEAD, *figures, "", *equipment])
 
 
 def _names(mounts: Sequence[Mount]) -> str:

@@ -21,6 +21,11 @@ app.add_typer(bench_app, name="bench")
 EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
 ArenaOption = Annotated[str, typer.Option(help="Arena name; `usarmjx list` shows them.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+IniOption = Annotated[
+    list[Path] | None,
+    typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
+]
+UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
 
 
 class _Failure:
@@ -36,12 +41,25 @@ class _Failure:
         return False
 
 
+def _configure(files: list[Path] | None, uu_per_metre: float) -> None:
+    """Put the robots of ini files in force; what they say in vain goes to the standard error stream."""
+    if not files:
+        return
+    from usarmjx.configure import configure
+
+    for warning in configure(files, uu_per_metre).warnings:
+        typer.echo(f"usarmjx: warning: {warning}", err=True)
+
+
 @app.command("list")
 def list_everything(
     what: Annotated[str, typer.Argument(help="everything, or robots: the full table.")] = "everything",
+    ini: IniOption = None,
+    uu_per_metre: UnitOption = 250.0,
 ) -> None:
     """List robots, arenas, sensors and engines."""
     with _Failure():
+        _configure(ini, uu_per_metre)
         from usarmjx.catalogue import catalogue, robots_table
         from usarmjx.errors import UsageError
 
@@ -81,6 +99,8 @@ def serve(
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
     ] = 1.0,
     seed: SeedOption = 0,
+    ini: IniOption = None,
+    uu_per_metre: UnitOption = 250.0,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
     """Serve one world of a batch over the Gamebots protocol."""
@@ -91,6 +111,7 @@ def serve(
         from usarmjx.server.net import serve as run
         from usarmjx.server.worlds import make_world
 
+        _configure(ini, uu_per_metre)
         world = make_world(
             arena,
             engine=engine,

@@ -158,8 +158,8 @@ def mount_point(effecter: Effecter, plan: BodyPlan, bodies: Bodies) -> Array:
 def ground_below(scene: Scene, point: jax.Array) -> jax.Array:
     """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
     arena = scene.arena_geoms
-    owner = jnp.full(len(arena.kind), -1)
-    geoms = gather(arena.kind, *(jnp.asarray(a) for a in (arena.pos, arena.mat, arena.size)), owner)
+    pos, mat, size = jnp.asarray(arena.pos), jnp.asarray(arena.mat), jnp.asarray(arena.size)
+    geoms = gather(arena.kind, pos, mat, size, jnp.full(len(arena.kind), -1))
     down = jnp.array([[0.0, 0.0, -1.0]])
     return point.at[2].add(-cast(geoms, point[None], down, jnp.int32(NOBODY)).distance[0])
 

@@ -7,6 +7,9 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.mail import MailSettings
+from usarmjx.comms.walls import arena_solids
 from usarmjx.errors import SpecError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
@@ -87,17 +90,17 @@ class Team:
     @cached_property
     def qpos(self) -> np.ndarray:
         """Qpos addresses of the joints (n, joints)."""
-        return np.array([index.qpos for index in self.indices])
+        return np.array([index.qpos for index in self.indices], int)
 
     @cached_property
     def dof(self) -> np.ndarray:
         """Qvel addresses of the joints (n, joints)."""
-        return np.array([index.dof for index in self.indices])
+        return np.array([index.dof for index in self.indices], int)
 
     @cached_property
     def actuator(self) -> np.ndarray:
         """Actuator ids (n, joints)."""
-        return np.array([index.actuator for index in self.indices])
+        return np.array([index.actuator for index in self.indices], int)
 
     @cached_property
     def chassis(self) -> np.ndarray:
@@ -141,6 +144,8 @@ class Scene:
         spec: The MuJoCo description, for engines that add and remove robots.
         model: The compiled model.
         teams: The robots by class.
+        radio: Constants of the robots' radios; None: they have none.
+        mail: Sizes of the messages over it; None: there are none.
     """
 
     arena: ArenaSpec
@@ -149,6 +154,8 @@ class Scene:
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     teams: tuple[Team, ...] = field(default=())
+    radio: RadioSettings | None = None
+    mail: MailSettings | None = None
 
     @property
     def robots(self) -> int:
@@ -219,6 +226,9 @@ def build_scene(
     arena: str | ArenaSpec = "yellow",
     roster: Sequence[str | Entry] = ("P2AT",),
     physics: Physics | None = None,
+    *,
+    radio: RadioSettings | None = None,
+    mail: MailSettings | None = None,
 ) -> Scene:
     """Compose an arena and its robots.
 
@@ -226,15 +236,21 @@ def build_scene(
         arena: Name or description.
         roster: Class names or entries, in slot order; robots that are not parked need a start pose each.
         physics: Solver and time settings.
+        radio: Constants of the robots' radios; None: they have none, and it costs nothing.
+        mail: Sizes of the messages that they send each other over it; None: none.
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.
-        SpecError: More robots than the arena has start poses.
-        UnsupportedGeomError: A geom that rays cannot hit.
+        SpecError: More robots than the arena has start poses; mail without a radio.
+        UnsupportedGeomError: A geom that rays cannot hit, or that the radio cannot count as a wall.
     """
     physics = physics or Physics()
     arena = ARENAS.get(arena) if isinstance(arena, str) else arena
     entries = tuple(Entry(robot=e) if isinstance(e, str) else e for e in roster)
+    if mail is not None and radio is None:
+        raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
+    if radio is not None:
+        arena_solids(arena)
     active = sum(not entry.parked for entry in entries)
     if active > len(arena.starts):
         raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
@@ -246,7 +262,14 @@ def build_scene(
     model = spec.compile()
     check_types(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
     return Scene(
-        arena=arena, physics=physics, roster=entries, spec=spec, model=model, teams=_teams(model, entries)
+        arena=arena,
+        physics=physics,
+        roster=entries,
+        spec=spec,
+        model=model,
+        teams=_teams(model, entries),
+        radio=radio,
+        mail=mail,
     )
 
 

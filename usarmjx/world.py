@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.comms.links import Links, no_links
+from usarmjx.comms.mail import Mail, no_mail
 from usarmjx.control import Circumstances, Command, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
 from usarmjx.models.drives import DRY
@@ -27,7 +29,7 @@ from usarmjx.sensors.suite import NO_MEMORY, Memory
 RUNAWAY_SPEED = 5.0
 """A chassis faster than this, and than half more than its drive's top speed, did not get there by driving:
 counted as a fault of the physics [m/s]."""
-START_STREAM, NOISE_STREAM, PLACE_STREAM = 0, 1, 2
+START_STREAM, NOISE_STREAM, PLACE_STREAM, RADIO_STREAM, MAIL_STREAM = 0, 1, 2, 3, 4
 """First fold of a world's key, by what the numbers are for."""
 
 
@@ -77,6 +79,8 @@ class World(struct.PyTreeNode, kw_only=True):
         teams: The robots by class.
         tags: RFID tags that robots have dropped.
         status: What went wrong.
+        links: The radio links as last evaluated; None without a radio.
+        mail: The robots' boxes; None without mail.
     """
 
     key: jax.Array
@@ -85,6 +89,8 @@ class World(struct.PyTreeNode, kw_only=True):
     teams: tuple[TeamState, ...]
     tags: Tags
     status: Status
+    links: Links | None = None
+    mail: Mail | None = None
 
 
 def time_of(scene: Scene, world: World) -> jax.Array:
@@ -127,7 +133,12 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
         shuffle: Draw the robots' start poses instead of handing them out in the arena's order.
     """
     world = world.replace(
-        episode=world.episode + 1, step=jnp.zeros((), jnp.int32), teams=(), tags=no_tags()
+        episode=world.episode + 1,
+        step=jnp.zeros((), jnp.int32),
+        teams=(),
+        tags=no_tags(),
+        links=None if scene.radio is None else no_links(scene.robots),
+        mail=None if scene.mail is None else no_mail(scene.mail, scene.robots),
     )
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))

@@ -1,17 +1,24 @@
-"""QRIO and ERS: as the manual counts and measures them, on their feet, and every joint in all three orders."""
+"""QRIO and ERS: as the manual has them, on their feet, and every joint in all three orders."""
 
 import math
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
+import mujoco
 import numpy as np
 import pytest
 
 from tests.rig import Rig
 from usarmjx.control import Order, servos_of
-from usarmjx.models.parts import joint_names, parts_of
+from usarmjx.models.compose import Physics
+from usarmjx.models.parts import joint_names
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import ArenaSpec, Shape
+from usarmjx.server.live import LiveWorld
 
+ROOT = Path(__file__).resolve().parents[2]
 BOTH = pytest.mark.parametrize("name", ["ERS", "QRIO"])
 SIZE_ATOL = 0.003  # m: the manual gives the ERS in millimetres, its data sheet 317 mm for 319
 EXACT = 1e-6
@@ -58,8 +65,6 @@ def farther(name):
 
 def bounds(rig):
     """Lower and upper corner of all geoms' boxes [m]."""
-    import mujoco
-
     mujoco.mj_kinematics(rig.model, rig.data)
     mine = np.isin(rig.model.geom_bodyid, rig.indices[0].body)
     mat = np.abs(rig.data.geom_xmat[mine].reshape(-1, 3, 3))
@@ -89,8 +94,6 @@ def test_size_and_mass_are_the_reported_ones(name, mass):
 @BOTH
 def test_both_sides_mirror_each_other(name):
     """Every left joint at a pose and every right joint at the same: the bodies mirror each other."""
-    import mujoco
-
     rig = Rig(name)
     low, high = limits(name)
     for joint, lowest, highest in zip(names_of(name), low, high, strict=True):
@@ -126,8 +129,6 @@ def test_both_sides_mirror_each_other(name):
 )
 def test_positive_joints_go_where_the_description_says(name, joint, part, way):
     """The mass of `part` moves `way` (x forward, y left, z up) when `joint` turns by 0.1 rad."""
-    import mujoco
-
     rig = Rig(name)
     mujoco.mj_kinematics(rig.model, rig.data)
     before = rig.data.body(f"r0/{part}").xipos.copy()
@@ -154,8 +155,6 @@ def test_positive_joints_go_where_the_description_says(name, joint, part, way):
 )
 def test_positive_heads_and_feet_look_where_the_description_says(name, joint, part, ahead):
     """What looked ahead looks a little to `ahead` (x forward, y left, z up), too."""
-    import mujoco
-
     rig = Rig(name)
     rig.data.joint(f"r0/{joint}").qpos = 0.1
     mujoco.mj_kinematics(rig.model, rig.data)
@@ -187,7 +186,10 @@ def push(rig, impulse, way, seconds=0.1):
     """Push the chassis by an impulse [N s] in a direction [deg]; return how upright it stayed."""
     dof = rig.indices[0].root_dof
     force = impulse / seconds
-    rig.data.qfrc_applied[dof : dof + 2] = force * math.cos(math.radians(way)), force * math.sin(math.radians(way))
+    rig.data.qfrc_applied[dof : dof + 2] = (
+        force * math.cos(math.radians(way)),
+        force * math.sin(math.radians(way)),
+    )
     rig.run(seconds)
     rig.data.qfrc_applied[:] = 0.0
     return min(rig.up[0] for _ in range(100) if rig.step() is None)
@@ -249,7 +251,7 @@ def test_all_joints_follow_velocities_and_stop_at_their_limits(name):
 def test_no_joint_is_faster_than_its_servo(name):
     """Oracle: the way to the farther limit at full speed takes this long at least."""
     speed, far = servos_of(ROBOTS.get(name)).speed, farther(name)
-    rig = floating(name).move({joint: math.copysign(99.0, end) for joint, end in zip(names_of(name), far)}, Order.VELOCITY)
+    rig = floating(name).move(dict(zip(names_of(name), 99.0 * far, strict=True)), Order.VELOCITY)
     for _ in range(50):
         rig.step()
         q, _ = joints(rig)
@@ -309,3 +311,45 @@ def test_a_held_mass_takes_m_g_l_sin(name, joint, angle, masses):
     assert (rig.joint(joint) - held) * torque < -0.05 * abs(torque), "without torque it sinks"
 
 
+def test_ers_feels_its_paws_and_sees_a_wall_ahead():
+    """Near and far infrared measure to the wall's face, within their noise of 5 % (manual 10.2.2)."""
+    face = 1.0
+    wall = Shape(kind="box", size=(0.05, 2.0, 0.5), at=(face + 0.05, 0.0, 0.5), surface="wall")
+    arena = ArenaSpec(name="wall", starts=(), extent=((-2, 2), (-2, 2)), shapes=(wall,))
+    world = LiveWorld(arena, Physics(), jax.random.key(0), seats=1)
+    robot = world.spawn(ROBOTS.get("ERS"), "It", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
+
+    def read(**positions):
+        target = robot.command.target.copy()
+        for joint, position in positions.items():
+            target[robot.plan.joint(joint)] = position
+        world.tell(robot, robot.command.replace(target=target))
+        for _ in range(50):
+            world.step()
+        world.observe([robot])
+        readings = [
+            robot.pending[robot.suite.find(*item)] for item in (("Touch", "PawLeftF"), ("IR", "IRNear"))
+        ]
+        return [reading.tolist() for reading in readings]
+
+    paws, (near, far) = read()
+    assert paws == [1.0, 1.0, 1.0, 1.0]
+    assert near == pytest.approx(0.50), "nothing within its range"
+    assert far == pytest.approx(face - 0.0675 - 0.081, rel=0.06)
+    assert read(LeftRKnee=0.8, LeftRRotator=0.4)[0] == [1.0, 1.0, 0.0, 1.0]
+    assert read(LeftRKnee=0.0, LeftRRotator=0.0)[0] == [1.0, 1.0, 1.0, 1.0]
+
+
+JAX = """
+from tests.arenas import FLAT
+from usarmjx.engines import make_engine
+from usarmjx.scene import build_scene
+scene = build_scene(FLAT, ["ERS", "QRIO", "P2AT", "P2DX"])
+print(make_engine("jax", scene.spec, scene.physics, 1).name)
+"""
+
+
+def test_the_jax_engine_takes_both_beside_wheeled_robots():
+    """It refuses pairs such as a wheel and a round paw that could touch each other."""
+    done = subprocess.run([sys.executable, "-c", JAX], capture_output=True, text=True, timeout=300, cwd=ROOT)
+    assert done.stdout == "jax\n", done.stderr

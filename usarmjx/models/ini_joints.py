@@ -12,8 +12,8 @@ import numpy as np
 from usarmjx.models.ini_figures import TRAVEL
 from usarmjx.models.ini_pairs import Pair, spin_axis, steering_axis, turn_of, unit_of
 from usarmjx.models.ini_read import as_class, fail, number_of, shown, vector_of
-from usarmjx.models.kit import BLACK, wheel
-from usarmjx.models.spec import STEER, SUSPENSION, UP, ZERO, Motor, Part, RobotSpec, Shape, Spring
+from usarmjx.models.kit import BLACK, car_wheel, wheel
+from usarmjx.models.spec import STEER, Motor, Part, RobotSpec, Shape, Spring
 from usarmjx.registry import Registry
 
 GRAVITY = 9.81
@@ -25,7 +25,7 @@ WHEEL_SPEED = 6.2832  # rad/s: the wheel joint's default in the UDK version
 HINGE_SPEED, HINGE_TORQUE = 0.1745, 20.0  # MotorSpeed, MotorTorque (manual 14.4.2.3), taken as N m
 STEER_SPEED = 15000 * np.pi / 32768  # SteerSpeed (manual 14.4.2.3)
 SUSPENSION_RATE, SUSPENSION_SHARE = 2 * np.pi * 2.0, 0.4  # rad/s, of critical damping
-WHEEL_SHARE, PART_MASS, CARRIER_SHARE = 0.07, 0.5, 0.2
+WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
 
 
 def build_parts(pairs: Sequence[Pair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:
@@ -56,40 +56,24 @@ def _wheel_parts(pair: Pair, weight: float, wheels: int, robots: Registry[RobotS
         max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
         torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
     )
-    carrier = Shape(
-        kind="sphere", size=(radius / 4,), mass=mass * CARRIER_SHARE, surface="fixture", rgba=BLACK
+    spring = Spring(
+        stiffness=load * SUSPENSION_RATE**2,
+        damping=2 * SUSPENSION_SHARE * load * SUSPENSION_RATE,
+        load=load * GRAVITY,
     )
-    parts: list[Part] = []
-    parent, at = pair.parent, pair.at
-    if pair.sprung:
-        spring = Spring(
-            stiffness=load * SUSPENSION_RATE**2,
-            damping=2 * SUSPENSION_SHARE * load * SUSPENSION_RATE,
-            load=load * GRAVITY,
-        )
-        name = pair.name + SUSPENSION
-        parts.append(
-            Part(
-                name=name,
-                parent=parent,
-                at=at,
-                axis=UP,
-                joint="slide",
-                spring=spring,
-                limits=TRAVEL,
-                shapes=(carrier,),
-            )
-        )
-        parent, at = name, ZERO
-    if pair.steers:
-        axis = steering_axis(pair)
-        steering = _servo(motor.armature, STEER_SPEED, load * GRAVITY * radius)
-        name = pair.name + STEER
-        parts.append(Part(name=name, parent=parent, at=at, axis=axis, motor=steering, shapes=(carrier,)))
-        parent, at = name, ZERO
-    tyre = wheel(pair.name, at=at, size=(radius, width), mass=mass, motor=motor, parent=parent)
-    middle = tuple(replace(shape, at=pair.middle) for shape in tyre.shapes)
-    return [*parts, replace(tyre, axis=spin_axis(pair), shapes=middle)]
+    spin_axis(pair)  # is lateral, or this says that it must be
+    tyre = wheel(pair.name, at=pair.at, size=(radius, width), mass=mass, motor=motor, parent=pair.parent)
+    tyre = replace(tyre, shapes=tuple(replace(shape, at=pair.middle) for shape in tyre.shapes))
+    parts = car_wheel(
+        tyre,
+        hub=mass * HUB_SHARE,
+        spring=spring if pair.sprung else None,
+        travel=TRAVEL[1],
+        steer=_servo(motor.armature, STEER_SPEED, load * GRAVITY * radius) if pair.steers else None,
+        lock=np.pi,
+    )
+    axis = steering_axis(pair)
+    return [replace(part, axis=axis) if part.name.endswith(STEER) else part for part in parts]
 
 
 def _model_of(pair: Pair, robots: Registry[RobotSpec]) -> Part | None:

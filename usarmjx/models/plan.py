@@ -149,8 +149,8 @@ def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
         quat=qpos[q + 3 : q + 7],
         linear=qvel[v : v + 3],
         angular=qvel[v + 3 : v + 6],
-        joint_pos=qpos[np.array(index.qpos)],
-        joint_vel=qvel[np.array(index.dof)],
+        joint_pos=qpos[np.array(index.qpos, int)],
+        joint_vel=qvel[np.array(index.dof, int)],
     )
 
 

@@ -248,6 +248,7 @@ class RobotSpec:
         battery_life: [s].
         msg_timer: Time between two reports [s].
         reported: Joints whose positions STA reports (flippers).
+        antenna: Where its radio's antenna is on the chassis; None: half its height above the origin.
         sources: Where its figures are from: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
     """
 
@@ -271,6 +272,7 @@ class RobotSpec:
     battery_life: float = 1200.0
     msg_timer: float = 0.2
     reported: tuple[str, ...] = ()
+    antenna: Vec3 | None = None
     sources: tuple[tuple[str, str], ...] = ()
 
     @property

@@ -123,7 +123,7 @@ class Flippers:
         pivot: x and y of the hinges, both positive [m].
         height: z of the hinges, down [m].
         length: From hinge to the axle of the tip's wheel [m].
-        tip: Radius of the tip's wheel; radii shrink evenly from the belt's at the hinge [m].
+        tip: Radius of the tip's wheel, smaller than the belt's, which is that at the hinge [m].
         count: Wheels on each flipper; the one around the hinge belongs to the chassis' tracks.
         mass: Of a flipper without its wheels [kg].
         motor: What turns it.
@@ -151,11 +151,18 @@ class Flippers:
             flippers.append(
                 Part(name=name, at=(*at, self.height), motor=self.motor, shapes=(self._arm(out, belt),))
             )
-            for i in range(1, self.count + 1):
-                share = i / self.count
-                radius = belt.radius + (self.tip - belt.radius) * share
-                wheels.append(belt.wheel(f"{name}Wheel{i}", (out * share * self.length, 0, 0), radius, name))
+            for i, (place, radius) in enumerate(self._row(belt.radius), start=1):
+                wheels.append(belt.wheel(f"{name}Wheel{i}", (out * place, 0.0, 0.0), radius, name))
         return (*flippers, *wheels)
+
+    def _row(self, root: float) -> list[tuple[float, float]]:
+        """Return distance from the hinge and radius of each wheel.
+
+        Both edges of the track are straight, and each wheel is smaller than the one before by the same
+        factor, so that all gaps are alike but for their size.
+        """
+        radii = [root * (self.tip / root) ** (i / self.count) for i in range(1, self.count + 1)]
+        return [(self.length * (root - radius) / (root - self.tip), radius) for radius in radii]
 
     def _arm(self, out: int, belt: Belt) -> Shape:
         """The arm inside its track touches nothing: the wheels are around it."""

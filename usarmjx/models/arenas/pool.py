@@ -6,16 +6,16 @@ basin is the arena's floor; the quay lies at the wire's origin height.
 
 from usarmjx.models.spec import ArenaSpec, Shape, StartPose, Water
 
-LENGTH, WIDTH, DEPTH = 40.0, 24.0, 5.0
-"""Of the water [m]."""
+LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
+"""Of the water [m]: room for the submarine to turn about, which takes it 36 m."""
 FREEBOARD, QUAY, WALL, PARAPET = 0.4, 4.0, 0.3, 1.2
 """Quay above the water, its width, thickness of walls and deck, height of the parapet [m]."""
 DECK = DEPTH + FREEBOARD
 START_ELEVATION = 0.188  # manual 5.3.5
 KEEL = 1.5
 """Height of the submarines' keels over the floor when they start [m]."""
-WATER_X, WATER_ROWS = -12.0, (0.0, -4.0, 4.0, -8.0)
-QUAY_COLUMNS = (-15.0, -7.5, 0.0, 7.5, 15.0)
+WATER_X, WATER_ROWS = -20.0, (0.0, -4.0, 4.0, -8.0)
+QUAY_COLUMNS = (-20.0, -10.0, 0.0, 10.0, 20.0)
 
 CONCRETE = (0.65, 0.65, 0.62, 1.0)
 TILES = (0.45, 0.65, 0.75, 1.0)
@@ -46,8 +46,8 @@ SHAPES = (
     _block((-X, SHORE, DECK - WALL), (X, -Y, DECK), "ground", CONCRETE),
     _block((-X - WALL, SHORE - WALL, 0.0), (X + WALL, SHORE, DECK + PARAPET), rgba=CONCRETE),
     # On the floor: a step for sonars to hear, and a wreck to look at.
-    _block((10.0, -Y, 0.0), (X, -4.0, 1.0)),
-    _block((9.0, 6.0, 0.0), (13.0, 7.5, 1.2), rgba=RUST),
+    _block((15.0, -Y, 0.0), (X, -10.0, 1.0)),
+    _block((12.0, 12.0, 0.0), (16.0, 13.5, 1.2), rgba=RUST),
 )
 
 POOL = ArenaSpec(

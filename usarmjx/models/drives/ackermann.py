@@ -12,7 +12,6 @@ import numpy as np
 from usarmjx.models.drives.base import Aim, Drive
 from usarmjx.transforms import Array
 
-
 POSITION, VELOCITY, TORQUE = 0, 1, 2
 """Orders of a joint (manual 9.4); `control.Order` has them too, one layer up."""
 
@@ -114,9 +113,7 @@ class Ackermann(Drive):
         still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
         return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
-    def _heading(
-        self, places: np.ndarray, front: Array, rear: Array, xp: ModuleType
-    ) -> tuple[Array, Array]:
+    def _heading(self, places: np.ndarray, front: Array, rear: Array, xp: ModuleType) -> tuple[Array, Array]:
         """Return which way places of the chassis (2, places) go, ahead and left (..., places).
 
         The length is their distance from the turning centre over that of the robot's middle line, so that
@@ -133,14 +130,14 @@ class Ackermann(Drive):
         A wheel of angle a at y turns with the angle c of its axle's middle: tan c = tan a (1 + y / r) for a
         turning radius r. The mean of that over both axles' wheels gives r, then the angles.
         """
-        front, rear = (self._axle(joints, pick) for pick in (max, min))
+        along = [wheel.x for wheel in self.wheels]
+        front, rear = self._axle(joints, max(along)), self._axle(joints, min(along))
         curvature = (front[0] - rear[0]) / (self.wheel_base - front[1] + rear[1])
         angles = [float(np.arctan(tangent + curvature * lever)) for tangent, lever in (front, rear)]
         return {"front_steer": angles[0], "rear_steer": angles[1]}
 
-    def _axle(self, joints: Mapping[str, float], pick: type[max] | type[min]) -> tuple[float, float]:
-        """Return the means of tan a and of y tan a over the foremost or the rearmost wheels."""
-        place = pick(wheel.x for wheel in self.wheels)
+    def _axle(self, joints: Mapping[str, float], place: float) -> tuple[float, float]:
+        """Return the means of tan a and of y tan a over the wheels at that x."""
         axle = [wheel for wheel in self.wheels if wheel.x == place]
         tangents = [tan(joints[wheel.steer]) if wheel.steer else 0.0 for wheel in axle]
         levers = [wheel.y * tangent for wheel, tangent in zip(axle, tangents, strict=True)]

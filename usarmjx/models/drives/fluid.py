@@ -162,9 +162,12 @@ class Hull:
         up, linear, angular = mat[2], state.linear @ mat, state.angular
         share, middle = (jnp.ones(()), jnp.zeros(3)) if depth is None else self.immersion(depth, up)
         along, about = self.resistance
+        mass, _ = self.effective(share)
         stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.arm
         calm = 2 * self.damping * jnp.sqrt(stiff * self.effective()[1])
         force = (share - 1) * self.weight * up - share * along * jnp.abs(linear) * linear
+        # The fluid dragged along keeps its momentum as the hull turns (Kirchhoff); the engine turns the speed.
+        force += mass * jnp.cross(angular, linear) - jnp.cross(angular, mass * linear)
         lever = middle + np.array([0.0, 0.0, self.arm])
         torque = jnp.cross(lever, share * self.weight * up)
         torque -= share * (about * jnp.abs(angular) + calm) * angular

@@ -13,10 +13,10 @@ from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
 from usarmjx.transforms import Array, Vec3
 
-STEEPEST = math.radians(70)
+STEEPEST = math.radians(65)
 """No more tilt than this, whatever is asked [rad]."""
-LOWEST_LIFT, LEAST_UP = 0.3, 0.3
-"""Rotors keep at least this share of the weight; and this much of their thrust counts as upward."""
+LOWEST_LIFT = 0.3
+"""Rotors carry at least this share of the weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +49,8 @@ class RotaryWing(Drive):
     max_thrust: float
     max_torque: Vec3
     lean: float
-    speed_gain: float = 1.6
-    bandwidth: float = 8.0
+    speed_gain: float = 2.0
+    bandwidth: float = 12.0
     turn_gain: float = 5.0
 
     @property
@@ -90,9 +90,7 @@ class RotaryWing(Drive):
         mat = mat_from_quat(state.quat)
         turn = -setpoint[3]  # clockwise to counter-clockwise
         force = self._wanted_force(setpoint, mat, state.linear, turn)
-        upright = mat[2, 2]
-        lift = jnp.clip(force[2] / jnp.maximum(upright, LEAST_UP), 0.0, self.max_thrust)
-        thrust = jnp.where(upright > 0, lift, 0.0) * mat[:, 2]
+        thrust = jnp.clip(_thrust(force, mat[:, 2]), 0.0, self.max_thrust) * mat[:, 2]
         return jnp.concatenate([thrust, mat @ self._torque(force, mat, state.angular, turn)])
 
     def _wanted_force(self, setpoint: Array, mat: jax.Array, linear: Array, turn: jax.Array) -> jax.Array:
@@ -124,6 +122,18 @@ class RotaryWing(Drive):
         damp = jnp.array([1.8 * self.bandwidth, 1.8 * self.bandwidth, self.turn_gain]) * rate
         most = np.array(self.max_torque, np.float32)
         return jnp.clip(np.array(self.inertia, np.float32) * (pull - damp), -most, most)
+
+
+def _thrust(force: jax.Array, axis: jax.Array) -> jax.Array:
+    """Return how hard to push along the body's up axis (3,) for a wanted force (3,) [N] ().
+
+    While the axis is near the force, as hard as keeps the height. A body that is far from where it should
+    point, as after a crash, does not push itself on: only the part of the force along the axis remains.
+    """
+    near, far = math.cos(math.radians(5)), math.cos(math.radians(15))
+    along = force @ axis
+    trust = jnp.clip((along / jnp.linalg.norm(force) - far) / (near - far), 0.0, 1.0)
+    return along + trust * (force[2] / jnp.maximum(axis[2], 0.1) - along)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,8 +200,10 @@ class Blimp(Drive):
         angle, speed, turn = setpoint[0], setpoint[1], setpoint[2]
         along, about = self.hull.resistance
         mass, inertia = self.hull.effective()
+        linear = state.linear @ mat
         wanted = speed * jnp.stack([jnp.cos(angle), 0.0 * angle, jnp.sin(angle)])
-        thrust = along * jnp.abs(wanted) * wanted + mass / self.response * (wanted - state.linear @ mat)
+        thrust = along * jnp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
+        thrust += jnp.cross(state.angular, mass * linear)  # what a turn takes from the speed ahead
         thrust = thrust * np.array([1.0, 0.0, 1.0])
         thrust *= self.max_thrust / jnp.maximum(jnp.linalg.norm(thrust), self.max_thrust)
         error = turn - state.angular[2]

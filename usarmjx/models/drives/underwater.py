@@ -40,12 +40,13 @@ class Underwater(Drive):
 
     Propeller is positive ahead, Rudder to the right (manual 9.4's example). The manual gives no sign for
     SternPlane: here positive makes the boat rise, going ahead. The planes lift the stern and so the boat,
-    which the righting moment keeps level: at 0.3 m/s, far below the speed at which a boat's pitch takes
-    over (some 1 m/s), the trailing edge goes down to rise.
+    which the righting moment keeps level: at 0.3 m/s it is far below the speed (over 2 m/s) from which on
+    its pitch would take it the other way.
 
     A propeller of pitch p at n rad/s sends water back at w = n p / 2 pi; going at u it pushes with
     c (w |w| - u |u|), as an actuator disc does, and c is such that the boat makes good (1 - slip) w. Stopped
-    it brakes. Without power the propeller turns freely and the planes with the flow.
+    it brakes. The water in the disc, and so past the plates, goes at (u + w) / 2. Without power the propeller
+    turns freely and the plates with the flow.
 
     Attributes:
         hull: What the water acts on.
@@ -111,8 +112,8 @@ class Underwater(Drive):
         linear = state.linear @ mat
         wash = spin * self.pitch / (2 * math.pi)
         thrust = self._grip * (wash * jnp.abs(wash) - linear[0] * jnp.abs(linear[0]))
-        # Flow at the stern: the hull's speed there, to the left and up.
-        ahead = linear[0]
+        # Flow at the plates: ahead as in the propeller's disc, to the left and up as the stern moves.
+        ahead = (linear[0] + wash) / 2
         left = linear[1] - self.stern * state.angular[2]
         up = linear[2] + self.stern * state.angular[1]
         # Normals to the left and up at rest. Rudder right: its trailing edge, and with it the flow, goes right.

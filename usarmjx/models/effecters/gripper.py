@@ -10,7 +10,7 @@ from usarmjx.transforms import Array
 
 # All measures are chosen: the manual gives none.
 LEVER = 0.12
-"""Length of the linkage that carries a finger [m]; turned by half the angle it puts the finger that far out."""
+"""Length of the linkage that carries a finger [m], which half the angle turns outward."""
 FINGER = (0.05, 0.006, 0.015)
 """Half lengths of a finger [m]."""
 PALM = (0.01, 0.05, 0.02)

@@ -1,10 +1,10 @@
 """The roller table (manual 11.3): a row of driven rollers that move things along its x axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.kit import wheel
+from usarmjx.models.kit import AXLE
 from usarmjx.models.spec import Motor, Part, Shape
 from usarmjx.transforms import Array
 
@@ -56,8 +56,11 @@ class RollerTable(Effecter):
         """The rollers."""
         motor = Motor(**{**vars(MOTOR), "max_speed": self.settings.max_speed})
         places = [(i - (ROLLERS - 1) / 2) * PITCH for i in range(ROLLERS)]
+        # MuJoCo has one contact between a cylinder and a box: on two halves a box lies still.
+        half = Shape(kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE, mass=0.15, surface="wheel")
+        halves = tuple(replace(half, at=(0.0, side * WIDTH / 4, 0.0)) for side in (-1.0, 1.0))
         return tuple(
-            self.part(wheel(name, at=(x, 0.0, RADIUS), size=(RADIUS, WIDTH), mass=0.3, motor=motor))
+            self.part(Part(name=name, at=(x, 0.0, RADIUS), motor=motor, rolls=True, shapes=halves))
             for name, x in zip(self.joints, places, strict=True)
         )
 

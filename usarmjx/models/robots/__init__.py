@@ -10,6 +10,7 @@ from usarmjx.models.robots.station import COMSTATION
 from usarmjx.models.robots.talon import RUGBOT, TALON
 from usarmjx.models.robots.telemax import TELEMAX
 from usarmjx.models.robots.underwater import SUBMARINE
+from usarmjx.models.robots.unit_loader import UNIT_LOADER
 from usarmjx.models.spec import RobotSpec
 from usarmjx.registry import Registry
 
@@ -31,5 +32,6 @@ for _spec in (
     PASSAROLA,
     SUBMARINE,
     COMSTATION,
+    UNIT_LOADER,
 ):
     ROBOTS.add(_spec.name, _spec)

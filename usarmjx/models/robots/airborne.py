@@ -42,9 +42,10 @@ def tilt_camera(at: Vec3, mass: float = 0.06) -> MissionPackage:
 
 TILTING = camera(at=(0.03, 0.0, 0.0), parent="CameraPanTilt_Link1")
 
-# AirRobot: a flat cross of rotors in a ring, with body, skids and camera below its middle, so that the
+# AirRobot: a flat cross of rotors in a frame, with body, skids and camera below its middle, so that the
 # centre of gravity lies on the axis of the thrust. Masses chosen to add up to the manual's 1 kg.
 AIRROBOT_SPAN = 0.999  # manual
+FRAME = 0.012  # half thickness of the frame's bars
 AIRROBOT_ROTORS = tuple((x, y) for x in (0.28, -0.28) for y in (-0.28, 0.28))
 
 
@@ -52,6 +53,13 @@ def _rotor(x: float, y: float) -> Shape:
     return Shape(
         kind="cylinder", size=(0.19, 0.012), at=(x, y, -0.085), mass=0.09, surface="fixture", rgba=ROTOR
     )
+
+
+def _bar(x: int, y: int) -> Shape:
+    """Return the frame's bar in front (1, 0), behind, at the right or at the left (0, -1)."""
+    reach = AIRROBOT_SPAN / 2 - FRAME
+    size = (FRAME, reach + FRAME, FRAME) if x else (reach + FRAME, FRAME, FRAME)
+    return Shape(kind="box", size=size, at=(x * reach, y * reach, FRAME - 0.097), rgba=WHITE)
 
 
 AIRROBOT = RobotSpec(
@@ -62,9 +70,18 @@ AIRROBOT = RobotSpec(
     origin_height=0.097,
     chassis=(
         Shape(kind="box", size=(0.10, 0.10, 0.045), at=(0.0, 0.0, -0.03), mass=0.54, rgba=BLACK),
-        # What meets walls and other robots: the ring around the rotors.
-        Shape(
-            kind="box", size=(AIRROBOT_SPAN / 2, AIRROBOT_SPAN / 2, 0.012), at=(0.0, 0.0, -0.085), rgba=WHITE
+        # What meets walls and other robots: the frame around the rotors.
+        *(_bar(x, y) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
+        *(
+            Shape(
+                kind="box",
+                size=(0.4, 0.01, 0.01),
+                at=(0.0, 0.0, -0.08),
+                rotation=(0.0, 0.0, yaw),
+                surface="fixture",
+                rgba=BLACK,
+            )
+            for yaw in (math.pi / 4, -math.pi / 4)
         ),
         *(
             Shape(kind="box", size=(0.12, 0.01, 0.05), at=(0.0, y, 0.047), mass=0.02, rgba=BLACK)
@@ -77,10 +94,10 @@ AIRROBOT = RobotSpec(
         max_turn=1.5708,
         mass=1.0,
         inertia=(0.0358, 0.0355, 0.0673),
-        # A plate seen from the side and from above (chosen): it falls at 7.3 m/s.
-        drag_areas=(0.1, 0.1, 0.3),
+        # Frame and body seen from the side; rotors and frame from above (chosen): it falls at 9 m/s.
+        drag_areas=(0.06, 0.06, 0.2),
         max_thrust=24.0,  # a bit more than twice its weight with payload
-        max_torque=(2.0, 2.0, 0.4),
+        max_torque=(6.0, 6.0, 1.0),
         lean=math.radians(25),  # the UDK AirRobot's limit of roll and pitch
     ),
     packages=(tilt_camera((0.0, 0.0, 0.05)),),

@@ -1,187 +1,129 @@
 """The cars: Hummer, SnowStorm, Sedan and Cooper (manual 12.5 to 12.8).
 
-The manual gives sizes and speeds of most; real cars' data sheets fill in the rest. All four are built alike:
-four sprung wheels, the front ones steered, and a box of mass between them.
+The manual gives sizes and speeds of most; the real cars' data sheets, and choices, fill in the rest.
 """
 
-from dataclasses import dataclass
+from usarmjx.models.cars import Car, build_car
+from usarmjx.models.kit import camera, pan_tilt, sick, sick_housing
+from usarmjx.models.spec import CHASSIS, Mount, options
 
-from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.kit import (
-    BLACK,
-    POSE_SENSORS,
-    Colour,
-    camera,
-    car_wheel,
-    firm_motor,
-    pan_tilt,
-    sick,
-    sick_housing,
-    wheel,
+HUMMER_LENGTH, HUMMER_WIDTH = 3.686, 1.799  # manual 12.5.1; the real one has 4.57 and 2.16
+_HUMMER = Car(
+    name="Hummer",
+    dimensions=(HUMMER_LENGTH, HUMMER_WIDTH, 2.059),  # manual 12.5.1
+    mass=2359.0,  # data sheet: M998, 5200 lb
+    base=3.30 * HUMMER_LENGTH / 4.57,  # data sheet: 130 in; scaled
+    track=1.82 * HUMMER_WIDTH / 2.16,  # data sheet: 71.6 in; scaled
+    tyre=(0.3727, 0.26),  # manual 12.5.1; width data sheet (12.5 in), scaled
+    unsprung=(55.0, 45.0),  # chosen: tyres with run-flat inserts, geared hubs
+    floor=0.33,  # data sheet: 16 in, scaled
+    belt=1.10,  # chosen, as all below
+    balance=0.62,
+    front=0.5,
+    all_wheel=True,  # manual 12.5.1
+    pull=5.0,
+    colour=(0.45, 0.45, 0.3, 1.0),
 )
-from usarmjx.models.spec import CHASSIS, STEER, Mount, Part, RobotSpec, Shape, Spring, options
-from usarmjx.transforms import Vec3
-
-GRAVITY = 9.81
-MAX_SPIN = 100.0
-"""Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""
-MAX_STEER, LOCK = 0.56, 0.7
-"""Largest FrontSteer, and room for the inner wheel's angle then [rad] (chosen: past the 30 degrees of manual
-9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m of the Cherokee)."""
-STEER_RATE = 1.438
-"""How fast wheels steer [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
-BOUNCE, DAMPING, TRAVEL = 9.4, 0.4, 0.12
-"""Suspension (chosen): frequency [rad/s] and damping ratio of the car on it, and how far it springs [m]; the
-travel of manual 14.4.2.3, SuspHighLimit 1.0 or 0.2 m, would put low cars on their floor."""
-ARMATURE, STEER_ARMATURE = 0.03, 2e-3
-"""Inertia of motors per mass and wheel radius squared, and per mass [m2] (chosen: small beside the car's)."""
-STEER_TORQUE = 1.3
-"""Per mass [N m/kg] (chosen: a few times what turning a standing wheel takes)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Car:
-    """Figures of a car; heights are above the ground.
-
-    Attributes:
-        name: Class name.
-        dimensions: Length, width, height.
-        mass: All of it.
-        base: Distance of the axles.
-        track: Lateral distance of the wheels.
-        tyre: Radius and width of a wheel.
-        unsprung: Masses of a wheel and of its hub.
-        floor: Lowest point of the body.
-        belt: Where the body ends and the cabin begins.
-        balance: Height of the centre of gravity.
-        front: Share of the weight on the front wheels.
-        all_wheel: Whether all wheels are powered; else only the front ones are.
-        pull: Acceleration and deceleration that its motors are good for [m/s2].
-        colour: Of the body.
-    """
-
-    name: str
-    dimensions: Vec3
-    mass: float
-    base: float
-    track: float
-    tyre: tuple[float, float]
-    unsprung: tuple[float, float]
-    floor: float
-    belt: float
-    balance: float
-    front: float
-    all_wheel: bool
-    pull: float
-    colour: Colour
-
-    @property
-    def origin(self) -> float:
-        """Height of the chassis origin: half of the car's, midway between the axles (chosen)."""
-        return self.dimensions[2] / 2
-
-
-def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
-    """Return the parts of an axle, and its wheels as the drive sees them."""
-    (radius, _), (mass, hub) = car.tyre, car.unsprung
-    share, x = (car.front, car.base / 2) if front else (1 - car.front, -car.base / 2)
-    carried = car.mass * share / 2 - mass - hub
-    spring = Spring(
-        stiffness=BOUNCE**2 * carried, damping=2 * DAMPING * BOUNCE * carried, load=carried * GRAVITY
-    )
-    powered = front or car.all_wheel
-    torque = car.pull * car.mass * radius / (4 if car.all_wheel else 2)
-    motor = firm_motor(
-        MAX_SPIN,
-        torque if powered else torque / 2,  # that of the brake (chosen): the rear wheels carry less
-        mass * radius**2 / 2,
-        ARMATURE * car.mass * radius**2,
-    )
-    steer = firm_motor(STEER_RATE, STEER_TORQUE * car.mass, mass * radius**2 / 4, STEER_ARMATURE * car.mass)
-    parts: list[Part] = []
-    wheels: list[Wheel] = []
-    for side, y in (("Left", -car.track / 2), ("Right", car.track / 2)):
-        name = f"{side}{'F' if front else 'R'}Wheel"
-        tyre = wheel(name, at=(x, y, car.origin - radius), size=car.tyre, mass=mass, motor=motor)
-        parts += car_wheel(
-            tyre, hub=hub, spring=spring, travel=TRAVEL, steer=steer if front else None, lock=LOCK
-        )
-        steers = name + STEER if front else ""
-        wheels.append(Wheel(joint=name, steer=steers, x=x, y=y, powered=powered, brakes=True))
-    return parts, wheels
-
-
-def _body(car: Car, head: float) -> tuple[Shape, ...]:
-    """Return body and cabin, and within them all mass but wheels, hubs and camera head [kg]."""
-    length, width, height = car.dimensions
-    unsprung = 4 * sum(car.unsprung)
-    sprung = car.mass - unsprung
-    body, cabin = (car.belt - car.floor) / 2, (height - car.belt) / 2
-    ahead = car.base * (car.front - 0.5) * car.mass / sprung
-    balance = (car.balance * car.mass - car.tyre[0] * unsprung) / sprung
-    return (
-        Shape(
-            kind="box",
-            size=(length / 2, width / 2, body),
-            at=(0.0, 0.0, car.origin - car.floor - body),
-            rgba=car.colour,
-        ),
-        Shape(
-            kind="box",
-            size=(0.27 * length, 0.45 * width, cabin),
-            at=(-0.05 * length, 0.0, cabin - car.origin),
-            rgba=car.colour,
-        ),
-        Shape(
-            kind="box",
-            size=(0.45 * length, 0.4 * width, 0.15),
-            at=(ahead, 0.0, car.origin - balance),
-            mass=sprung - head,
-            surface="fixture",
-            rgba=BLACK,
-        ),
-    )
-
-
-REAR_ODOMETRY = Mount(
-    kind="Odometry", name="Odometry", options=options(LeftTire="LeftRWheel", RightTire="RightRWheel")
+HUMMER_SCANNER = (1.3, 0.0, _HUMMER.origin - _HUMMER.belt - 0.05)  # chosen: on the bonnet
+HUMMER = build_car(
+    _HUMMER,
+    solids=(sick_housing(HUMMER_SCANNER),),
+    packages=(pan_tilt((0.0, 0.0, -_HUMMER.origin)),),  # chosen: on the roof; pans all around
+    sensors=(sick(HUMMER_SCANNER),),
+    cameras=(camera(),),
+    sources=(
+        ("dimensions, wheel radius, top speed, wheels", "manual 12.5"),
+        ("scanner, camera", "manual 12.5"),
+        ("mass, wheel base, track", "data sheet"),
+        ("layout", "chosen"),
+    ),
 )
-"""The rear wheels do not steer: what they roll gives the heading."""
 
+_SNOWSTORM = Car(
+    name="SnowStorm",
+    dimensions=(4.239, 1.720, 1.621),  # manual 12.6.1
+    mass=1523.0,  # data sheet of the Jeep Cherokee XJ
+    base=2.576,  # data sheet
+    track=1.473,  # data sheet
+    tyre=(0.352, 0.215),  # data sheet: 215/75 R15
+    unsprung=(25.0, 40.0),  # chosen, as all below
+    floor=0.21,
+    belt=0.98,
+    balance=0.58,
+    front=0.53,
+    all_wheel=True,  # chosen; manual 12.6.1: two or four wheel drive
+    pull=5.0,
+    colour=(0.85, 0.85, 0.9, 1.0),
+)
+SNOWSTORM_ROOF = -_SNOWSTORM.origin
+SNOWSTORM_SCANNER = (0.75, 0.0, SNOWSTORM_ROOF - 0.05)  # chosen: on the front edge of the roof
+EYES = 0.06  # half the distance of a Bumblebee's lenses (data sheet: 12 cm)
+SNOWSTORM = build_car(
+    _SNOWSTORM,
+    solids=(sick_housing(SNOWSTORM_SCANNER),),
+    sensors=(
+        # The range of an outdoor LMS (data sheet); the fan is the sensor's own.
+        Mount(kind="RangeScanner3D", name="Scanner1", at=SNOWSTORM_SCANNER, options=options(MaxRange=80.0)),
+        Mount(kind="GPS", name="GPS", at=(-0.8, 0.0, SNOWSTORM_ROOF)),
+    ),
+    cameras=tuple(
+        camera(name, at=(0.9, y, SNOWSTORM_ROOF + 0.1), parent=CHASSIS)
+        for name, y in (("Camera", -EYES), ("Camera2", EYES))
+    ),
+    sources=(
+        ("dimensions, wheels", "manual 12.6"),
+        ("GPS, stereo camera, 3D scanner", "manual 12.6"),
+        ("mass, wheel base, track, wheel radius", "data sheet"),
+        ("top speed, layout", "chosen"),
+    ),
+)
 
-def _spec(
-    car: Car,
-    *,
-    sources: tuple[tuple[str, str], ...],
-    panorama: bool = False,
-    solids: tuple[Shape, ...] = (),
-    sensors: tuple[Mount, ...] = (),
-    cameras: tuple[Mount, ...] = (),
-) -> RobotSpec:
-    packages = (pan_tilt((0.0, 0.0, -car.origin)),) if panorama else ()
-    head = sum(shape.mass for package in packages for link in package.links for shape in link.shapes)
-    (front, steered), (rear, straight) = _axle(car, front=True), _axle(car, front=False)
-    return RobotSpec(
-        name=car.name,
-        dimensions=car.dimensions,
-        mass=car.mass,
-        origin_height=car.origin,
-        chassis=(*_body(car, head), *solids),
-        parts=(*front, *rear),
-        drive=Ackermann(
-            wheels=(*steered, *straight), max_spin=MAX_SPIN, radius=car.tyre[0], max_front_steer=MAX_STEER
-        ),
-        packages=packages,
-        sensors=(*sensors, REAR_ODOMETRY, *POSE_SENSORS[1:]),
-        cameras=cameras,
-        wheel_radius=car.tyre[0],
-        wheel_separation=car.track,
-        wheel_base=car.base,
-        cog=(car.base * (car.front - 0.5), 0.0, car.origin - car.balance),
-        sources=(
-            *sources,
-            ("steering", "chosen"),
-            ("suspension", "chosen"),
-            ("Odometry, INS, GroundTruth", "chosen"),
-        ),
-    )
+SEDAN = build_car(
+    Car(
+        name="Sedan",
+        dimensions=(4.2779, 1.7883, 1.3238),  # manual 12.7.1
+        mass=1250.0,  # data sheet of the Nissan Primera P10, about
+        base=2.55,  # data sheet
+        track=1.47,  # data sheet
+        tyre=(0.2820, 0.195),  # manual 12.7.1; width data sheet
+        unsprung=(18.0, 33.0),  # chosen, as all below
+        floor=0.15,
+        belt=0.85,
+        balance=0.50,
+        front=0.6,
+        all_wheel=False,  # manual 12.7.1
+        pull=3.5,
+        colour=(0.3, 0.4, 0.6, 1.0),
+    ),
+    sources=(
+        ("dimensions, wheel radius, wheels", "manual 12.7"),
+        ("top speed", "manual 12.7: 100 rad/s; its 134 km/h are the Hummer's"),
+        ("mass, wheel base, track", "data sheet"),
+        ("layout", "chosen"),
+    ),
+)
+
+COOPER = build_car(
+    Car(
+        name="Cooper",
+        dimensions=(3.626, 1.688, 1.416),  # data sheet of the Mini Cooper R50, as the next four
+        mass=1146.0,
+        base=2.467,
+        track=1.46,
+        tyre=(0.304, 0.175),  # 175/65 R15
+        unsprung=(18.0, 33.0),  # chosen, as all below
+        floor=0.15,
+        belt=0.90,
+        balance=0.52,
+        front=0.6,
+        all_wheel=False,  # manual 12.8.1
+        pull=3.5,
+        colour=(0.7, 0.15, 0.15, 1.0),
+    ),
+    sources=(
+        ("wheels", "manual 12.8"),
+        ("top speed", "manual 12.8: 100 rad/s; its 134 km/h are the Hummer's"),
+        ("dimensions, mass, wheel base, track, wheel radius", "data sheet"),
+        ("layout", "chosen"),
+    ),
+)

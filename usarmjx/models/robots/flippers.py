@@ -117,7 +117,7 @@ KENAF_FLIPPERS = Flippers(
     height=0.0,
     length=KENAF_LONG / 2 - KENAF_PIVOT - KENAF_TIP,
     tip=KENAF_TIP,
-    count=3,
+    count=4,
     mass=0.5,
     motor=Motor(max_speed=1.5, torque=60.0, stiffness=1200.0, damping=42.0, armature=0.6),
 )
@@ -149,7 +149,7 @@ KENAF_CAMERA = (
 )
 
 
-def kenaf(wheels: int = 6) -> RobotSpec:
+def kenaf(wheels: int = 8) -> RobotSpec:
     """Return the Kenaf with so many wheels in each of its two body tracks (manual 12.10.2)."""
     rows = track_pair(
         KENAF_BELT, wheels, separation=KENAF_SEPARATION, front=KENAF_PIVOT, rear=-KENAF_PIVOT, height=0.0

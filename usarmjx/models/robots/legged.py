@@ -13,7 +13,6 @@ from usarmjx.models.kit import BLACK, POSE_SENSORS, RUBBER, Colour, camera
 from usarmjx.models.spec import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
 from usarmjx.transforms import Vec3
 
-WHITE: Colour = (0.9, 0.9, 0.9, 1.0)
 SILVER: Colour = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
 BEND: Vec3 = (0.0, -1.0, 0.0)
@@ -50,12 +49,12 @@ def _gear(radius: float, mass: float) -> Shape:
 
 ERS_HIP = (0.065, 0.0625)  # half the distances of the shoulders; the width (0.125) from the data sheet
 ERS_UPPER, ERS_PAW = 0.0695, 0.012  # data sheet; chosen radius
-ERS_LOWER = {"F": 0.0715, "R": 0.0765}  # knee to the end of the paw (data sheet)
+ERS_LOWER = {"F": 0.0715, "R": 0.0765}  # knee to the end of the paw (front: data sheet; rear: chosen)
 ERS_STAND = 0.117  # shoulder above the paw's centre (chosen: knees bent by some 50 degrees)
 ERS_BODY = 1.6 - 4 * 0.14 - 0.28  # what legs and head leave of the manual's mass
 
-# Speeds and ranges: Sony's recommended values for the ERS-7. Torques, gains and inertia are chosen: two
-# legs carry the robot with a third of the torque, and sag by half a degree.
+# Speeds and ranges: Sony's recommended values for the ERS-7. Torques, gains and inertia are chosen: to stand
+# takes a tenth of the torque, and the knees give by 0.2 degrees.
 ERS_SERVO = {"torque": 1.5, "stiffness": 30.0, "damping": 0.5, "armature": 0.004}
 ERS_ROTATOR = Motor(max_speed=4.865, **ERS_SERVO)
 ERS_KNEE = Motor(max_speed=5.280, **ERS_SERVO)  # elevators are as fast
@@ -183,14 +182,14 @@ ERS = RobotSpec(
         ("dimensions", "manual 12.14"),
         ("mass", "manual 12.14"),
         ("layout", "manual 12.14"),
-        ("lengths", "data sheet"),
+        ("lengths of upper legs and front paws", "data sheet"),
         ("joint ranges and speeds", "data sheet"),
         ("infrared ranges", "data sheet"),
         ("battery_life", "manual 12.1"),
         ("origin_height", "chosen"),
         ("joint names", "chosen"),
         ("torques", "chosen"),
-        ("masses of parts", "chosen"),
+        ("masses and other lengths of parts", "chosen"),
     ),
 )
 
@@ -217,48 +216,36 @@ def _qrio_part(
 
 
 def _qrio_leg(side: str, y: float) -> tuple[Part, ...]:
-    name = f"{side}{{}}".format
+    yaw, roll, pitch = (f"{side}Hip{joint}" for joint in ("Yaw", "Roll", "Pitch"))
+    knee, ankle = f"{side}Knee", f"{side}AnklePitch"
+    gear = _gear(0.02, 0.10)
     thigh = _box((0.06, 0.06, 0.09), 0.45, (0.0, 0.0, QRIO_THIGH / 2), "fixture")
     shin = _box((0.055, 0.055, 0.09), 0.40, (0.0, 0.0, QRIO_SHIN / 2))
     foot = _box((0.16, 0.07, 0.02), 0.25, (0.02, 0.0, QRIO_ANKLE - 0.01))
     return (
-        _qrio_part(name("HipYaw"), CHASSIS, _toes_out(y), (-30, 45), _gear(0.02, 0.10), (0.0, y, 0.0)),
-        _qrio_part(name("HipRoll"), name("HipYaw"), _out(y), (-20, 40), _gear(0.02, 0.10)),
-        _qrio_part(name("HipPitch"), name("HipRoll"), LIFT, (-30, 90), thigh),
-        _qrio_part(name("Knee"), name("HipPitch"), BEND, (0, 120), shin, (0.0, 0.0, QRIO_THIGH)),
-        _qrio_part(
-            name("AnklePitch"), name("Knee"), LIFT, (-45, 60), _gear(0.02, 0.05), (0.0, 0.0, QRIO_SHIN)
-        ),
-        _qrio_part(name("AnkleRoll"), name("AnklePitch"), _out(y), (-25, 25), foot),
+        _qrio_part(yaw, CHASSIS, _toes_out(y), (-30, 45), gear, (0.0, y, 0.0)),
+        _qrio_part(roll, yaw, _out(y), (-20, 40), gear),
+        _qrio_part(pitch, roll, LIFT, (-30, 90), thigh),
+        _qrio_part(knee, pitch, BEND, (0, 120), shin, (0.0, 0.0, QRIO_THIGH)),
+        _qrio_part(ankle, knee, LIFT, (-45, 60), _gear(0.02, 0.05), (0.0, 0.0, QRIO_SHIN)),
+        _qrio_part(f"{side}AnkleRoll", ankle, _out(y), (-25, 25), foot),
     )
 
 
 def _qrio_arm(side: str, y: float) -> tuple[Part, ...]:
-    name = f"{side}{{}}".format
     upper = _box((0.05, 0.05, 0.09), 0.20, (0.0, 0.0, 0.045), "fixture")
     lower = _box((0.045, 0.045, 0.11), 0.20, (0.0, 0.0, 0.055))
+    pitch, roll, elbow = (f"{side}{joint}" for joint in ("ShoulderPitch", "ShoulderRoll", "Elbow"))
+    gear = _gear(0.025, 0.10)
     return (
-        _qrio_part(
-            name("ShoulderPitch"),
-            "BodyTilt",
-            LIFT,
-            (-90, 180),
-            _gear(0.025, 0.10),
-            at=(0.0, y, -0.12),
-            motor=QRIO_ARM,
-        ),
-        _qrio_part(name("ShoulderRoll"), name("ShoulderPitch"), _out(y), (-10, 150), upper, motor=QRIO_ARM),
-        _qrio_part(
-            name("Elbow"),
-            name("ShoulderRoll"),
-            LIFT,
-            (0, 130),
-            lower,
-            at=(0.0, 0.0, 0.09),
-            motor=QRIO_ARM,
-        ),
+        _qrio_part(pitch, "BodyTilt", LIFT, (-90, 180), gear, (0.0, y, -0.12), QRIO_ARM),
+        _qrio_part(roll, pitch, _out(y), (-10, 150), upper, motor=QRIO_ARM),
+        _qrio_part(elbow, roll, LIFT, (0, 130), lower, (0.0, 0.0, 0.09), QRIO_ARM),
     )
 
+
+QRIO_TORSO = _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))
+QRIO_HEAD = _box((0.12, 0.14, 0.115), 0.60, (0.0, 0.0, -0.0575))
 
 QRIO = RobotSpec(
     name="QRIO",
@@ -270,21 +257,11 @@ QRIO = RobotSpec(
         *_qrio_leg("Left", -QRIO_HIP),
         *_qrio_leg("Right", QRIO_HIP),
         _qrio_part("BodyPan", CHASSIS, UP, (-60, 60), _gear(0.03, 0.10), (0.0, 0.0, -0.05)),
-        _qrio_part(
-            "BodyTilt", "BodyPan", LIFT, (-45, 20), _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))
-        ),
+        _qrio_part("BodyTilt", "BodyPan", LIFT, (-45, 20), QRIO_TORSO),
         *_qrio_arm("Left", -0.105),
         *_qrio_arm("Right", 0.105),
         _qrio_part("HeadPan", "BodyTilt", UP, (-90, 90), _gear(0.02, 0.05), (0.0, 0.0, -0.15), QRIO_ARM),
-        _qrio_part(
-            "HeadTilt",
-            "HeadPan",
-            LIFT,
-            (-40, 40),
-            _box((0.12, 0.14, 0.115), 0.60, (0.0, 0.0, -0.0575)),
-            (0.0, 0.0, -0.015),
-            QRIO_ARM,
-        ),
+        _qrio_part("HeadTilt", "HeadPan", LIFT, (-40, 40), QRIO_HEAD, (0.0, 0.0, -0.015), QRIO_ARM),
     ),
     drive=NoDrive(kind="LeggedRobot", steering_type="TwoLegs"),
     sensors=POSES,

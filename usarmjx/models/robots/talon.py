@@ -166,8 +166,8 @@ def rugbot(wheels: int = 3) -> RobotSpec:
             # Its mass lies low, between the tracks.
             Shape(
                 kind="box",
-                size=(0.15, 0.06, 0.05),
-                at=(0.0, 0.0, 0.04),
+                size=(0.15, 0.06, 0.04),
+                at=(0.0, 0.0, 0.07),
                 mass=RUGBOT_MASS - mass_of(parts, packages),
                 surface="fixture",
                 rgba=RED,

@@ -28,7 +28,7 @@ TELEMAX_FLIPPERS = Flippers(
     height=0.0,
     length=0.34,
     tip=0.06,
-    count=3,
+    count=4,
     mass=1.5,
     motor=Motor(max_speed=1.0, torque=250.0, stiffness=8000.0, damping=280.0, armature=4.0),
 )
@@ -125,7 +125,7 @@ TELEMAX_ARM = MissionPackage(
 )
 
 
-def telemax(wheels: int = 3) -> RobotSpec:
+def telemax(wheels: int = 4) -> RobotSpec:
     """Return the TeleMax with so many wheels in each row of the chassis (manual 12.10.2)."""
     rows = track_pair(
         TELEMAX_BELT,

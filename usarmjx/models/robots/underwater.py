@@ -17,7 +17,7 @@ GREY: Colour = (0.5, 0.5, 0.55, 1.0)
 
 LENGTH, WIDTH, HEIGHT = 6.5364, 1.1428, 1.9929  # manual
 RADII: Vec3 = (LENGTH / 2, WIDTH / 2, HEIGHT / 2)
-MASS = WATER * 4 / 3 * math.pi * math.prod(RADII)  # 7795 kg
+MASS = float(round(WATER * 4 / 3 * math.pi * math.prod(RADII)))  # 7795 kg
 HEAD_MASS = 0.5  # of kit.pan_tilt
 RUDDER_AREA, PLANE_AREA, CHORD = 0.3378, 0.2152, 0.4  # manual; chosen chord
 TUBE = WIDTH / 2  # radius of the pressure hull, which leaves the height to sail, keel and mast (chosen)

@@ -1,0 +1,1 @@
+"""The radio: received power behind walls, links, messages over them, and who reaches whom."""

@@ -1,0 +1,118 @@
+"""Who reaches whom over several hops: for rewards, scores and tasks.
+
+All functions take square tables of one world, (robots, robots), and can be mapped over worlds; leading
+axes are allowed too. `linked` is `Links.in_range`, `power` is `Links.power`; both are symmetric.
+"""
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def _squarings(robots: int) -> int:
+    """How often a table of paths is joined with itself until it has the longest, of robots - 1 hops."""
+    return math.ceil(math.log2(robots - 1)) if robots > 2 else 0
+
+
+@jax.jit
+def joined(linked: jax.Array) -> jax.Array:
+    """Return who reaches whom over any number of hops, everyone itself too (..., robots, robots)."""
+    robots = linked.shape[-1]
+    paths = linked | np.eye(robots, dtype=bool)
+    for _ in range(_squarings(robots)):
+        paths = (paths[..., :, :, None] & paths[..., None, :, :]).any(-2)
+    return paths
+
+
+@jax.jit
+def hops(linked: jax.Array, base: jax.Array | int) -> jax.Array:
+    """Return over how many links each robot reaches the base; as many as there are robots: it does not.
+
+    Args:
+        linked: Which links hold (..., robots, robots).
+        base: Slot of the base station ().
+
+    Returns:
+        int32 (..., robots); 0 at the base itself.
+    """
+    robots = linked.shape[-1]
+    start = jnp.where(jnp.arange(robots) == base, 0, robots)
+    start = jnp.broadcast_to(start, (*linked.shape[:-2], robots)).astype(jnp.int32)
+
+    def widen(_: int, count: jax.Array) -> jax.Array:
+        via = jnp.where(linked, count[..., None, :], robots).min(-1)
+        return jnp.minimum(count, via + 1)
+
+    return jax.lax.fori_loop(0, max(robots - 1, 0), widen, start)
+
+
+@partial(jax.jit, static_argnames="most")
+def reachable(linked: jax.Array, base: jax.Array | int, most: int | None = None) -> jax.Array:
+    """Return who reaches the base station, itself included (..., robots).
+
+    Args:
+        linked: Which links hold (..., robots, robots).
+        base: Slot of the base station ().
+        most: Over so many hops at most; None: over any number.
+    """
+    if most is None:
+        return jnp.take(joined(linked), base, -2)
+    return hops(linked, base) <= min(most, linked.shape[-1] - 1)
+
+
+@jax.jit
+def components(linked: jax.Array) -> jax.Array:
+    """Return a number for each robot, the same for all that reach each other: the lowest slot among them.
+
+    Args:
+        linked: Which links hold (..., robots, robots).
+
+    Returns:
+        int32 (..., robots); a robot without links has its own slot.
+    """
+    return jnp.argmax(joined(linked), -1).astype(jnp.int32)
+
+
+@jax.jit
+def bottleneck(power: jax.Array) -> jax.Array:
+    """Return the power of the weakest link on the best way between each two robots [dBm].
+
+    The best way is the one whose weakest link is strongest, whether it holds or not; so two robots reach
+    each other exactly if this is not below the cutoff.
+
+    Args:
+        power: Power received (..., robots, robots), symmetric; -inf without a pair.
+
+    Returns:
+        (..., robots, robots), symmetric; inf from a robot to itself, -inf where no way leads.
+    """
+    robots = power.shape[-1]
+    best = jnp.where(np.eye(robots, dtype=bool), jnp.inf, power)
+    for _ in range(_squarings(robots)):
+        best = jnp.minimum(best[..., :, :, None], best[..., None, :, :]).max(-2)
+    return best
+
+
+@jax.jit
+def bottleneck_link(power: jax.Array, base: jax.Array | int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the link on which the base's worst connection hangs: to strengthen it helps the most.
+
+    Robots without any pair (parked ones) do not count.
+
+    Args:
+        power: Power received (robots, robots), symmetric; -inf without a pair.
+        base: Slot of the base station ().
+
+    Returns:
+        Its power [dBm] and the lower and the higher slot of its ends, (), (), (); of several links of just
+        that power the first. Without any pair the power is inf, and the ends are 0 and 0.
+    """
+    robots = power.shape[-1]
+    there = jnp.isfinite(power).any(-1)
+    weakest = jnp.where(there, bottleneck(power)[base], jnp.inf).min()
+    upper = np.triu(np.ones((robots, robots), bool), 1)
+    place = jnp.argmax((power == weakest) & upper)
+    return weakest, place // robots, place % robots

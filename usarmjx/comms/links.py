@@ -1,0 +1,165 @@
+"""Who hears whom in one world: a table of all pairs, symmetric, and what changed since the last one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.comms.attenuation import RadioSettings, received_power
+from usarmjx.comms.walls import count_walls
+from usarmjx.sensors.raycast import Geoms
+from usarmjx.transforms import Array
+
+SHORTEST = 1e-12
+"""Keeps the square root of a distance differentiable where two antennas are in one place [m2]."""
+
+
+class Links(struct.PyTreeNode, kw_only=True):
+    """The radio links of one world; rows and columns are roster slots, and every table is symmetric.
+
+    Attributes:
+        power: Power received; -inf where there is no pair [dBm] (robots, robots).
+        walls: Solids between the antennas; 0 where there is no pair (robots, robots).
+        paired: Whether both robots are in use, and two: nobody has a link to itself (robots, robots).
+        in_range: Whether the link holds: the power is not below the cutoff (robots, robots).
+        chance: Probability that a message over it arrives; 0 if it does not hold (robots, robots).
+        lost: Whether the link held at the last evaluation and does not now (robots, robots).
+        gained: Whether it holds now and did not then (robots, robots).
+        known: Whether this episode has been looked at; if not, there are no links yet ().
+        step: Control step of the episode in which this was evaluated ().
+    """
+
+    power: Array
+    walls: Array
+    paired: Array
+    in_range: Array
+    chance: Array
+    lost: Array
+    gained: Array
+    known: Array
+    step: Array
+
+
+def no_links(robots: int) -> Links:
+    """Return the table of an episode that has not been looked at yet."""
+    never = jnp.zeros((robots, robots), bool)
+    return Links(
+        power=jnp.full((robots, robots), -jnp.inf),
+        walls=jnp.zeros((robots, robots), jnp.int32),
+        paired=never,
+        in_range=never,
+        chance=jnp.zeros((robots, robots)),
+        lost=never,
+        gained=never,
+        known=jnp.zeros((), bool),
+        step=jnp.zeros((), jnp.int32),
+    )
+
+
+def pairs_of(robots: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slots of all unordered pairs: the lower ones and the higher ones (pairs,)."""
+    return np.triu_indices(robots, 1)
+
+
+def _square(values: jax.Array, robots: int, diagonal: float) -> jax.Array:
+    """Return values of pairs (pairs,) as a symmetric table (robots, robots)."""
+    # Gathered, not scattered: every entry of the table picks its pair.
+    low, high = pairs_of(robots)
+    place = np.zeros((robots, robots), int)
+    place[low, high] = place[high, low] = np.arange(len(low))
+    if not len(low):
+        return jnp.full((robots, robots), diagonal, values.dtype)
+    return jnp.where(np.eye(robots, dtype=bool), jnp.asarray(diagonal, values.dtype), values[place])
+
+
+def shadowing(settings: RadioSettings, key: jax.Array, robots: int) -> jax.Array:
+    """Return by how much surroundings strengthen or weaken each pair's link [dB] (pairs,).
+
+    Log-normal: normal in decibels. A pair keeps its number as long as the key is the same, whoever else
+    is there.
+    """
+    if settings.shadowing == 0:
+        return jnp.zeros(len(pairs_of(robots)[0]))
+
+    def draw(low: jax.Array, high: jax.Array) -> jax.Array:
+        return jax.random.normal(jax.random.fold_in(jax.random.fold_in(key, low), high))
+
+    return settings.shadowing * jax.vmap(draw)(*map(jnp.asarray, pairs_of(robots)))
+
+
+def delivery_chance(settings: RadioSettings, power: jax.Array) -> jax.Array:
+    """Return the probability that a message gets through at a power [dBm] (...)."""
+    margin = power - settings.cutoff
+    if settings.loss_band == 0:
+        return (margin >= 0).astype(jnp.float32)
+    return jnp.clip(margin / settings.loss_band, 0.0, 1.0)
+
+
+def pair_powers(
+    settings: RadioSettings, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
+) -> tuple[jax.Array, jax.Array]:
+    """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
+
+    Differentiable in the antennas' places; walls count as if they stayed as they are.
+
+    Args:
+        settings: The constants.
+        geoms: The arena's solids.
+        antennas: Where the antennas are [m] (robots, 3).
+        shadow: What shadowing adds [dB] (pairs,).
+    """
+    low, high = pairs_of(len(antennas))
+    start, end = antennas[low], antennas[high]
+    way = end - start
+    distance = jnp.sqrt(jnp.maximum((way * way).sum(-1), SHORTEST))
+    walls = count_walls(geoms, jax.lax.stop_gradient(start), jax.lax.stop_gradient(end))
+    return received_power(settings, distance, walls) + shadow, walls
+
+
+def evaluate(
+    settings: RadioSettings,
+    geoms: Geoms,
+    robots: tuple[jax.Array, jax.Array],
+    before: Links,
+    key: jax.Array,
+    step: jax.Array,
+) -> Links:
+    """Return the links as they are now.
+
+    Args:
+        settings: The constants.
+        geoms: The arena's solids: neither robots nor loose objects, which do not weaken a link.
+        robots: Where their antennas are [m] (robots, 3), and which of them are in use; the others have no
+            links (robots,).
+        before: The last table; the first one of an episode has no events.
+        key: The episode's, for shadowing.
+        step: The present control step ().
+    """
+    antennas, in_use = robots
+    count = len(antennas)
+    power, walls = pair_powers(settings, geoms, antennas, shadowing(settings, key, count))
+    paired = in_use[:, None] & in_use[None, :] & ~np.eye(count, dtype=bool)
+    power = jnp.where(paired, _square(power, count, -jnp.inf), -jnp.inf)
+    in_range = paired & (power >= settings.cutoff)
+    return Links(
+        power=power,
+        walls=jnp.where(paired, _square(walls, count, 0), 0),
+        paired=paired,
+        in_range=in_range,
+        chance=delivery_chance(settings, power),
+        lost=before.known & before.in_range & ~in_range,
+        gained=before.known & ~before.in_range & in_range,
+        known=jnp.ones((), bool),
+        step=step,
+    )
+
+
+def is_due(links: Links, step: jax.Array, every: int) -> jax.Array:
+    """Return whether it is time to evaluate again: so many control steps have passed, or none was yet ()."""
+    return ~links.known | (step >= links.step + every)
+
+
+def repeat(links: Links, step: jax.Array) -> Links:
+    """Return the last table for another look at it: its events stay events of their own control step."""
+    same = links.step == step
+    return links.replace(lost=links.lost & same, gained=links.gained & same)

@@ -1,0 +1,194 @@
+"""Messages between the robots of a world, for policies and tasks: fixed-size boxes, pure functions.
+
+A message is a vector of numbers and stands for so many bytes. `deliver` hands messages over at once, over
+links that hold; what does not arrive is counted, by sender and by cause.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.comms.links import Links
+from usarmjx.errors import SpecError
+from usarmjx.transforms import Array
+
+BYTES_PER_NUMBER = 4
+"""What a message stands for if nothing else is said: numbers in single precision."""
+
+
+@dataclass(frozen=True)
+class MailSettings:
+    """Sizes of the mail of a scene.
+
+    Attributes:
+        numbers: Numbers in a message.
+        capacity: Messages that a robot's box holds until it is emptied.
+        budget: Bytes that a robot may send in a control step, each receiver counted [bytes].
+
+    Raises:
+        SpecError: A size below 1.
+    """
+
+    numbers: int = 8
+    capacity: int = 8
+    budget: int = 1500
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        for name in ("numbers", "capacity", "budget"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise SpecError(f"mail: {name} is {value}, allowed is a whole number from 1")
+
+
+class Dropped(struct.PyTreeNode, kw_only=True):
+    """Messages that did not arrive since the episode began, by sender; a message to three counts thrice.
+
+    Attributes:
+        over_budget: The sender had no bytes left in the control step (robots,).
+        no_link: There was no link that holds (robots,).
+        lost: Lost near the cutoff (robots,).
+        box_full: The receiver's box was full (robots,).
+    """
+
+    over_budget: Array
+    no_link: Array
+    lost: Array
+    box_full: Array
+
+
+class Mail(struct.PyTreeNode, kw_only=True):
+    """The boxes of one world's robots; what lies behind the first `count` places means nothing.
+
+    Attributes:
+        count: Messages in the box (robots,).
+        sender: Slots of their senders, in the order of arrival (robots, capacity).
+        time: When they were sent [s] (robots, capacity).
+        length: What they stand for [bytes] (robots, capacity).
+        payload: What they say (robots, capacity, numbers).
+        spent: Sent in the control step `step` [bytes] (robots,).
+        step: Control step of the last sending ().
+        sent: Messages sent since the episode began, arrived or not (robots,).
+        dropped: Those of them that did not arrive.
+    """
+
+    count: Array
+    sender: Array
+    time: Array
+    length: Array
+    payload: Array
+    spent: Array
+    step: Array
+    sent: Array
+    dropped: Dropped
+
+    @property
+    def valid(self) -> Array:
+        """Which places hold a message (robots, capacity)."""
+        return jnp.arange(self.sender.shape[-1]) < self.count[..., None]
+
+
+class Letters(struct.PyTreeNode, kw_only=True):
+    """What the robots of one world want to say: each one message, to any number of the others.
+
+    Attributes:
+        to: Receivers (robots, robots): row sender, column receiver.
+        payload: The messages (robots, numbers).
+        length: What each stands for; not below 0 [bytes] (robots,).
+    """
+
+    to: Array
+    payload: Array
+    length: Array
+
+
+def no_mail(settings: MailSettings, robots: int) -> Mail:
+    """Return empty boxes."""
+    box, none = (robots, settings.capacity), jnp.zeros(robots, jnp.int32)
+    return Mail(
+        count=none,
+        sender=jnp.zeros(box, jnp.int32),
+        time=jnp.zeros(box),
+        length=jnp.zeros(box, jnp.int32),
+        payload=jnp.zeros((*box, settings.numbers)),
+        spent=none,
+        step=jnp.zeros((), jnp.int32),
+        sent=none,
+        dropped=Dropped(over_budget=none, no_link=none, lost=none, box_full=none),
+    )
+
+
+def _through(links: Links, key: jax.Array) -> jax.Array:
+    """Return over which links a message gets through this time (robots, robots)."""
+    return jax.random.uniform(key, links.chance.shape) < links.chance
+
+
+def deliver(
+    settings: MailSettings,
+    mail: Mail,
+    letters: Letters,
+    links: Links,
+    moment: tuple[Array, Array],
+    key: Array,
+) -> Mail:
+    """Return the boxes after everyone's message went to its receivers.
+
+    A sender's bytes are spent in the order of the receivers' slots, and on messages that do not arrive
+    too: it cannot know. A box takes what arrives in the order of the senders' slots. Messages to oneself
+    find no link.
+
+    Args:
+        settings: Sizes.
+        mail: The boxes.
+        letters: What is said to whom.
+        links: The links that there are.
+        moment: Control step and simulated time [s] (), ().
+        key: For losses near the cutoff; new for every delivery.
+    """
+    step, time = moment
+    to, capacity = letters.to, settings.capacity
+    spent = jnp.where(mail.step == step, mail.spent, 0)
+    length = jnp.maximum(letters.length, 0).astype(jnp.int32)
+    # Counted in messages, not in bytes, whose sum over many receivers could overflow.
+    left = jnp.maximum(settings.budget - spent, 0)
+    affordable = jnp.where(length > 0, left // jnp.maximum(length, 1), to.shape[-1])
+    paid = to & (jnp.cumsum(to, -1) <= affordable[:, None])
+    linked = paid & links.in_range
+    arrived = linked & _through(links, key)
+
+    place = mail.count[None, :] + jnp.cumsum(arrived, 0) - 1  # in the receiver's box
+    fits = arrived & (place < capacity)
+    # Which sender's message goes where: all other tables are looked up by it.
+    robots = len(to)
+    sender, receiver = jnp.meshgrid(jnp.arange(robots), jnp.arange(robots), indexing="ij")
+    where = (receiver, jnp.where(fits, place, capacity))
+    new_sender = jnp.full((robots, capacity), -1).at[where].set(sender, mode="drop")
+    fresh, source = new_sender >= 0, jnp.maximum(new_sender, 0)
+
+    def count(dropped: jax.Array) -> jax.Array:
+        return dropped.sum(-1, dtype=jnp.int32)
+
+    before = mail.dropped
+    return mail.replace(
+        count=mail.count + fits.sum(0, dtype=jnp.int32),
+        sender=jnp.where(fresh, source, mail.sender),
+        time=jnp.where(fresh, time, mail.time),
+        length=jnp.where(fresh, length[source], mail.length),
+        payload=jnp.where(fresh[..., None], letters.payload[source], mail.payload),
+        spent=spent + length * count(paid),
+        step=step,
+        sent=mail.sent + count(to),
+        dropped=Dropped(
+            over_budget=before.over_budget + count(to & ~paid),
+            no_link=before.no_link + count(paid & ~links.in_range),
+            lost=before.lost + count(linked & ~arrived),
+            box_full=before.box_full + count(arrived & ~fits),
+        ),
+    )
+
+
+def empty(mail: Mail, where: Array = True) -> Mail:
+    """Return the boxes with those of the masked robots (robots,) emptied: they have read their mail."""
+    return mail.replace(count=jnp.where(where, 0, mail.count))

@@ -1,0 +1,171 @@
+"""How many solids lie between two antennas.
+
+A solid counts once, however thin, and however close to the next one, when the open segment between the
+antennas passes through its inside. So a segment that starts or ends inside a solid, or lies within it
+whole, counts it; one that runs along a face or an edge, or only touches a corner, does not; one whose ends
+are the same point counts the solids which that point is inside of. A plane counts when the two ends lie on
+opposite sides of it (neither on it), and the segment meets it within its half sizes.
+
+The in-engine server marched along the segment and looked again 0.2 m behind each surface it met, so that a
+stack of thin walls counted as one there. Here it counts in full.
+
+Kernels see a segment by its middle and the half vector from there to its end, in the geom's frame, so that
+exchanging the two ends changes no bit of the answer. They take no square roots, and divide only for round
+shapes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.errors import UnsupportedGeomError
+from usarmjx.models.compose import Physics, new_spec
+from usarmjx.models.spec import ArenaSpec
+from usarmjx.sensors.raycast import Block, Geoms, gather
+
+TINY = 1e-12
+"""Stands in for zero where it divides."""
+
+GeomType = mujoco.mjtGeom
+Triple = tuple[jax.Array, jax.Array, jax.Array]
+"""Components x, y, z; apart, so that no array of segments times geoms is stored."""
+
+
+def crosses_plane(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment goes through a plane with normal z; sizes 0 mean unbounded."""
+    crossed = jnp.abs(middle[2]) < jnp.abs(half[2])
+    t = -middle[2] / jnp.where(half[2] == 0, 1.0, half[2])
+    for axis in (0, 1):
+        crossed &= (size[axis] <= 0) | (jnp.abs(middle[axis] + t * half[axis]) < size[axis])
+    return crossed
+
+
+def crosses_box(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment meets the inside of a box with half lengths `size`: no axis separates them.
+
+    The axes are the box's own and their cross products with the segment (a box swept along a segment has
+    no other faces); one whose product vanishes, as the segment is parallel to it, separates nothing.
+    """
+    crossed = jnp.ones((), bool)
+    for axis in range(3):
+        crossed &= jnp.abs(middle[axis]) < size[axis] + jnp.abs(half[axis])
+    for axis in range(3):
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        apart = jnp.abs(middle[j] * half[k] - middle[k] * half[j])
+        room = size[j] * jnp.abs(half[k]) + size[k] * jnp.abs(half[j])
+        crossed &= (apart < room) | (room == 0)
+    return crossed
+
+
+def _nearest_squared(middle: Triple, half: Triple, axes: int) -> jax.Array:
+    """Squared distance of a segment from the origin, or, over two axes, from the z axis."""
+    m, h = middle[:axes], half[:axes]
+    along = sum(a * b for a, b in zip(m, h, strict=True))
+    t = jnp.clip(-along / jnp.maximum(sum(b * b for b in h), TINY), -1.0, 1.0)
+    return sum((a + t * b) ** 2 for a, b in zip(m, h, strict=True))  # type: ignore - not empty
+
+
+def crosses_sphere(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment meets the inside of a sphere of radius `size[0]`."""
+    return _nearest_squared(middle, half, 3) < size[0] ** 2
+
+
+def crosses_ellipsoid(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment meets the inside of an ellipsoid with radii `size`: a unit sphere, stretched."""
+    scale = [1.0 / s for s in size]
+    stretched = [tuple(a * s for a, s in zip(v, scale, strict=True)) for v in (middle, half)]
+    return _nearest_squared(*stretched, 3) < 1.0  # type: ignore - three components each
+
+
+def crosses_cylinder(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment meets the inside of a cylinder about z with radius `size[0]`, half length `size[1]`.
+
+    Of the part between the planes of the caps, the place nearest to the axis decides.
+    """
+    (mx, my, mz), (hx, hy, hz) = middle, half
+    slope = jnp.where(jnp.abs(hz) < TINY, TINY, hz)
+    centre, width = -mz / slope, size[1] / jnp.abs(slope)
+    low, high = jnp.clip(centre - width, -1.0, 1.0), jnp.clip(centre + width, -1.0, 1.0)
+    t = jnp.clip(-(mx * hx + my * hy) / jnp.maximum(hx * hx + hy * hy, TINY), low, high)
+    beside = (mx + t * hx) ** 2 + (my + t * hy) ** 2
+    return (jnp.abs(mz) < size[1] + jnp.abs(hz)) & (beside < size[0] ** 2)
+
+
+def crosses_capsule(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+    """Whether a segment meets the inside of a capsule about z: its tube or one of its two balls."""
+    crossed = crosses_cylinder(middle, half, size)
+    for end in (-size[1], size[1]):
+        crossed |= crosses_sphere((middle[0], middle[1], middle[2] - end), half, size)
+    return crossed
+
+
+KERNELS: dict[int, Callable[[Triple, Triple, Triple], jax.Array]] = {
+    int(GeomType.mjGEOM_PLANE): crosses_plane,
+    int(GeomType.mjGEOM_BOX): crosses_box,
+    int(GeomType.mjGEOM_SPHERE): crosses_sphere,
+    int(GeomType.mjGEOM_CAPSULE): crosses_capsule,
+    int(GeomType.mjGEOM_CYLINDER): crosses_cylinder,
+    int(GeomType.mjGEOM_ELLIPSOID): crosses_ellipsoid,
+}
+
+
+def check_types(geom_types: Sequence[int]) -> None:
+    """Refuse geoms that no kernel can count.
+
+    Raises:
+        UnsupportedGeomError: Names the types, and those that can be counted.
+    """
+    bad = sorted({GeomType(int(t)).name for t in geom_types if int(t) not in KERNELS})
+    if bad:
+        known = ", ".join(GeomType(t).name for t in KERNELS)
+        raise UnsupportedGeomError(f"the radio cannot count walls of type {', '.join(bad)}; it can: {known}")
+
+
+@cache
+def arena_solids(arena: ArenaSpec) -> Geoms:
+    """Return what weakens radio links in an arena: its floor and its fixed solids, not what lies loose.
+
+    Raises:
+        UnsupportedGeomError: A solid that cannot be counted.
+    """
+    model = new_spec(replace(arena, loose=()), Physics()).compile()
+    check_types(model.geom_type)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    pos, mat = data.geom_xpos.astype(np.float32), data.geom_xmat.reshape(-1, 3, 3).astype(np.float32)
+    owner = np.full(model.ngeom, -1)
+    # Numpy throughout: jax arrays made while tracing could not be kept.
+    return gather(model.geom_type, pos, mat, model.geom_size.astype(np.float32), owner)  # type: ignore
+
+
+def _crossed(kind: int, block: Block, middle: jax.Array, half: jax.Array) -> jax.Array:
+    """Which geoms of a block one segment crosses (geoms,)."""
+    # As in the raycaster: sums of products fuse with the kernel and are not rounded to TensorFloat-32.
+    offset, mat = middle - block.pos, block.mat
+    local = tuple(sum(mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3))
+    along = tuple(sum(mat[:, j, i] * half[j] for j in range(3)) for i in range(3))
+    return KERNELS[kind](local, along, tuple(block.size[:, i] for i in range(3)))  # type: ignore - three each
+
+
+@jax.jit
+def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
+    """Return how many solids lie on the way of each segment, as the module says (segments,) int32.
+
+    Args:
+        geoms: The solids: what belongs to the arena, no robots and no loose objects; owners do not matter.
+        start: Where the segments start [m] (segments, 3).
+        end: Where they end [m] (segments, 3).
+    """
+
+    def one(middle: jax.Array, half: jax.Array) -> jax.Array:
+        count = jnp.zeros((), jnp.int32)
+        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
+            count = count + _crossed(kind, block, middle, half).sum(dtype=jnp.int32)
+        return count
+
+    return jax.vmap(one)((start + end) / 2, (end - start) / 2)

@@ -1,0 +1,52 @@
+"""UnitLoader: a platform on four wheels with a roller table, which takes packages over and hands them on.
+
+A release of 2011 could spawn a class of that name; of its looks and figures nothing is known. All are chosen.
+"""
+
+from usarmjx.models.drives import SkidSteer
+from usarmjx.models.kit import POSE_SENSORS, sick, sick_housing, wheel
+from usarmjx.models.spec import Motor, Mount, RobotSpec, Shape
+
+RADIUS, TRACK, BASE = 0.12, 0.50, 0.34
+LENGTH, WIDTH, DECK = 0.60, 0.56, 0.34  # the deck's height, on which the rollers stand
+ORIGIN = 0.20
+MOTOR = Motor(max_speed=6.0, torque=8.0, armature=0.3)
+SCANNER = (0.22, 0.0, 0.03)  # in a recess below the deck
+YELLOW = (0.9, 0.7, 0.1, 1.0)
+
+UNIT_LOADER = RobotSpec(
+    name="UnitLoader",
+    dimensions=(LENGTH, WIDTH, DECK),
+    mass=40.0,
+    payload=40.0,
+    origin_height=ORIGIN,
+    chassis=(
+        Shape(kind="box", size=(0.28, 0.20, 0.06), at=(0.0, 0.0, 0.08), mass=34.2, rgba=YELLOW),
+        Shape(kind="box", size=(LENGTH / 2, WIDTH / 2, 0.02), at=(0.0, 0.0, -0.05), rgba=YELLOW),
+        sick_housing(SCANNER),
+    ),
+    parts=tuple(
+        wheel(name, at=(x, y, ORIGIN - RADIUS), size=(RADIUS, WIDTH - TRACK), mass=1.0, motor=MOTOR)
+        for name, x, y in (
+            ("LeftFWheel", BASE / 2, -TRACK / 2),
+            ("RightFWheel", BASE / 2, TRACK / 2),
+            ("LeftRWheel", -BASE / 2, -TRACK / 2),
+            ("RightRWheel", -BASE / 2, TRACK / 2),
+        )
+    ),
+    drive=SkidSteer(
+        left=("LeftFWheel", "LeftRWheel"),
+        right=("RightFWheel", "RightRWheel"),
+        max_spin=MOTOR.max_speed,
+        radius=RADIUS,
+    ),
+    sensors=(sick(SCANNER), *POSE_SENSORS),
+    effecters=(
+        Mount(kind="RollerTable", name="Roller", at=(0.0, 0.0, ORIGIN - DECK)),
+        Mount(kind="Headlight", name="Headlight", at=(0.30, 0.0, 0.0)),
+    ),
+    wheel_radius=RADIUS,
+    wheel_separation=TRACK,
+    wheel_base=BASE,
+    sources=(("dimensions", "chosen"), ("mass", "chosen"), ("top speed", "chosen"), ("layout", "chosen")),
+)

@@ -1,0 +1,97 @@
+"""The radio of a world: its links, and messages over them. Pure functions."""
+
+import jax
+import jax.numpy as jnp
+
+from usarmjx.comms.antenna import antenna_places
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links, evaluate, is_due, repeat
+from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver
+from usarmjx.comms.walls import arena_solids
+from usarmjx.engines.base import PhysicsState
+from usarmjx.errors import UsageError
+from usarmjx.scene import Scene
+from usarmjx.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, team_states, time_of
+
+
+def radio_of(scene: Scene) -> RadioSettings:
+    """Return the radio of a scene.
+
+    Raises:
+        UsageError: It has none.
+    """
+    if scene.radio is None:
+        raise UsageError("this scene has no radio: give build_scene a radio=RadioSettings(...)")
+    return scene.radio
+
+
+def mail_of(scene: Scene) -> MailSettings:
+    """Return the mail of a scene.
+
+    Raises:
+        UsageError: It has none.
+    """
+    if scene.mail is None:
+        raise UsageError("this scene has no mail: give build_scene a mail=MailSettings(...)")
+    return scene.mail
+
+
+def antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[jax.Array, jax.Array]:
+    """Return where the robots' antennas are [m] (robots, 3), and which robots are in use (robots,), by slot.
+
+    A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
+    """
+    places, in_use = jnp.zeros((scene.robots, 3)), jnp.zeros(scene.robots, bool)
+    for team, state in zip(scene.teams, world.teams, strict=True):
+        robots = team_states(team, physics)
+        here = antenna_places(team.robot, robots.pos, robots.quat, scene.arena.floor)
+        places, in_use = places.at[team.slots].set(here), in_use.at[team.slots].set(state.active)
+    return places, in_use
+
+
+def every(scene: Scene) -> int:
+    """Return after how many control steps the links are evaluated again."""
+    return max(1, round(radio_of(scene).period / scene.physics.period))
+
+
+def links_due(scene: Scene, world: World) -> jax.Array:
+    """Return whether the links are to be evaluated again ()."""
+    return is_due(_links(world), world.step, every(scene))
+
+
+def kept_links(world: World) -> Links:
+    """Return the links as they were last."""
+    return repeat(_links(world), world.step)
+
+
+def present_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
+    """Return the links as they are now if they are due, else as they were last."""
+    places, in_use = antennas(scene, world, physics)
+    key, solids = episode_key(world, RADIO_STREAM), arena_solids(scene.arena)
+    now = evaluate(radio_of(scene), solids, (places, in_use), _links(world), key, world.step)
+    due = links_due(scene, world)
+    return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, kept_links(world))
+
+
+def boxes(scene: Scene, world: World) -> Mail:
+    """Return the robots' boxes.
+
+    Raises:
+        UsageError: The scene has no mail.
+    """
+    mail_of(scene)
+    assert world.mail is not None  # as the scene has mail
+    return world.mail
+
+
+def send(scene: Scene, world: World, letters: Letters) -> Mail:
+    """Return the boxes after everyone's message went to its receivers, as far as links hold."""
+    mail = boxes(scene, world)
+    key = jax.random.fold_in(episode_key(world, MAIL_STREAM), mail.sent.sum())
+    moment = (world.step, time_of(scene, world))
+    return deliver(mail_of(scene), mail, letters, _links(world), moment, key)
+
+
+def _links(world: World) -> Links:
+    assert world.links is not None  # the scene has a radio
+    return world.links
