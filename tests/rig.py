@@ -85,13 +85,14 @@ class Rig:
     def step(self):
         data = self.data
         for i, (index, command) in enumerate(zip(self.indices, self.commands, strict=True)):
-            actuators, state = list(index.actuator), self.state(i)
+            targets, state = list(index.activation), self.state(i)
             depth = depth_in_water(self.arena, state.pos) if self.arena.waters else np.float32(-1e3)
             now = Circumstances(
                 time=np.float32(data.time), powered=np.bool_(self.powered), depth=np.float32(depth)
             )
-            told = self._control(command, state, data.act[actuators].astype(np.float32), now)
-            data.ctrl[actuators], data.act[actuators] = told.ctrl, told.act
+            told = self._control(command, state, data.act[targets].astype(np.float32), now)
+            data.ctrl[list(index.actuator)], data.ctrl[list(index.hold)] = told.ctrl, told.hold
+            data.act[targets] = told.act
             data.xfrc_applied[index.body[0]] = told.wrench
         mujoco.mj_step(self.model, data, nstep=Physics().substeps)
 

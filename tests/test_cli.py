@@ -48,7 +48,17 @@ def test_serve_help_names_every_option():
     result = invoke("serve", "--help")
     assert result.exit_code == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", result.output)
-    for option in ("--arena", "--worlds", "--instance", "--roster", "--host", "--port", "--engine", "--seed"):
+    for option in (
+        "--arena",
+        "--worlds",
+        "--instance",
+        "--roster",
+        "--host",
+        "--port",
+        "--engine",
+        "--seed",
+        "--ini",
+    ):
         assert option in plain
 
 
@@ -61,6 +71,23 @@ def test_list_names_robots_arenas_sensors_and_engines():
     assert "16 Sonar, RangeScanner, Odometry, INS, GroundTruth" in result.output
     assert "0.70 m/s" in result.output
     assert "1.80 m/s" in result.output
+
+
+def test_ini_files_add_robots_and_warn_on_the_error_stream(monkeypatch, tmp_path):
+    monkeypatch.setattr(ROBOTS, "_entries", dict(ROBOTS._entries))
+    first, second = tmp_path / "first.ini", tmp_path / "second.ini"
+    first.write_text("[USARBot.Twin]\nBaseClass=P2AT\nbDebug=True\n")
+    mount = "ItemClass=class'USARBot.INS',ItemName=A,Position=(X=5.25)"
+    second.write_text(f"[USARBot.Twin]\nbMountByUU=True\nWeight=15\nSensors=({mount})\n")
+    result = invoke("list", "--ini", str(first), "--ini", str(second), "--uu-per-metre", "52.5")
+    assert result.exit_code == 0
+    assert re.search(r"^  Twin .* 15 kg, 0\.70 m/s\n +INS$", result.stdout, re.MULTILINE)
+    assert re.fullmatch(r"usarmjx: warning: .*first\.ini:3: bDebug is ignored: .*\n", result.stderr)
+    assert ROBOTS.get("Twin").sensors[0].at[0] == pytest.approx(0.1)
+    second.write_text("[USARBot.P2AT]\nWeight=much\n")
+    result = invoke("serve", "--port", "0", "--ini", str(second))
+    assert result.exit_code == 2
+    assert re.fullmatch(r"usarmjx: .*second\.ini:2: Weight is 'much'; expected a number\n", result.stderr)
 
 
 @pytest.mark.parametrize(

@@ -128,8 +128,8 @@ def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
             here = team.plan.actuated
             told = steer(team.robot, still, values)
             speeds = jnp.where(told.order == Order.VELOCITY, told.target, 0.0)
-            ctrl = ctrl.at[:, team.actuator].set(speeds[..., here])
-            act = act.at[:, team.actuator].set(now.qpos[:, team.qpos[:, here]])
+            ctrl = ctrl.at[:, team.actuator].set(speeds[..., here]).at[:, team.hold].set(1.0)
+            act = act.at[:, team.activation].set(now.qpos[:, team.qpos[:, here]])
         return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act))
 
     return body

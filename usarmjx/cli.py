@@ -101,16 +101,44 @@ def serve(
     seed: SeedOption = 0,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
+    wireless: Annotated[bool, typer.Option(help="Serve the radio too.")] = True,
+    wss_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Wireless server (REGISTER, OPEN); else ListenPort, or 5874."),
+    ] = None,
+    wss2_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Stand-alone wireless server (INIT, DNS).")
+    ] = 50000,
+    position_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Positions for a wireless server elsewhere (GETPOS).")
+    ] = 7435,
+    radio_ini: Annotated[
+        Path | None, typer.Option(help="USARComServer.ini with the radio's constants.")
+    ] = None,
+    wireless_allow: Annotated[
+        list[str] | None,
+        typer.Option(help="IP address that may be dialled for others than itself; may be repeated."),
+    ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve one world of a batch over the Gamebots protocol."""
+    """Serve one world of a batch over the Gamebots protocol, and its radio."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
     with _Failure():
+        from usarmjx.comms.attenuation import RadioSettings, radio_settings
         from usarmjx.server.net import Settings
         from usarmjx.server.net import serve as run
+        from usarmjx.server.wireless_net import WirelessSettings, check_addresses, make_wireless
         from usarmjx.server.worlds import make_world
 
+        radio = radio_settings(radio_ini) if radio_ini else RadioSettings()
+        air = WirelessSettings(
+            host=host,
+            wss_port=radio.listen_port if wss_port is None else wss_port,
+            wss2_port=wss2_port,
+            position_port=position_port,
+            allow=check_addresses(wireless_allow or ()),
+        )
         _configure(ini, uu_per_metre)
         world = make_world(
             arena,
@@ -121,7 +149,8 @@ def serve(
             seats=max_connections,
             seed=seed,
         )
-        run(world, Settings(host, port, max_connections, realtime_factor))
+        services = [make_wireless(world, radio, air)] if wireless else []
+        run(world, Settings(host, port, max_connections, realtime_factor), services)
 
 
 @app.command()

@@ -73,13 +73,15 @@ class Driven(struct.PyTreeNode, kw_only=True):
     """What the engine needs for one robot.
 
     Attributes:
-        ctrl: Actuator inputs: velocities of the servos' targets (actuators,).
-        act: Actuator activations: the servos' targets (actuators,).
+        ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
+        hold: Inputs of the holding actuators: 1, or 0 under a torque order (actuators,).
+        act: Activations of the pulling ones: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
         refused: How many commanded numbers were not finite ().
     """
 
     ctrl: jax.Array
+    hold: jax.Array
     act: jax.Array
     wrench: jax.Array
     refused: jax.Array
@@ -211,33 +213,37 @@ def drive(
     command = command.replace(
         target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
     )
-    ctrl, act = _servo(plan, command, state, act, period)
+    ctrl, hold, act = _servo(plan, command, state, act, period)
     wrench = robot.drive.passive_wrench(state, now.depth)
     wrench += jnp.where(now.powered, robot.drive.wrench(command.setpoint, state, now.depth), 0.0)
     if robot.drive.wheeled:
         wrench += jnp.where(now.time < command.flip_until, righting(plan, state), 0.0)
     # A key of a drive that aims joints has reached their targets already.
     refused = (~finite).sum() + (0 if robot.drive.aims else (~sound).sum())
-    return Driven(ctrl=ctrl, act=act, wrench=wrench, refused=refused)
+    return Driven(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
 
 
 def _servo(
     plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float
-) -> tuple[jax.Array, jax.Array]:
-    """Return inputs and activations of the robot's actuators.
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the inputs and activations of a robot's actuators (`Driven`).
 
-    A torque is exerted by a servo whose target runs ahead of its joint by as much as that torque needs.
+    Under a torque order nothing holds the joint and the pull is that torque; at the end of its range the
+    joint is held there for as long as the torque pushes outward.
     """
     servos, here = servos_of(plan.robot), plan.actuated
-    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
+    q, target, order = (x[here] for x in (state.joint_pos, command.target, command.order))
     speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
     act = jnp.clip(act, q - servos.slack[here], q + servos.slack[here])
     wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
     rate = jnp.clip(wanted, -speed, speed)
     ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
-    ahead = (jnp.clip(target, -torque, torque) + servos.damping[here] * v) / servos.stiffness[here]
+    outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
     forced = order == Order.TORQUE
-    return jnp.where(forced, v, ctrl), jnp.where(forced, jnp.clip(q + ahead, low, high), act)
+    free = forced & ~outward
+    pull = jnp.clip(target, -torque, torque) / servos.stiffness[here]
+    act = jnp.where(forced, jnp.where(outward, jnp.clip(q, low, high), pull), act)
+    return jnp.where(forced, 0.0, ctrl), jnp.where(free, 0.0, 1.0), act
 
 
 def righting(plan: BodyPlan, state: RobotState) -> jax.Array:

@@ -12,7 +12,7 @@ from usarmjx.comms.mail import MailSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.errors import SpecError
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
+from usarmjx.models.compose import LOOSE, Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import BodyPlan, body_plan
@@ -99,8 +99,18 @@ class Team:
 
     @cached_property
     def actuator(self) -> np.ndarray:
-        """Actuator ids (n, joints)."""
+        """Ids of the actuators that pull (n, actuators)."""
         return np.array([index.actuator for index in self.indices], int)
+
+    @cached_property
+    def activation(self) -> np.ndarray:
+        """Addresses of the actuators' activations (n, actuators)."""
+        return np.array([index.activation for index in self.indices], int)
+
+    @cached_property
+    def hold(self) -> np.ndarray:
+        """Ids of the actuators that hold the joints (n, actuators)."""
+        return np.array([index.hold for index in self.indices], int)
 
     @cached_property
     def chassis(self) -> np.ndarray:
@@ -178,7 +188,7 @@ class Scene:
     @cached_property
     def loose_geoms(self) -> LooseGeoms:
         """What of the scene lies loose."""
-        model, names = self.model, [f"loose/{loose.name}" for loose in self.arena.loose]
+        model, names = self.model, [f"{LOOSE}{loose.name}" for loose in self.arena.loose]
         bodies = [model.body(name).id for name in names]
         roots = [int(model.joint(name).qposadr[0]) for name in names]
         mine = np.isin(model.geom_bodyid, bodies)

@@ -285,11 +285,11 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         now = Circumstances(time=jnp.broadcast_to(time, awake.shape), powered=awake, depth=depth)
 
         run = jax.vmap(partial(drive, team.plan, period=scene.physics.period))
-        driven = run(state.command, robots, physics.act[team.actuator], now)
+        driven = run(state.command, robots, physics.act[team.activation], now)
         parked = ~state.active
         inputs = inputs.replace(
-            ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl),
-            act=inputs.act.at[team.actuator].set(jnp.where(parked[:, None], 0.0, driven.act)),
+            ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl).at[team.hold].set(driven.hold),
+            act=inputs.act.at[team.activation].set(jnp.where(parked[:, None], 0.0, driven.act)),
             xfrc_applied=inputs.xfrc_applied.at[team.chassis].set(
                 jnp.where(parked[:, None], 0.0, driven.wrench)
             ),

@@ -89,8 +89,7 @@ def ray_count(things, start, end, grow=0.0):
         for kind, pos, mat, size in zip(things.kind, things.pos, things.mat, things.size, strict=True):
             # A plane has no inside, and is seen from its front only; this one is seen from both sides.
             if kind == Geom.mjGEOM_PLANE:
-                height = [(p - pos) @ mat[:, 2] + grow * np.sign(grow) * 0 for p in (a, b)]
-                counts[s] += height[0] * height[1] < 0
+                counts[s] += ((a - pos) @ mat[:, 2]) * ((b - pos) @ mat[:, 2]) < 0
                 continue
             far = mujoco.mju_rayGeom(pos, mat.ravel(), size + grow, a, direction, int(kind), None)
             counts[s] += 0 <= far < length or (far >= 0 and _inside(kind, mat.T @ (a - pos), size + grow))

@@ -8,9 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.rig import Rig
 from usarmjx.control import Circumstances, Order, drive, idle, righting, servos_of, steer
 from usarmjx.errors import UnknownNameError
 from usarmjx.models.drives import DRY
+from usarmjx.models.parts import LINK_STIFFNESS
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
 from usarmjx.models.spec import ArenaSpec, StartPose
@@ -94,7 +96,10 @@ def test_ranges_are_kept(run, order, target, at, goes_to):
 
 def test_a_torque_ends_at_the_range(run):
     told = run([0] * 5 + [9.0], [Order.VELOCITY] * 5 + [Order.TORQUE], joint_pos=[0] * 5 + [0.5])
+    assert told.hold[TILT] == 1.0
     assert told.act[TILT] == pytest.approx(TILT_RANGE[1]), "beyond its range the servo pulls it back"
+    inward = run([0] * 5 + [-9.0], [Order.VELOCITY] * 5 + [Order.TORQUE], joint_pos=[0] * 5 + [0.5])
+    assert inward.hold[TILT] == 0.0, "a torque may bring it back itself"
 
 
 def test_an_unlimited_joint_turns_on_and_on(run):
@@ -192,12 +197,43 @@ def test_without_power_a_robot_brakes(run):
     assert not told.ctrl.any()
 
 
-def test_a_torque_is_what_the_servo_exerts(run):
-    """Stiffness times lead, less damping times speed; here at rest, and clamped to what the motor can do."""
-    lead = run([1.0, -9.0, 0, 0, 0.2, 0], [Order.TORQUE] * 6, joint_pos=np.full(6, 0.3)).act - 0.3
+def test_a_torque_is_pulled_with_and_nothing_holds(run):
+    """Stiffness times target is the torque, clamped to what the motor can do."""
+    told = run([1.0, -9.0, 0, 0, 0.2, 0], [Order.TORQUE] * 6, joint_pos=np.full(6, 0.3))
     motor = P2AT_MOTOR
-    np.testing.assert_allclose(lead[:2] * motor.stiffness, [1.0, -motor.torque], rtol=1e-5)
-    np.testing.assert_allclose(lead[4] * 40.0, 0.2, rtol=1e-4)  # the camera's servo
+    np.testing.assert_allclose(told.act[:2] * motor.stiffness, [1.0, -motor.torque], rtol=1e-5)
+    np.testing.assert_allclose(told.act[4] * LINK_STIFFNESS, 0.2, rtol=1e-4)
+    assert not told.hold[:5].any()
+    assert not told.ctrl.any()
+
+
+@pytest.mark.oracle
+def test_a_free_joint_under_a_torque_turns_as_newton_says():
+    """A P2AT's camera pans about the vertical: angle = torque / inertia x t^2 / 2, the body being 90 times
+    heavier to turn."""
+    rig = Rig("P2AT").move({"CameraPanTilt_Link1": 0.02}, Order.TORQUE)
+    dof = rig.indices[0].dof[PAN]
+    inertia = np.zeros((rig.model.nv, rig.model.nv))
+    mujoco.mj_forward(rig.model, rig.data)
+    mujoco.mj_fullM(rig.model, rig.data, inertia)
+    rig.run(0.5)
+    assert rig.data.qvel[dof] == pytest.approx(0.02 / inertia[dof, dof] * 0.5, rel=0.03)
+
+
+@pytest.mark.oracle
+def test_the_servo_is_mujocos_integrated_velocity_servo(run):
+    """Force = kp (target - position) - kv velocity within the motor's torque, in C MuJoCo."""
+    rig = Rig("P2AT").tell(Left=3.0, Right=3.0)
+    rig.run(0.3)
+    index, data = rig.indices[0], rig.data
+    mujoco.mj_forward(rig.model, data)
+    act, q, v = (
+        x[list(i)][:4]
+        for x, i in ((data.act, index.activation), (data.qpos, index.qpos), (data.qvel, index.dof))
+    )
+    motor = P2AT_MOTOR
+    expected = np.clip(motor.stiffness * (act - q) - motor.damping * v, -motor.torque, motor.torque)
+    np.testing.assert_allclose(data.qfrc_actuator[list(index.dof)][:4], expected, atol=1e-9)
 
 
 @pytest.mark.oracle
@@ -208,8 +244,9 @@ def test_a_position_order_is_carried_out_at_max_speed_by_c_mujoco(run):
     goal = np.array([0, 0, 0, 0, 0.5, 9.0])  # the tilt's is out of its range
     fastest, arrived = 0.0, None
     for step in range(250):
-        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qpos[0]], act=data.act[team.actuator[0]])
-        data.ctrl[team.actuator[0]], data.act[team.actuator[0]] = told.ctrl, told.act
+        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qpos[0]], act=data.act[team.activation[0]])
+        data.ctrl[team.actuator[0]], data.ctrl[team.hold[0]] = told.ctrl, told.hold
+        data.act[team.activation[0]] = told.act
         for _ in range(4):
             mujoco.mj_step(scene.model, data)
         fastest = max(fastest, np.abs(data.qvel[team.dof[0, PAN:]]).max())

@@ -139,6 +139,7 @@ def test_a_positive_wheel_angle_rolls_forward(stand):
         assert np.cross(axis, [0, 0, -robot.wheel_radius])[0] < 0
     data.act[:] = 0
     index = index_robot(model, robot, "it/")
+    data.ctrl[list(index.hold)] = 1.0
     data.ctrl[list(index.actuator)[: len(robot.wheels)]] = 2.0
     for _ in range(200):
         mujoco.mj_step(model, data)

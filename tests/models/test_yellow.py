@@ -125,13 +125,15 @@ def climb(model, start, yaw):
     data = mujoco.MjData(model)
     place(scene, data, *(o + (c + 0.5) * CELL for o, c in zip(ORIGIN, start, strict=True)), yaw)
     wheels = slice(len(P2AT.wheels))
-    actuators, joints = scene.teams[0].actuator[0, wheels], scene.teams[0].qpos[0, wheels]
+    team = scene.teams[0]
+    targets, joints = team.activation[0, wheels], team.qpos[0, wheels]
     slack = servos_of(P2AT).slack[wheels]
-    data.ctrl[actuators] = 3.0
+    data.ctrl[team.hold[0]] = 1.0
+    data.ctrl[team.actuator[0, wheels]] = 3.0
     for _ in range(1200):
         mujoco.mj_step(model, data)
         at = data.qpos[joints]
-        data.act[actuators] = np.clip(data.act[actuators], at - slack, at + slack)
+        data.act[targets] = np.clip(data.act[targets], at - slack, at + slack)
     chassis = data.body("r0/chassis")
     return (chassis.xpos[:2] - ORIGIN) / CELL, chassis.xmat[8]
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.parts import chassis_shapes, parts_of
-from usarmjx.models.spec import CHASSIS, SURFACES, ArenaSpec, Loose, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec import CHASSIS, HOLD, SURFACES, ArenaSpec, Loose, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 
 GEOM_TYPES = {
@@ -25,6 +25,8 @@ GEOM_TYPES = {
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """MuJoCo: a plane with zero half sizes is unbounded."""
 FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
+LOOSE = "loose/"
+"""What the names of loose objects start with."""
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
@@ -93,7 +95,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
 
 def _add_loose(spec: mujoco.MjSpec, loose: Loose, floor: float) -> None:
     x, y, z = loose.at
-    name = f"loose/{loose.name}"
+    name = f"{LOOSE}{loose.name}"
     body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
     body.add_freejoint(name=name)
     for i, shape in enumerate(loose.shapes):
@@ -216,7 +218,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
         _add_geom(body, f"{name}/{i}", _flip(shape))
     if part.motor is not None:
         joint.armature = part.motor.armature
-        _add_servo(spec, name, part.motor)
+        _add_servo(spec, joint, part.motor)
     elif part.limits is not None:
         joint.limited, joint.range = True, part.limits
     if part.spring is not None:
@@ -226,9 +228,17 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     return body
 
 
-def _add_servo(spec: mujoco.MjSpec, name: str, motor: Motor) -> None:
-    actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.set_to_intvelocity(kp=motor.stiffness, kv=motor.damping)
-    actuator.forcerange = [-motor.torque, motor.torque]
-    actuator.forcelimited = True
-    actuator.actlimited = False
+def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
+    """Add a servo of limited torque in two actuators: one pulls towards its target, one holds back.
+
+    Together they are MuJoCo's integrated-velocity servo, kp (target - position) - kv velocity. Without the
+    second, whose input is 1 or 0, the first is a motor that exerts exactly kp times its target.
+    """
+    pull = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    pull.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    pull.gainprm[0] = motor.stiffness
+    hold = spec.add_actuator(name=joint.name + HOLD, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
+    hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
+    joint.actfrclimited = True
+    joint.actfrcrange = [-motor.torque, motor.torque]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 
 from usarmjx.models.parts import joint_names, parts_of
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec import HOLD, RobotSpec
 
 Ids = tuple[int, ...]
 
@@ -23,7 +23,9 @@ class RobotIndex:
         root_dof: Where its 6 numbers start in qvel.
         qpos: qpos addresses of the joints.
         dof: qvel addresses of the joints.
-        actuator: Actuator ids; each has one activation.
+        actuator: Ids of the actuators that pull towards a target.
+        activation: Addresses of their activations: the targets.
+        hold: Ids of the actuators that hold the joints; input 1, or 0 for a torque order.
     """
 
     body: Ids
@@ -32,19 +34,23 @@ class RobotIndex:
     qpos: Ids
     dof: Ids
     actuator: Ids
+    activation: Ids
+    hold: Ids
 
 
 def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIndex:
     """Resolve the names of the robot that was composed with `prefix`."""
     names = [prefix + name for name in joint_names(robot)]
     joints = [model.joint(name) for name in names]
+    motors = [prefix + part.name for part in parts_of(robot) if part.motor is not None]
+    pulls = [model.actuator(name).id for name in motors]
     return RobotIndex(
         body=(model.body(f"{prefix}chassis").id, *(model.body(name).id for name in names)),
         root_qpos=int(model.joint(f"{prefix}root").qposadr[0]),
         root_dof=int(model.joint(f"{prefix}root").dofadr[0]),
         qpos=tuple(int(joint.qposadr[0]) for joint in joints),
         dof=tuple(int(joint.dofadr[0]) for joint in joints),
-        actuator=tuple(
-            model.actuator(prefix + part.name).id for part in parts_of(robot) if part.motor is not None
-        ),
+        actuator=tuple(pulls),
+        activation=tuple(int(model.actuator_actadr[pull]) for pull in pulls),
+        hold=tuple(model.actuator(name + HOLD).id for name in motors),
     )

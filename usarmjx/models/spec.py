@@ -24,6 +24,9 @@ STEER, SUSPENSION = "_Steer", "_Suspension"
 """What follows a wheel's name in the names of the joints that steer and spring it: the manual's car-wheel
 joint (14.4.2.4) is one joint for all three."""
 
+HOLD = "/hold"
+"""What follows a joint's name in the name of the actuator that holds it; see `compose`."""
+
 Options = tuple[tuple[str, object], ...]
 
 

@@ -53,6 +53,6 @@ class Air(Protocol):
 
 
 def reaches(air: Air, one: str, other: str) -> bool:
-    """Return whether two robots hear each other: both are in the world and the power is not below the cutoff."""
+    """Return whether two robots hear each other: both are there, and the power is not below the cutoff."""
     power = air.strength(one, other)
     return power is not None and power >= air.cutoff

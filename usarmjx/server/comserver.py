@@ -27,6 +27,7 @@ class Refusal(PeerError):
     """A message that cannot be carried out; its text is what follows `Fail: `."""
 
 
+INCORRECT = "Incorrect Message"
 NO_CONNECTION = "Could not establish connection"
 THIRD_PARTY = "Server does not accept third party requests"
 

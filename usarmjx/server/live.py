@@ -152,14 +152,15 @@ class LiveWorld(HostWorld):
             world.step()
         data = self._data
         for slot, robot in self.robots.items():
-            index, actuators = self._index[slot], list(self._index[slot].actuator)
-            act, time = data.act[actuators].astype(np.float32), np.float32(self.time)
+            index, targets = self._index[slot], list(self._index[slot].activation)
+            act, time = data.act[targets].astype(np.float32), np.float32(self.time)
             powered = np.bool_(self.battery(robot) > 0)
             driven, drowned = self._compiled[robot.spec.name].drive(
                 robot.command, self._state(slot), act, time, powered
             )
             robot.drowned |= bool(drowned)
-            data.ctrl[actuators], data.act[actuators] = driven.ctrl, driven.act
+            data.ctrl[list(index.actuator)], data.ctrl[list(index.hold)] = driven.ctrl, driven.hold
+            data.act[targets] = driven.act
             data.xfrc_applied[index.body[0]] = driven.wrench
         before = buffer_warnings(data)
         mujoco.mj_step(self._model, data, nstep=self._physics.substeps)

@@ -5,9 +5,10 @@ import contextlib
 import logging
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Protocol
 
 from usarmjx.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
@@ -56,10 +57,38 @@ class Turn:
     spent: float = 0.0
 
 
-class Server:
-    """Serves one world to many clients until told to stop."""
+class Service(Protocol):
+    """Something else that is served in the same loop, as the radio is."""
 
-    def __init__(self, world: HostWorld, settings: Settings) -> None:
+    async def start(self) -> list[str]:
+        """Listen; return what to tell the user.
+
+        Raises:
+            UsageError: A port is taken or the address is not ours.
+        """
+        ...
+
+    def tick(self) -> None:
+        """The world has made a control step; must be quick."""
+
+    def stop(self) -> None:
+        """Hang up."""
+
+
+class Server:
+    """Serves one world to many clients until told to stop.
+
+    Args:
+        world: The world.
+        settings: How to serve it.
+        services: What else to serve.
+
+    Attributes:
+        port: The port in use, once all is listening.
+    """
+
+    def __init__(self, world: HostWorld, settings: Settings, services: Sequence[Service] = ()) -> None:
+        self._services = services
         self._world = world
         self._settings = settings
         self._clients: dict[Client, asyncio.StreamWriter] = {}
@@ -74,7 +103,7 @@ class Server:
         """Listen and step until SIGINT or SIGTERM.
 
         Raises:
-            UsageError: The port is taken or the address is not ours.
+            UsageError: A port is taken or the address is not ours.
         """
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -87,12 +116,17 @@ class Server:
             raise UsageError(
                 f"cannot listen on {self._settings.host}:{self._settings.port}: {error}"
             ) from error
-        self.port = server.sockets[0].getsockname()[1]
-        print(f"usarmjx: listening on {self._settings.host}:{self.port}", flush=True)
+        port = server.sockets[0].getsockname()[1]
         try:
+            more = [line for service in self._services for line in await service.start()]
+            for line in (f"listening on {self._settings.host}:{port}", *more):
+                print(f"usarmjx: {line}", flush=True)
+            self.port = port
             await self._pace()
         finally:
             server.close()
+            for service in self._services:
+                service.stop()
             for writer in list(self._clients.values()):
                 writer.close()
             self._beside.shutdown(wait=False, cancel_futures=True)
@@ -107,6 +141,8 @@ class Server:
         deadline = began
         while not self._stop.is_set():
             self._tick()
+            for service in self._services:
+                service.tick()
             self._stepped.set()
             self._stepped.clear()
             if factor <= 0:
@@ -221,14 +257,14 @@ class Server:
         return client.spawn(init, spec)
 
 
-def serve(world: HostWorld, settings: Settings) -> None:
+def serve(world: HostWorld, settings: Settings, services: Sequence[Service] = ()) -> None:
     """Serve a world until SIGINT or SIGTERM.
 
     Raises:
-        UsageError: The port is taken or the address is not ours.
+        UsageError: A port is taken or the address is not ours.
     """
 
     async def main() -> None:
-        await Server(world, settings).run()
+        await Server(world, settings, services).run()
 
     asyncio.run(main())

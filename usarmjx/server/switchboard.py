@@ -83,13 +83,12 @@ class Switchboard:
         now: The time that passes for a client [s].
     """
 
-    def __init__(
-        self, air: Air, allocate: Callable[[Route], int | None], now: Callable[[], float]
-    ) -> None:
+    def __init__(self, air: Air, allocate: Callable[[Route], int | None], now: Callable[[], float]) -> None:
         self.air = air
         self._allocate, self._now = allocate, now
         self._stations: dict[str, Station] = {}
         self._numbers: dict[Route, Number] = {}
+        self._opened: list[Route] = []
         self._pipes: dict[int, Route] = {}  # by the port that we dial from
 
     def has(self, name: str) -> bool:
@@ -125,11 +124,25 @@ class Switchboard:
         """Return the number that stands for a route, a new one if need be; None if none can be had."""
         if route not in self._numbers:
             held = sum(other.caller == route.caller for other in self._numbers)
-            number = self._allocate(route) if held < MOST_NUMBERS else None
-            if number is None:
+            port = self._allocate(route) if held < MOST_NUMBERS else None
+            if port is None:
                 return None
-            self._numbers[route] = Number(number)
-        return self._numbers[route].number
+            self._numbers[route] = Number(port)
+        number = self._numbers[route]
+        if not number.open and self._is_carried(route):
+            number.open = True
+            self._opened.append(route)
+        return number.number
+
+    def take_opened(self) -> list[Route]:
+        """Return the routes that can be called since somebody asked for their numbers, and forget them."""
+        opened, self._opened = self._opened, []
+        return opened
+
+    def failed(self, route: Route) -> None:
+        """Note that a route's number could not be opened: the next look tries again."""
+        if route in self._numbers:
+            self._numbers[route].open = False
 
     def is_open(self, route: Route) -> bool:
         """Return whether the number of a route can be called as of the last look."""
@@ -161,9 +174,10 @@ class Switchboard:
         """Note a pipe by the port that we dialled its far end from."""
         self._pipes[port] = route
 
-    def ended(self, port: int) -> None:
-        """Note that a pipe is gone."""
-        self._pipes.pop(port, None)
+    def ended(self, *ports: int) -> None:
+        """Note that the pipes dialled from these ports are gone."""
+        for port in ports:
+            self._pipes.pop(port, None)
 
     def caller_at(self, name: str, port: int) -> str:
         """Return who calls a robot from one of our ports, "" if nobody does."""

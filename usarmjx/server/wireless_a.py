@@ -16,9 +16,11 @@ What cannot be done is answered `Fail: ...;`, in the words of the in-engine serv
 """
 
 from collections import deque
+from collections.abc import Callable
 from enum import Enum
 
 from usarmjx.server.comserver import (
+    INCORRECT,
     NO_CONNECTION,
     ComServer,
     Dial,
@@ -36,9 +38,22 @@ LIMIT = 1024
 """Longest message accepted, its `;` not counted [bytes]: names and numbers need a few dozen."""
 MOST_NAMES = 16
 """Of so many robots that a connection has registered it is asked whether they are in the world."""
-INCORRECT, UNKNOWN = "Incorrect Message", "Unknown Message"
+UNKNOWN = "Unknown Message"
 
-VERBS: dict[str, type[Request]] = {"REGISTER": Register, "LISTEN": Listen, "OPEN": Open, "GETSS": GetSS}
+
+def _port(word: str) -> int:
+    if not (word.isascii() and word.isdecimal() and len(word) <= 5 and 0 < int(word) < 65536):
+        raise Refusal(INCORRECT)
+    return int(word)
+
+
+VERBS: dict[str, tuple[int, Callable[[list[str]], Request]]] = {
+    "REGISTER": (2, lambda words: Register(words[0], words[1])),
+    "LISTEN": (2, lambda words: Listen(words[0], _port(words[1]))),
+    "OPEN": (4, lambda words: Open(words[0], _port(words[1]), words[2], _port(words[3]))),
+    "GETSS": (2, lambda words: GetSS(words[0], words[1])),
+}
+"""How many words follow each verb, and what they mean."""
 
 
 def parse_request(text: str) -> Request:
@@ -47,21 +62,13 @@ def parse_request(text: str) -> Request:
     Raises:
         Refusal: No such verb, the wrong number of words, or a port that is none.
     """
-    words = text.split() or [""]
-    request = VERBS.get(words[0].upper())
-    if request is None:
+    verb, *words = text.split() or [""]
+    if verb.upper() not in VERBS:
         raise Refusal(UNKNOWN)
-    fields = request.__dataclass_fields__
-    if len(words) != 1 + len(fields):
+    count, read = VERBS[verb.upper()]
+    if len(words) != count:
         raise Refusal(INCORRECT)
-    given = zip(fields, words[1:], strict=True)
-    return request(**{name: _port(word) if name.endswith("port") else word for name, word in given})
-
-
-def _port(word: str) -> int:
-    if not (word.isascii() and word.isdecimal() and len(word) <= 5 and 0 < int(word) < 65536):
-        raise Refusal(INCORRECT)
-    return int(word)
+    return read(words)
 
 
 class Phase(Enum):

@@ -23,16 +23,21 @@ from usarmjx.server.switchboard import Route, Switchboard
 LIMIT = 1024
 """Longest line accepted [bytes]."""
 
-_SEGMENT = re.compile(r"\{([^ {}]+) ([^ {}]+)\}( |$)")
+_SEGMENT = re.compile(r"\{([^{}\t]*)\}( |$)")
 
 
 def parse_strict(line: str) -> tuple[str, dict[str, str]]:
-    """Return verb and values of a line, up to where it leaves the form `VERB {Key Value} {Key Value}`."""
+    """Return verb and values of a line, up to where it leaves the form `VERB {Key Value} {Key Value}`.
+
+    A segment without a value has the value ""; one with more than one word has none.
+    """
     verb, _, rest = line.partition(" ")
     values: dict[str, str] = {}
     at = 0
     while found := _SEGMENT.match(rest, at):
-        values[found[1]] = found[2]
+        words = found[1].split(" ")
+        if len(words) <= 2:
+            values[words[0]] = "".join(words[1:])
         at = found.end()
     return verb, values
 

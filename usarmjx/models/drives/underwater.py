@@ -116,7 +116,7 @@ class Underwater(Drive):
         ahead = (linear[0] + wash) / 2
         left = linear[1] - self.stern * state.angular[2]
         up = linear[2] + self.stern * state.angular[1]
-        # Normals to the left and up at rest. Rudder right: its trailing edge, and with it the flow, goes right.
+        # Normals to the left and up at rest. Rudder right: its trailing edge goes to the right.
         sideways = plate_force(
             self.rudder_area,
             self.slope,

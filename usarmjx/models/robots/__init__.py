@@ -2,9 +2,12 @@
 
 from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
 from usarmjx.models.robots.flippers import KENAF, TARANTULA
+from usarmjx.models.robots.kurt import KURT2D, KURT3D
 from usarmjx.models.robots.legged import ERS, QRIO
+from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.omni_pioneer import OMNI_P2AT, OMNI_P2DX
 from usarmjx.models.robots.pioneer import P2AT, P2DX
+from usarmjx.models.robots.small_wheeled import ATRVJR, STEREO_P2AT, ZERG
 from usarmjx.models.robots.soryu import SORYU
 from usarmjx.models.robots.station import COMSTATION
 from usarmjx.models.robots.talon import RUGBOT, TALON
@@ -18,6 +21,12 @@ ROBOTS: Registry[RobotSpec] = Registry("robot")
 for _spec in (
     P2AT,
     P2DX,
+    STEREO_P2AT,
+    ATRVJR,
+    ZERG,
+    KURT2D,
+    KURT3D,
+    LISA,
     OMNI_P2AT,
     OMNI_P2DX,
     ERS,

@@ -23,7 +23,7 @@ TILT_MOTOR = Motor(max_speed=0.17, torque=1.0, stiffness=4.0, damping=0.2, armat
 
 
 def tilt_camera(at: Vec3, mass: float = 0.06) -> MissionPackage:
-    """Return a camera head that only tilts; positive looks down (UsarCommander sends the negative of 'up')."""
+    """Return a camera head that only tilts; positive looks down (UsarCommander's sign)."""
     head = Shape(kind="box", size=(0.03, 0.02, 0.02), mass=mass, surface="fixture", rgba=BLACK)
     tilt = Link(
         number=1,
@@ -97,7 +97,7 @@ AIRROBOT = RobotSpec(
         # Frame and body seen from the side; rotors and frame from above (chosen): it falls at 9 m/s.
         drag_areas=(0.06, 0.06, 0.2),
         max_thrust=24.0,  # a bit more than twice its weight with payload
-        max_torque=(6.0, 6.0, 1.0),
+        max_torque=(6.0, 6.0, 1.0),  # enough to get up from its back, with rotors that can reverse
         lean=math.radians(25),  # the UDK AirRobot's limit of roll and pitch
     ),
     packages=(tilt_camera((0.0, 0.0, 0.05)),),

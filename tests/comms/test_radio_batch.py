@@ -1,0 +1,227 @@
+"""The radio in a batch: robots drive apart until their link drops where the formula says, and send mail."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.comms.test_attenuation import DBM_ATOL, manual_power
+from tests.handy import known
+from usarmjx.batch import Batch
+from usarmjx.comms.antenna import LOWEST, antenna_of, antenna_places
+from usarmjx.comms.attenuation import RadioSettings, reach
+from usarmjx.comms.connectivity import reachable
+from usarmjx.comms.mail import MailSettings
+from usarmjx.errors import SpecError, UsageError
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.robots.station import COMSTATION
+from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.radio import antennas, present_links
+from usarmjx.scene import Entry, build_scene
+from usarmjx.transforms import quat_from_angles
+
+WALKER = replace(P2AT, name="Walker", sensors=(), cameras=(), packages=())  # quick to compile
+MAST = replace(COMSTATION, name="Mast", sensors=())
+ROSTER = (Entry("Walker"), Entry("Mast"), Entry("Walker"), Entry("Walker", parked=True))
+N, WORLDS, PERIOD = len(ROSTER), 3, 0.02
+WEST, STATION, NORTH, PARKED = range(N)
+
+RADIO = RadioSettings(cutoff=-52.0)
+LIMIT = reach(RADIO, 0)  # 3.27 m
+MAIL = MailSettings(numbers=1, capacity=2, budget=64)
+LANE = ArenaSpec(
+    name="lane",
+    starts=(
+        StartPose(tag="West", at=(-2.5, 0.0, 0.188), yaw=np.pi),  # faces away from the station
+        StartPose(tag="Station", at=(0.0, 0.0, 0.188)),
+        StartPose(tag="North", at=(0.0, 2.0, 0.188), yaw=np.pi / 2),
+    ),
+    shapes=(Shape(kind="box", size=(1.0, 0.05, 0.8), at=(0.0, 1.0, 0.8), surface="wall"),),
+    extent=((-4, 4), (-4, 4)),
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def robots():
+    with known(WALKER, MAST):
+        yield
+
+
+@pytest.fixture(scope="module")
+def batch(robots):
+    return Batch(build_scene(LANE, ROSTER, radio=RADIO, mail=MAIL), WORLDS, engine="c", seed=1)
+
+
+def true_antennas(batch, state):
+    """Antennas in doubles off the physics' state (worlds, robots, 3): up from the origin in robot axes."""
+    qpos = np.asarray(batch.physics(state).qpos, float)
+    out = np.zeros((batch.worlds, N, 3))
+    for team in batch.scene.teams:
+        for slot, root in zip(team.slots, team.root_qpos, strict=True):
+            w, i, j, k = qpos[:, root[3:]].T
+            up = np.stack([2 * (i * k + w * j), 2 * (j * k - w * i), 1 - 2 * (i * i + j * j)], -1)
+            out[:, slot] = qpos[:, root[:3]] + up * team.robot.dimensions[2] / 2
+    return out
+
+
+def drive(batch, state, robot, speeds):
+    """Drive one of the walkers straight on, with a speed for each world [rad/s]."""
+    place = {WEST: 0, NORTH: 1}[robot]
+    told = np.zeros((WORLDS, 3))
+    told[:, place] = speeds
+    return batch.drive(state, 0, {"Left": told, "Right": told})
+
+
+@pytest.mark.oracle
+def test_a_link_drops_where_the_formula_says(batch):
+    """Three worlds: a robot drives off at two speeds, and stays; the station hears it up to 3.27 m."""
+    state = drive(batch, batch.reset(), WEST, (5.0, 2.5, 0.0))
+    state, links = batch.links(state)
+    assert np.asarray(links.in_range)[:, WEST, STATION].all()
+    assert not np.asarray(links.lost | links.gained).any()
+    held, drops, before = np.full(WORLDS, True), {}, np.zeros(WORLDS)
+    for step in range(1, 91):
+        state, links = batch.links(batch.step(state))
+        at = true_antennas(batch, state)
+        apart = np.linalg.norm(at[:, WEST] - at[:, STATION], axis=-1)
+        power = [manual_power(d, 0) for d in apart]
+        np.testing.assert_allclose(np.asarray(links.power)[:, WEST, STATION], power, atol=DBM_ATOL)
+        now = np.asarray(links.in_range)[:, WEST, STATION]
+        for way in ((WEST, STATION), (STATION, WEST)):
+            np.testing.assert_array_equal(np.asarray(links.lost)[:, *way], held & ~now)
+        for world in np.flatnonzero(held & ~now):
+            drops[int(world)] = (step, before[world], apart[world])
+        held, before = now, apart
+    assert held.tolist() == [False, False, True]
+    assert drops[0][0] < drops[1][0]  # the faster one first
+    for _, last, first in drops.values():
+        assert last <= LIMIT < first
+        assert first - last < 0.75 * PERIOD  # a P2AT drives 0.7 m/s: within one control step
+
+
+def test_a_world_that_is_reset_starts_without_events(batch):
+    state = drive(batch, batch.reset(), WEST, 5.0)
+    for _ in range(60):
+        state = batch.step(state)
+    state, links = batch.links(state)
+    assert not np.asarray(links.in_range)[:, WEST, STATION].any()
+    state, links = batch.links(batch.reset_where(state, jnp.array([True, False, False])))
+    assert np.asarray(links.in_range)[:, WEST, STATION].tolist() == [True, False, False]
+    assert not np.asarray(links.gained).any()
+    assert np.asarray(links.step).tolist() == [0, 60, 60]
+
+
+def test_walls_count_and_robots_do_not(batch):
+    _, links = batch.links(batch.reset())
+    walls = np.zeros((N, N), int)
+    walls[STATION, NORTH] = walls[NORTH, STATION] = 1  # from 1.6 m down to 0.5 m it is 1 m high at the wall
+    np.testing.assert_array_equal(links.walls, np.broadcast_to(walls, (WORLDS, N, N)))
+    # A robot that stands right between two others weakens nothing.
+    row = replace(LANE, starts=tuple(StartPose(tag=f"S{i}", at=(i, 0, 0.188)) for i in range(3)), shapes=())
+    one = Batch(build_scene(row, ["Walker"] * 3, radio=RADIO), 1, engine="c")
+    assert not np.asarray(one.links(one.reset())[1].walls).any()
+
+
+def test_parked_robots_are_silent_until_they_are_used(batch):
+    state, links = batch.links(batch.reset())
+    assert np.asarray(links.paired)[0].sum() == 6
+    assert not np.asarray(links.paired)[:, PARKED].any()
+    members = state.worlds.teams[0]
+    state = batch.step(batch.with_team(state, 0, members.replace(active=members.active.at[1, 2].set(True))))
+    _, links = batch.links(state)
+    assert np.asarray(links.paired)[:, PARKED].sum(-1).tolist() == [0, 3, 0]
+
+
+def test_messages_go_over_links_and_are_counted_without(batch):
+    state = batch.send(batch.reset(), ~np.eye(N, dtype=bool), np.arange(float(N))[:, None])
+    mail, links = state.worlds.mail, state.worlds.links
+    held = np.zeros((N, N), bool)
+    held[WEST, STATION] = held[STATION, WEST] = True  # the third is behind the wall, and 3.2 m from the first
+    held[WEST, NORTH] = held[NORTH, WEST] = True
+    np.testing.assert_array_equal(links.in_range, np.broadcast_to(held, (WORLDS, N, N)))
+    np.testing.assert_array_equal(mail.count, np.broadcast_to(held.sum(0), (WORLDS, N)))
+    assert np.asarray(mail.sender)[0, WEST].tolist() == [STATION, NORTH]
+    assert np.asarray(mail.payload)[0, WEST, :, 0].tolist() == [STATION, NORTH]
+    assert np.asarray(mail.dropped.no_link)[0].tolist() == [1, 2, 2, 3]
+    # The station hears the third robot by way of the first.
+    assert np.asarray(reachable(links.in_range, STATION))[0].tolist() == [True, True, True, False]
+    assert np.asarray(reachable(links.in_range, STATION, 1))[0].tolist() == [True, True, False, False]
+    state = batch.empty_mail(state, np.arange(N) == WEST)
+    assert np.asarray(state.worlds.mail.count)[0].tolist() == [0, 1, 1, 0]
+    state = batch.send(batch.step(state), held, 0.0, length=65)
+    assert np.asarray(state.worlds.mail.dropped.over_budget)[0].tolist() == [2, 1, 1, 0]
+    fresh = batch.reset_where(state, jnp.array([True, True, False]))
+    assert np.asarray(fresh.worlds.mail.count).sum(-1).tolist() == [0, 0, 2]
+
+
+def test_links_are_evaluated_as_often_as_asked(batch):
+    scene = replace(batch.scene, radio=replace(RADIO, period=5 * PERIOD))
+    seldom = Batch(scene, WORLDS, engine="c")
+    state = drive(seldom, seldom.reset(), WEST, 5.0)
+    seen, powers = [], []
+    for _ in range(12):
+        state, links = seldom.links(state)
+        state, again = seldom.links(state)  # a second look in the same step changes nothing
+        jax.tree.map(np.testing.assert_array_equal, links, again)
+        seen.append(int(links.step[0]))
+        powers.append(float(links.power[0, WEST, STATION]))
+        state = batch.step(state)
+    assert seen == [0] * 5 + [5] * 5 + [10] * 2
+    assert len(set(powers)) == 3
+
+
+def test_worlds_and_episodes_have_shadows_of_their_own(batch):
+    scene = replace(batch.scene, radio=replace(RADIO, shadowing=6.0))
+    look = jax.jit(jax.vmap(lambda world, physics: present_links(scene, world, physics)))
+    start = batch.reset()
+
+    def powers(state):
+        return np.asarray(look(state.worlds, batch.physics(state)).power)[:, WEST, STATION]
+
+    first = powers(start)
+    assert len(set(first.tolist())) == WORLDS
+    second = powers(batch.reset_where(start, jnp.array([True, False, False])))
+    assert second[0] != first[0]
+    np.testing.assert_array_equal(second[1:], first[1:])
+    alone = Batch(batch.scene, 1, engine="c", seed=1, first=2)  # world 2 has its numbers alone too
+    np.testing.assert_allclose(powers(alone.reset()), first[2:], atol=DBM_ATOL)
+
+
+def test_a_scene_without_a_radio_carries_nothing_of_it(batch):
+    plain = Batch(replace(batch.scene, radio=None, mail=None), 1, engine="c")
+    state = plain.reset()
+    assert state.worlds.links is None
+    assert state.worlds.mail is None
+    with pytest.raises(UsageError, match="no radio"):
+        plain.links(state)
+    with pytest.raises(UsageError, match="no mail"):
+        plain.send(state, True, 0.0)
+    with pytest.raises(UsageError, match="no mail"):
+        plain.empty_mail(state)
+    with pytest.raises(SpecError, match="mail needs a radio"):
+        build_scene(LANE, ROSTER, mail=MAIL)
+
+
+def test_antennas_are_where_the_poses_put_them(batch):
+    state = drive(batch, batch.reset(), NORTH, (3.0, -3.0, 0.0))
+    for _ in range(20):
+        state = batch.step(state)
+    places, in_use = jax.vmap(lambda w, p: antennas(batch.scene, w, p))(state.worlds, batch.physics(state))
+    np.testing.assert_allclose(places, true_antennas(batch, state), atol=1e-5)
+    assert np.asarray(in_use)[0].tolist() == [True, True, True, False]
+
+
+def test_antennas_are_above_the_robot_or_where_the_class_has_them():
+    p2at, station = ROBOTS.get("P2AT"), ROBOTS.get("ComStation")
+    assert antenna_of(p2at) == (0.0, 0.0, -p2at.dimensions[2] / 2)
+    # On top of the mast: 1.6 m above the ground, the origin being at 0.8 m.
+    assert station.origin_height - antenna_of(station)[2] == pytest.approx(1.6)
+    moved = replace(p2at, antenna=(0.1, 0.2, -0.3))  # forward, right, up
+    quats = jnp.array([quat_from_angles(*angles) for angles in ((0, 0, 0), (0, 0, np.pi / 2), (np.pi, 0, 0))])
+    places = antenna_places(moved, jnp.array([[1.0, 2.0, 0.2]] * 3), quats, 0.0)
+    # Turned left, forward is y and right is x; on its back it would be under the floor.
+    expected = [(1.1, 1.8, 0.5), (1.2, 2.1, 0.5), (1.1, 2.2, LOWEST)]
+    np.testing.assert_allclose(places, expected, atol=1e-6)
