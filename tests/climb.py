@@ -1,54 +1,89 @@
-"""Obstacles of known size, and robots that drive over them with or without the help of their joints."""
+"""Steps and stairs, and robots that drive over them with or without the help of their joints."""
 
+import math
+
+import mujoco
+import numpy as np
+
+from tests.rig import PERIOD, Rig
 from usarmjx.models.spec import Shape
 
-from tests.rig import Rig, PERIOD
-
 NEAR = 1.0
-"""x of the face of the first step [m]."""
+"""x of the first step's face [m]."""
+GAP = 0.1
+"""How far before it a robot's nose starts [m]."""
 
 
 def step(height, near=NEAR, depth=20.0):
     """Return a step up to a platform."""
-    return Shape(
-        kind="box", size=(depth / 2, 2.0, height / 2), at=(near + depth / 2, 0.0, height / 2), surface="ground"
-    )
+    at = (near + depth / 2, 0.0, height / 2)
+    return Shape(kind="box", size=(depth / 2, 2.0, height / 2), at=at, surface="ground")
 
 
 def stairs(count, rise, going, near=NEAR):
-    """Return a flight of stairs with a platform on top, as boxes of one step each."""
+    """Return a flight of stairs up to a platform, a box for each step."""
+    tops = [rise * (i + 1) for i in range(count - 1)]
     flight = [
         Shape(
             kind="box",
-            size=(going / 2, 1.0, rise * (i + 1) / 2),
-            at=(near + going * (i + 0.5), 0.0, rise * (i + 1) / 2),
+            size=(going / 2, 1.0, top / 2),
+            at=(near + going * (i + 0.5), 0.0, top / 2),
             surface="ground",
         )
-        for i in range(count - 1)
+        for i, top in enumerate(tops)
     ]
     return (*flight, step(rise * count, near + going * (count - 1)))
 
 
-def drive_script(rig, speed, script, seconds):
-    """Drive ahead while joints follow a script; return positions (n, 3) and uprightness (n,).
+def flippers(front, rear):
+    """Return angles of front and rear flippers by joint: up is negative in front, positive behind."""
+    return {"FRFlipper": front, "FLFlipper": front, "RRFlipper": rear, "RLFlipper": rear}
+
+
+FOLDED = flippers(-math.pi / 2, math.pi / 2)
+
+
+def nose(rig):
+    """Return how far the robot's wheels reach ahead of its origin [m]."""
+    model, ours = rig.model, np.isin(rig.model.geom_bodyid, rig.indices[0].body)
+    wheels = ours & (model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER)
+    return (rig.data.geom_xpos[:, 0] + model.geom_size[:, 0])[wheels].max() - rig.data.qpos[0]
+
+
+class Climb:
+    """A robot before an obstacle: takes a pose there, then drives on while its joints follow a script.
 
     Args:
-        rig: A robot before an obstacle.
-        speed: Of its wheels [rad/s].
-        script: (time [s], {joint: angle [rad]}) in the order of time.
-        seconds: How long.
+        name: Robot class.
+        solids: The obstacle, with its face at `NEAR`.
+        pose: Angles of joints to start with.
+        settle: How long it takes that pose [s].
+        reach: How far its wheels reach ahead of its origin [m]; None: as they are in that pose.
     """
-    rig.tell(Left=speed, Right=speed)
-    script, pos, up = list(script), [], []
-    for tick in range(round(seconds / PERIOD)):
-        while script and script[0][0] <= tick * PERIOD:
-            rig.move(script.pop(0)[1])
-        rig.step()
-        pos.append(rig.data.qpos[:3].copy())
-        up.append(rig.up[0])
-    return pos, up
 
+    def __init__(self, name, *solids, pose=None, settle=1.5, reach=None):
+        if reach is None:
+            rig = Rig(name).move(pose or {})
+            rig.run(settle)
+            reach = nose(rig)
+        self.rig = Rig(name, *solids, places=((NEAR - GAP - reach, 0.0, 0.0),)).move(pose or {})
+        self.rig.run(settle)
+        self.worst = 1.0
 
-def four(front, rear):
-    """Return angles of front and rear flippers by joint."""
-    return {"FRFlipper": front, "FLFlipper": front, "RRFlipper": rear, "RLFlipper": rear}
+    def drive(self, share, seconds, script=()):
+        """Drive at a share of the top speed; `script`: (time [s], {joint: angle [rad]}) in order of time."""
+        rig, script = self.rig, list(script)
+        speed = share * rig.robot.drive.max_spin
+        rig.tell(Left=speed, Right=speed)
+        for tick in range(round(seconds / PERIOD)):
+            while script and script[0][0] <= tick * PERIOD:
+                rig.move(script.pop(0)[1])
+            rig.step()
+            self.worst = min(self.worst, rig.up[0])
+        return self
+
+    def on_top(self, height, near=NEAR):
+        """Whether the whole robot stands upright on a platform that starts at `near`."""
+        x, _, z = self.rig.data.qpos[:3]
+        stands = height + 0.8 * self.rig.plan.clearance < z < height + 1.5 * self.rig.plan.clearance
+        return bool(x > near + 0.3 and stands and self.rig.up[0] > 0.98)

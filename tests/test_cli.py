@@ -48,18 +48,9 @@ def test_serve_help_names_every_option():
     result = invoke("serve", "--help")
     assert result.exit_code == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", result.output)
-    for option in (
-        "--arena",
-        "--worlds",
-        "--instance",
-        "--roster",
-        "--host",
-        "--port",
-        "--engine",
-        "--seed",
-        "--ini",
-    ):
-        assert option in plain
+    options = ("arena", "worlds", "instance", "roster", "host", "port", "engine", "seed", "ini")
+    for option in (*options, "uu-per-metre"):
+        assert f"--{option}" in plain
 
 
 def test_list_names_robots_arenas_sensors_and_engines():

@@ -1,7 +1,8 @@
 """The documents tell the truth: links lead somewhere, examples run, commands exist.
 
 In a fenced block, ```python is executed (as doctests if it has prompts), ```console holds commands
-after "$ " and ```bash nothing but commands. Anything else, ```text for instance, is not looked at.
+after "$ " and ```bash nothing but commands. A block with a file's name behind its language, ```ini a.ini, is
+that file in the folder where the page's examples run. Anything else, ```text for instance, is not looked at.
 """
 
 import doctest
@@ -17,6 +18,7 @@ import dev
 FOLDERS = (".", "docs", "examples", "benchmarks")
 DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+NAMED = re.compile(r"^```\w+ (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)|(?:src|href)=\"([^\"#]+)")
 
 
@@ -90,10 +92,27 @@ def test_links_lead_to_files(path: Path):
     assert broken_links(path.read_text(encoding="utf-8"), path.parent) == []
 
 
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for what examples read; what they register leaves with them."""
+    import usarmjx.configure  # noqa: F401 - fills the registries before they are copied
+    from usarmjx.models.effecters import EFFECTERS
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.sensors.base import SENSORS
+
+    for registry in (ROBOTS, EFFECTERS, SENSORS):
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
-def test_python_examples_run(path: Path):
+def test_python_examples_run(path: Path, workplace: Path):
+    text = path.read_text(encoding="utf-8")
+    for name, body in NAMED.findall(text):
+        (workplace / name).write_text(body, encoding="utf-8")
     names: dict[str, object] = {"__name__": path.stem}
-    for body in blocks(path.read_text(encoding="utf-8"), "python"):
+    for body in blocks(text, "python"):
         run_python(body, names, name_of(path))
 
 

@@ -5,16 +5,11 @@ whole step adds random commands, control, bookkeeping, all sensors, and resets o
 count robots times physics steps.
 """
 
-import json
-import platform
 import statistics
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +19,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.batch import Batch, State
+from usarmjx.bench_tools import append, heading, timed
 from usarmjx.control import Order, idle, steer
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
@@ -48,35 +44,6 @@ class Case:
     steps: int = 20
     repeats: int = 5
     seed: int = 0
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "usarmjx"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-def _commit() -> str:
-    here = Path(__file__).parent
-    try:
-        asked = ["git", "-C", str(here), "rev-parse", "--short", "HEAD"]
-        return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-
-
-def _timed(run: Callable[[Any], Any], state: Any, repeats: int) -> tuple[float, list[float], Any]:  # noqa: ANN401
-    """Return the first call's time (with compilation), the later ones', and the last state [s]."""
-    times = []
-    for _ in range(repeats + 1):
-        began = time.perf_counter()
-        state = jax.block_until_ready(run(state))
-        times.append(time.perf_counter() - began)
-    return times[0], times[1:], state
 
 
 def _loop(batch: Batch, body: Callable[[jax.Array, Any], Any], steps: int) -> Callable[[Any], Any]:
@@ -174,7 +141,7 @@ def measure(case: Case, file: Path | None = None) -> str:
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
-    run = partial(_timed, repeats=case.repeats)
+    run = partial(timed, repeats=case.repeats)
     bare_first, bare, _ = run(_loop(batch, _bare(batch, key), case.steps), state.physics)
     whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
     batch.check(state)
@@ -182,13 +149,8 @@ def measure(case: Case, file: Path | None = None) -> str:
     status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.status))
     rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.teams)
     bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
-    device = jax.devices()[0].device_kind if engine != "c" else platform.processor() or platform.machine()
     record = {
-        "benchmark": "step",
-        "when": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": device,
-        "commit": _commit(),
-        "versions": _versions(),
+        **heading("step", host=engine == "c"),
         "case": {**asdict(case), "engine": engine},
         "robots_per_world": scene.robots,
         "timestep": scene.physics.timestep,
@@ -204,10 +166,7 @@ def measure(case: Case, file: Path | None = None) -> str:
         "cpu_mujoco_robot_steps_per_s": _baseline(scene, np.full(scene.model.nu, 1.0)),
         "faults": status,
     }
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("a") as lines:
-            lines.write(json.dumps(record) + "\n")
+    append(record, file)
     return _summary(record)
 
 

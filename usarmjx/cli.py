@@ -165,6 +165,24 @@ def demo(
         sys.exit(run_demo(out, seconds))
 
 
+@bench_app.command("radio")
+def bench_radio(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once.")] = 64,
+    robots: Annotated[int, typer.Option(min=2, help="Robots in each; all pairs are evaluated.")] = 16,
+    walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100,
+    steps: Annotated[int, typer.Option(min=1, help="Evaluations per repeat.")] = 20,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure the links of all pairs of robots, walls counted."""
+    with _Failure():
+        from usarmjx.bench_radio import RadioCase, measure_radio
+
+        case = RadioCase(worlds=worlds, robots=robots, walls=walls, steps=steps, repeats=repeats, seed=seed)
+        typer.echo(measure_radio(case, json))
+
+
 @bench_app.command("step")
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,

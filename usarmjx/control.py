@@ -17,9 +17,8 @@ from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import Motor, RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import Array
+from usarmjx.transforms import GRAVITY, Array
 
-GRAVITY = 9.81
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
 UPRIGHT = np.cos(np.radians(10.0))

@@ -23,8 +23,8 @@ from usarmjx.sensors.suite import Suite, suite_of
 
 PARKING_HEIGHT = 30.0
 """Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""
-PARKING_STEP = 2.0
-"""Distance between two parked robots [m]."""
+PARKING_STEP = 8.0
+"""Distance between two parked robots [m]: more than a submarine's length."""
 START_GAP = 0.002
 """Robots start this far above the floor, so that none starts inside it [m]."""
 START_ELEVATION = 0.188

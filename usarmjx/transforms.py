@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 Vec3 = tuple[float, float, float]
+GRAVITY = 9.81
+"""MuJoCo's default [m/s2]."""
 Array = Any
 """A numpy or a JAX array."""
 

@@ -54,7 +54,7 @@ def test_components_are_named_by_their_lowest_slot(table: np.ndarray):
 
 
 def test_the_longest_chain_is_followed():
-    for n in (1, 2, 3, 4, 5, 9, 17):
+    for n in (1, 2, 4, 17):
         chain = network(n, *[(i, i + 1) for i in range(n - 1)])
         assert hops(chain, 0).tolist() == list(range(n))
         assert np.asarray(reachable(chain, 0)).all()

@@ -24,8 +24,8 @@ def links_of(table, chance=1.0) -> Links:
     return no_links(N).replace(in_range=jnp.asarray(table), chance=jnp.asarray(table * np.float32(chance)))
 
 
-def post(mail, to, *, payload=None, length=8, links=None, sizes=SIZES, step=0, key=KEY) -> Mail:
-    payload = np.stack([np.arange(N), 10 * np.arange(N)], -1) if payload is None else payload
+def post(mail, to, *, length=8, links=None, sizes=SIZES, step=0, key=KEY) -> Mail:
+    payload = np.stack([np.arange(N), 10 * np.arange(N)], -1)
     letters = Letters(
         to=jnp.asarray(to),
         payload=jnp.asarray(payload, jnp.float32),

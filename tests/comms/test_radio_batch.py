@@ -1,6 +1,7 @@
 """The radio in a batch: robots drive apart until their link drops where the formula says, and send mail."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -175,7 +176,7 @@ def test_links_are_evaluated_as_often_as_asked(batch):
 
 def test_worlds_and_episodes_have_shadows_of_their_own(batch):
     scene = replace(batch.scene, radio=replace(RADIO, shadowing=6.0))
-    look = jax.jit(jax.vmap(lambda world, physics: present_links(scene, world, physics)))
+    look = jax.jit(jax.vmap(partial(present_links, scene)))
     start = batch.reset()
 
     def powers(state):
@@ -205,11 +206,25 @@ def test_a_scene_without_a_radio_carries_nothing_of_it(batch):
         build_scene(LANE, ROSTER, mail=MAIL)
 
 
+def test_nothing_is_compiled_twice(batch):
+    """The state has the same types from a reset on, whatever was done with it."""
+    start = batch.reset()
+    state = batch.send(start, False, 0.0)
+    later = batch.empty_mail(batch.send(batch.step(state), True, 1.0, length=4))
+    for name in ("links", "mail"):
+        kinds = [
+            jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), getattr(s.worlds, name))
+            for s in (start, state, later)
+        ]
+        assert kinds[0] == kinds[1] == kinds[2]
+
+
 def test_antennas_are_where_the_poses_put_them(batch):
     state = drive(batch, batch.reset(), NORTH, (3.0, -3.0, 0.0))
     for _ in range(20):
         state = batch.step(state)
-    places, in_use = jax.vmap(lambda w, p: antennas(batch.scene, w, p))(state.worlds, batch.physics(state))
+    find = jax.jit(jax.vmap(partial(antennas, batch.scene)))
+    places, in_use = find(state.worlds, batch.physics(state))
     np.testing.assert_allclose(places, true_antennas(batch, state), atol=1e-5)
     assert np.asarray(in_use)[0].tolist() == [True, True, True, False]
 

@@ -15,6 +15,7 @@ from usarmjx.models.parts import joint_names
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import TARANTULA
+from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.spec import CHASSIS, ArenaSpec, Motor, options
 from usarmjx.registry import Registry
@@ -42,7 +43,7 @@ Cameras=(ItemClass=class'USARBot.RobotCamera',ItemName="Camera",Parent="CameraTi
 
 @pytest.fixture
 def load(tmp_path):
-    """Load texts as the files a.ini, b.ini, ... on a registry of three stock robots."""
+    """Load texts as the files a.ini, b.ini, ... on a registry of some stock robots."""
 
     def from_texts(*texts, scale=250.0, settings=SETTINGS):
         paths = []
@@ -50,7 +51,7 @@ def load(tmp_path):
             paths.append(tmp_path / f"{letter}.ini")
             paths[-1].write_text(text.lstrip("\n"))
         robots: Registry = Registry("robot")
-        for robot in (P2AT, P2DX, TARANTULA):
+        for robot in (P2AT, P2DX, TARANTULA, LISA):
             robots.add(robot.name, robot)
         return load_robots(paths, robots, scale, settings)
 
@@ -346,6 +347,25 @@ def test_the_manuals_omni_wheels_are_told_their_speeds_and_angles_by_number(load
     assert drive.full["WheelSteer1"] == 3.14
 
 
+LISA_WHEELS = """
+[USARBot.Lisa]
+Wheels(0)=(Number=0,PowerType=Holo_Powered,SteerType=Holo_Steered,MaxSteerAngle=3.14);
+Wheels(1)=(Number=1,PowerType=Holo_Powered,SteerType=Holo_Steered,MaxSteerAngle=3.14);
+Wheels(2)=(Number=2,PowerType=Not_Powered);
+Wheels(3)=(Number=3,PowerType=Not_Powered);
+"""
+
+
+def test_the_manuals_wheels_of_lisa_are_those_it_has_and_others_change_them(load):
+    """Manual 12.18.2."""
+    assert load(LISA_WHEELS).robots == ()
+    other = LISA_WHEELS.replace("1,PowerType=Holo_Powered", "1,PowerType=Not_Powered").replace("3.14", "1.5")
+    drive = named(load(other), "Lisa").drive
+    assert drive.full == {"WheelSpeed0": LISA.drive.max_spin, "WheelSteer0": 1.5, "WheelSteer1": 1.5}
+    with pytest.raises(SpecError, match=r"a\.ini:4: Lisa drives no wheel 2; expected 0 to 1"):
+        load(LISA_WHEELS.replace("2,PowerType=Not", "2,PowerType=Holo"))
+
+
 def test_a_hinge_turns_its_part_about_the_joint_between_parent_and_self(load):
     """ParentPos and SelfPos say where the joint is, in the axes of the parent's and the part's middle."""
     arm = "ParentAxis=(Y=1),SelfPos=(X=-0.15),Size=(X=0.3,Y=0.05,Z=0.04),Mass=0.4,MinRange=-1,MaxRange=1"
@@ -509,7 +529,7 @@ WRONG = [
     ("MisPkgs=(PkgName=A,PkgClass=class'USARMisPkg.Arm')", "2: unknown PkgClass 'Arm'; expected one of Cam"),
     ("MisPkgs=(PkgName=A,Place=(X=1))", "2: MisPkgs has no Place; expected some of PkgName, Loc"),
     ("BaseClass=P2DX", "2: P2AT exists already; expected BaseClass in a new class' section only"),
-    ("Wheels(0)=(Number=0)", "2: Wheels name wheels by the numbers of JointParts.*; expected JointParts too"),
+    ("Wheels(0)=(Number=0)", "2: Wheels are for an OmniDrive, P2AT has SkidSteered; expected JointParts too"),
     (f"JointParts={pair('A', 0, 0.1, 0, LOCKED)}", "2: the size of wheel A .* Radius= and .* P2ATTire"),
     (f"JointParts={pair('A', 0, 0.1, 0, SIZE, joint='KBall')}", "2: unknown JointClass 'KBall'; expected K"),
     (f"JointParts={pair('A', 0, 0, 0, 'Parent=B')}", "2: Parent B is not defined before; expected one"),

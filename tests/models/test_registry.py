@@ -38,6 +38,14 @@ def test_taken_names_are_refused_and_nothing_is_added(birds: Registry[int], name
     assert birds.get("Swift") == 1
 
 
+def test_replacing_keeps_the_spelling_and_the_aliases(birds: Registry[int]):
+    assert birds.replace("APUS", 5) == 5
+    birds.replace("crow", 6)
+    birds.replace("Wren", 7)
+    assert list(birds) == [("Crow", 6), ("Swift", 5), ("Wren", 7)]
+    assert birds.get("apus") == 5
+
+
 def test_unknown_name_lists_the_known_ones(birds: Registry[int]):
     with pytest.raises(UnknownNameError, match="unknown bird 'Wren'; known: Crow, Swift") as caught:
         birds.get("Wren")

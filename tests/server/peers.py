@@ -76,13 +76,13 @@ class Peer:
 
 
 @contextlib.contextmanager
-def serving(world, **settings):
+def serving(world, services=(), **settings):
     """A running server's (port, Server)."""
     started, box = threading.Event(), {}
 
     async def main():
         box["loop"] = asyncio.get_running_loop()
-        box["server"] = Server(world, Settings(port=0, **settings))
+        box["server"] = Server(world, Settings(port=0, **settings), services)
         task = asyncio.create_task(box["server"].run())
         while not box["server"].port and not task.done():
             await asyncio.sleep(0.01)

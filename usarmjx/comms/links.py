@@ -44,7 +44,7 @@ def no_links(robots: int) -> Links:
     """Return the table of an episode that has not been looked at yet."""
     never = jnp.zeros((robots, robots), bool)
     return Links(
-        power=jnp.full((robots, robots), -jnp.inf),
+        power=jnp.full((robots, robots), -jnp.inf, jnp.float32),
         walls=jnp.zeros((robots, robots), jnp.int32),
         paired=never,
         in_range=never,
@@ -150,7 +150,7 @@ def evaluate(
         lost=before.known & before.in_range & ~in_range,
         gained=before.known & ~before.in_range & in_range,
         known=jnp.ones((), bool),
-        step=step,
+        step=jnp.asarray(step, jnp.int32),
     )
 
 

@@ -178,7 +178,7 @@ def deliver(
         length=jnp.where(fresh, length[source], mail.length),
         payload=jnp.where(fresh[..., None], letters.payload[source], mail.payload),
         spent=spent + length * count(paid),
-        step=step,
+        step=jnp.asarray(step, jnp.int32),
         sent=mail.sent + count(to),
         dropped=Dropped(
             over_budget=before.over_budget + count(to & ~paid),

@@ -21,8 +21,8 @@ from usarmjx.transforms import Array
 # all of its iterations, which the capped CG solver does on nearly every step.
 ITERATION_BITS = 512 | 1024
 LOOSE_ITERATIONS = 30
-"""Least solver iterations of `jax` where loose objects lie. With the 10 that robots need, a 0.3 kg block crept
-by 3 mm/s at rest and shot out of a gripper, with 20 still; not so on `c` and `warp`."""
+"""Least solver iterations of `jax` where loose objects lie. With the 10 that robots need, a block of 0.3 kg
+crept by 3 mm/s at rest and, with 20 too, shot out of a gripper; not so on `c` and `warp`."""
 LONGEST_BOX = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 

@@ -12,9 +12,8 @@ from usarmjx.models.kit import (
     wheel,
 )
 from usarmjx.models.spec import STEER, MissionPackage, Mount, Part, RobotSpec, Shape, Spring, options
-from usarmjx.transforms import Vec3
+from usarmjx.transforms import GRAVITY, Vec3
 
-GRAVITY = 9.81
 MAX_SPIN = 100.0
 """Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""
 MAX_STEER, LOCK = 0.56, 0.7

@@ -27,6 +27,8 @@ FLOOR_SIZE = (0.0, 0.0, 1.0)
 FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
 LOOSE = "loose/"
 """What the names of loose objects start with."""
+MOST_PIECES = 512
+"""Of an arena's boxes for engines that want short ones."""
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
@@ -127,12 +129,16 @@ def _touching(shapes: tuple[Shape, ...]) -> int:
 def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
 
-    For engines that look for contacts by bounding spheres, to which a long wall is near everything.
+    For engines that look for contacts by bounding spheres, to which a long wall is near everything. In an
+    arena so large that this would give more than `MOST_PIECES`, the pieces are longer.
     """
     spec = spec.copy()
     arena = spec.body("arena")
     if arena is None:
         return spec.compile()
+    boxes = np.array([geom.size for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX])
+    while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MOST_PIECES:
+        longest *= 1.25
     for geom in list(arena.geoms):
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
         if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1:

@@ -10,7 +10,7 @@ from usarmjx.models.ini import Line
 from usarmjx.models.ini_items import Notes
 from usarmjx.models.ini_pairs import Pair
 from usarmjx.models.ini_read import as_name, as_struct, fail, number_of, reject_unknown
-from usarmjx.models.spec import STEER, Part
+from usarmjx.models.spec import STEER, Part, RobotSpec
 
 POWER_TYPES = ("Holo_Powered", "Left_Powered", "Right_Powered", "Not_Powered")
 STEER_TYPES = ("Holo_Steered", "Front_Steered", "Rear_Steered", "Not_Steered")
@@ -23,12 +23,17 @@ MIDDLE = 1e-3
 
 @dataclass(frozen=True)
 class Role:
-    """What a `Wheels` line says of the wheel of that number."""
+    """What a `Wheels` line says of the wheel of that number; None: nothing."""
 
     line: Line
     power: str | None
     steer: str | None
-    max_steer: float
+    max_steer: float | None
+
+    @property
+    def steers(self) -> bool:
+        """Whether it says that the wheel steers."""
+        return self.steer not in (None, "Not_Steered")
 
 
 def read_roles(lines: Sequence[Line]) -> dict[int, Role]:
@@ -49,7 +54,8 @@ def read_roles(lines: Sequence[Line]) -> dict[int, Role]:
             if value is not None and as_name(line, value, field).lower() not in spelt:
                 fail(line, f"unknown {field} {value!r}", f"one of {', '.join(allowed)}")
             types.append(None if value is None else spelt[as_name(line, value, field).lower()])
-        max_steer = number_of(line, struct, "MaxSteerAngle", MAX_STEER, above=0.0)
+        given = struct.get("MaxSteerAngle") is not None
+        max_steer = number_of(line, struct, "MaxSteerAngle", above=0.0) if given else None
         roles[number] = Role(line, types[0], types[1], max_steer)
     return roles
 
@@ -84,6 +90,42 @@ def drive_of(
     return kept, _skid(wheels, driven, roles, radii, spin, radius)
 
 
+def change_wheels(robot: RobotSpec, roles: Mapping[int, Role]) -> RobotSpec:
+    """Return an omnidirectional robot with other wheels powered and steered (manual 12.18.2).
+
+    Raises:
+        SpecError: A robot with another drive, or a wheel that cannot do what a line says; names the line.
+    """
+    drive, parts = robot.drive, {part.name: part for part in robot.parts}
+    for number, role in roles.items():
+        if not isinstance(drive, OmniDrive):
+            fail(
+                role.line, f"Wheels are for an OmniDrive, {robot.name} has {drive.steering}", "JointParts too"
+            )
+        powered = role.power not in (None, "Not_Powered")
+        if number >= len(drive.wheels):  # those behind the last driven one only roll
+            if powered or role.steers:
+                fail(role.line, f"{robot.name} drives no wheel {number}", f"0 to {len(drive.wheels) - 1}")
+            continue
+        wheel = drive.wheels[number]
+        able = (wheel.powered or not powered) and (bool(wheel.steer) or not role.steers)
+        if not able:
+            fail(
+                role.line, f"wheel {number} of {robot.name} has no motor for that", "Not_Powered, Not_Steered"
+            )
+        if not powered:
+            parts[wheel.joint] = replace(parts[wheel.joint], motor=None)
+        if role.steers and role.max_steer is not None:
+            drive = replace(drive, max_steer=role.max_steer)
+            lock = (-role.max_steer, role.max_steer)
+            parts[wheel.steer] = replace(parts[wheel.steer], limits=lock)
+        changed = replace(wheel, powered=powered, steer=wheel.steer if role.steers else "")
+        drive = replace(
+            drive, wheels=tuple(changed if i == number else w for i, w in enumerate(drive.wheels))
+        )
+    return replace(robot, parts=tuple(parts.values()), drive=drive)
+
+
 def _is_holonomic(roles: Mapping[int, Role]) -> bool:
     return any("Holo" in f"{role.power}{role.steer}" for role in roles.values())
 
@@ -94,7 +136,7 @@ def _check_roles(wheels: Sequence[Pair], roles: Mapping[int, Role]) -> None:
         if number not in numbers:
             known = ", ".join(f"{n} ({pair.name})" for n, pair in numbers.items()) or "none"
             fail(role.line, f"there is no wheel {number}", f"the number of a wheel's JointParts: {known}")
-        if role.steer not in (None, "Not_Steered") and not numbers[number].steers:
+        if role.steers and not numbers[number].steers:
             fail(role.line, f"wheel {number} steers, but its joint is locked", "bSteeringLocked=False")
 
 
@@ -132,11 +174,8 @@ def _steered(wheels: Sequence[Pair], driven: set[str], roles: Mapping[int, Role]
 
 def _largest(pairs: Sequence[Pair], roles: Mapping[int, Role]) -> float:
     """Return the largest steering angle of some wheels [rad]; 0 if none steers."""
-    angles = [
-        roles[pair.number].max_steer if pair.number in roles else MAX_STEER
-        for pair in pairs
-        if _steers(pair, roles)
-    ]
+    given = [roles[pair.number].max_steer if pair.number in roles else None for pair in pairs]
+    angles = [a or MAX_STEER for a, pair in zip(given, pairs, strict=True) if _steers(pair, roles)]
     return max(angles, default=0.0)
 
 

@@ -15,8 +15,8 @@ from usarmjx.models.ini_read import as_class, fail, number_of, shown, vector_of
 from usarmjx.models.kit import BLACK, car_wheel, wheel
 from usarmjx.models.spec import STEER, Motor, Part, RobotSpec, Shape, Spring
 from usarmjx.registry import Registry
+from usarmjx.transforms import GRAVITY
 
-GRAVITY = 9.81
 # All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
 # a P2AT's (667 and 33 times the inertia), and torque for a friction coefficient of 1.
 MIN_ARMATURE = 0.03

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from usarmjx.errors import SpecError, UsageError
 from usarmjx.models.ini import Line
-from usarmjx.models.ini_drive import drive_of, read_roles
+from usarmjx.models.ini_drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini_figures import apply_figures
 from usarmjx.models.ini_items import ITEM_LISTS, Notes, Settings, read_mount, settle_parent
 from usarmjx.models.ini_joints import build_parts
@@ -103,15 +103,11 @@ def _changed_robot(orders: Orders, base: RobotSpec, pairs: Sequence[Pair], sourc
     """Return a class that exists with the parts, if any are given, on its own chassis."""
     if (line := orders.figures.get("dimensions")) is not None:
         sources.notes.add(line, "Dimensions are ignored: they are for a new class, whose chassis they are of")
-    wheels = [line for line, _ in orders.lists.get("Wheels", ())]
-    if wheels and not pairs:
-        fail(
-            wheels[0], "Wheels name wheels by the numbers of JointParts, which are missing", "JointParts too"
-        )
+    roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
     if not pairs:
-        return base
+        return change_wheels(base, roles)
     parts = build_parts(pairs, base.mass, sources.robots)
-    parts, drive = drive_of(pairs, parts, read_roles(wheels), sources.notes)
+    parts, drive = drive_of(pairs, parts, roles, sources.notes)
     return replace(base, parts=parts, drive=drive, reported=())
 
 

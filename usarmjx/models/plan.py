@@ -124,14 +124,22 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
     """Return the height of the lowest point of the masked geoms (ngeom,) [m]; kinematics must be current.
 
-    Boxes, spheres, capsules and cylinders are exact; other types count as their bounding sphere.
+    Boxes, spheres, capsules, cylinders and ellipsoids are exact; other types count as their bounding sphere.
     """
     up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :])
     radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
     kinds = mujoco.mjtGeom
     reach = np.select(
-        [model.geom_type == kind for kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE)],
-        [(up * model.geom_size).sum(-1), radius, radius + length * up[:, 2]],
+        [
+            model.geom_type == kind
+            for kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID)
+        ],
+        [
+            (up * model.geom_size).sum(-1),
+            radius,
+            radius + length * up[:, 2],
+            np.sqrt(((up * model.geom_size) ** 2).sum(-1)),
+        ],
         np.where(
             model.geom_type == kinds.mjGEOM_CYLINDER,
             radius * np.sqrt(np.maximum(0.0, 1 - up[:, 2] ** 2)) + length * up[:, 2],

@@ -27,8 +27,8 @@ BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
 """Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a
 third of what they are stable at), damped to 0.8 of critical."""
 
-# Rubber with cleats that hook over edges. With the 0.8 of tyres a row of wheels hangs on stairs of 35 degrees:
-# an edge between two wheels meets a flank that is steeper than the stairs.
+# Rubber with cleats that hook over edges (chosen). With the 0.8 of tyres a row of wheels hangs on stairs of
+# 35 degrees: an edge between two wheels meets a flank that is steeper than the stairs.
 SURFACES["track"] = Surface(friction=1.2, priority=0, contype=WHEEL, conaffinity=HULL | FIXED)
 
 
@@ -178,6 +178,8 @@ class Flippers:
 
 
 FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
+FINGERS = 0.2
+"""What the two fingers of a gripper weigh [kg]: part of the robot's mass, but not of its own parts."""
 
 
 def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:

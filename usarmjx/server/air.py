@@ -13,7 +13,7 @@ class Presence:
 
     Attributes:
         name: Its name on the wire.
-        at: Where its antenna is, in our axes [m].
+        at: Its chassis origin, in our axes [m].
         battery_empty: Whether it has used up its battery.
     """
 

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.comms.antenna import LOWEST, antenna_of
 from usarmjx.comms.attenuation import RadioSettings, received_power
-from usarmjx.comms.walls import check_types, count_walls
-from usarmjx.models.compose import Physics, new_spec
-from usarmjx.models.spec import ArenaSpec
-from usarmjx.sensors.raycast import Geoms, gather
+from usarmjx.comms.walls import arena_solids, count_walls
+from usarmjx.models.state import RobotState
+from usarmjx.sensors.raycast import Geoms
 from usarmjx.server.air import Presence
 from usarmjx.server.host import HostWorld, Robot
-from usarmjx.transforms import Vec3
+from usarmjx.transforms import Vec3, flip_vector
 
 LOT = 16
 """So many pairs are worked out at a time."""
@@ -29,8 +29,7 @@ LOT = 16
 class Ether:
     """The radio of one served world; an `air.Air`.
 
-    The antenna is at the origin of a robot's chassis, which is the place that it reports. Solids are the
-    arena's: robots and loose objects weaken no link.
+    Antennas and solids are those of the batch's radio: robots and loose objects weaken no link.
 
     Args:
         world: The world.
@@ -47,10 +46,10 @@ class Ether:
         self.cutoff = settings.cutoff
         self._world = world
         self._time = -1.0
-        self._places: dict[Robot, Vec3] = {}
+        self._antennas: dict[Robot, Vec3] = {}
         self._links: dict[tuple[Robot, Robot], tuple[float, int]] = {}
         with _beside_the_physics():
-            geoms = arena_geoms(world.arena)
+            geoms = arena_solids(world.arena)
             ends = np.zeros((LOT, 3), np.float32)
             self._run = jax.jit(partial(_links, settings, geoms)).lower(ends, ends).compile()
         self._run(ends, ends)
@@ -58,7 +57,7 @@ class Ether:
     def present(self) -> list[Presence]:
         """Return all robots in the world, in the order of their slots."""
         return [
-            Presence(robot.name, self._place(robot), self._world.battery(robot) <= 0)
+            Presence(robot.name, _vec3(self._world.state(robot).pos), self._world.battery(robot) <= 0)
             for robot in self._robots()
         ]
 
@@ -84,7 +83,7 @@ class Ether:
         """Work out many pairs at once that will be asked for in this control step."""
         found = {_ordered(self._find(one), self._find(other)) for one, other in pairs}
         wanted = [pair for pair in found if pair is not None and pair not in self._now()]
-        ends = [(self._place(one), self._place(other)) for one, other in wanted]
+        ends = [(self._antenna(one), self._antenna(other)) for one, other in wanted]
         for pair, link in zip(wanted, self._work_out(ends), strict=True):
             self._links[pair] = link
 
@@ -99,23 +98,23 @@ class Ether:
         """Return the links worked out in this control step."""
         if self._time != self._world.time:
             self._time = self._world.time
-            self._places.clear()
+            self._antennas.clear()
             self._links.clear()
         return self._links
 
-    def _place(self, robot: Robot) -> Vec3:
+    def _antenna(self, robot: Robot) -> Vec3:
         self._now()
-        if robot not in self._places:
-            x, y, z = (float(v) for v in self._world.state(robot).pos)
-            self._places[robot] = (x, y, z)
-        return self._places[robot]
+        if robot not in self._antennas:
+            state = self._world.state(robot)
+            self._antennas[robot] = antenna_place(robot, state, self._world.arena.floor)
+        return self._antennas[robot]
 
     def _link(self, one: str, other: str) -> tuple[float, int] | None:
         pair = _ordered(self._find(one), self._find(other))
         if pair is None:
             return None
         if pair not in self._now():
-            self._links[pair] = self._work_out([(self._place(pair[0]), self._place(pair[1]))])[0]
+            self._links[pair] = self._work_out([(self._antenna(pair[0]), self._antenna(pair[1]))])[0]
         return self._links[pair]
 
     def _work_out(self, ends: Sequence[tuple[Vec3, Vec3]]) -> list[tuple[float, int]]:
@@ -144,21 +143,17 @@ def _links(
     return received_power(settings, jnp.linalg.norm(end - start, axis=-1), walls), walls
 
 
-def arena_geoms(arena: ArenaSpec) -> Geoms:
-    """Return the solids of an arena: its floor and all that stands fixed on it."""
-    spec = new_spec(arena, Physics())
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    fixed = model.geom_bodyid < 2  # the world's own body and the arena's
-    check_types(model.geom_type[fixed])
-    return gather(
-        model.geom_type[fixed],
-        data.geom_xpos[fixed].astype(np.float32),
-        data.geom_xmat[fixed].reshape(-1, 3, 3).astype(np.float32),
-        model.geom_size[fixed].astype(np.float32),
-        jnp.full(int(fixed.sum()), -1),
-    )
+def antenna_place(robot: Robot, state: RobotState, floor: float) -> Vec3:
+    """Return where a robot's antenna is, as `comms.antenna.antenna_places` does, without compiling [m]."""
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.array(flip_vector(antenna_of(robot.spec))), np.float64(state.quat))
+    x, y, z = _vec3(turned + state.pos)
+    return (x, y, max(z, floor + LOWEST))
+
+
+def _vec3(values: np.ndarray) -> Vec3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
 
 
 @contextmanager

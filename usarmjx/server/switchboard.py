@@ -152,7 +152,8 @@ class Switchboard:
         """See who is in the world and which routes the radio carries."""
         present = {robot.name.lower(): robot for robot in reversed(self.air.present())}
         gone = tuple(name for name in self._stations if self._is_gone(name, present.get(name.lower())))
-        opened, closed = [], []
+        opened: list[Route] = []
+        closed: list[Route] = []
         for route, number in self._numbers.items():
             carried = self._is_carried(route) and not {route.caller, route.called} & set(gone)
             if carried != number.open:

@@ -14,9 +14,8 @@ import numpy as np
 
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import Array, Vec3
+from usarmjx.transforms import GRAVITY, Array, Vec3
 
-GRAVITY = 9.81
 AIR, WATER = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
 NODES = 40

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.models.drives.base import Drive, Vehicle
-from usarmjx.models.drives.fluid import AIR, GRAVITY, Hull
+from usarmjx.models.drives.fluid import AIR, Hull
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import Array, Vec3
+from usarmjx.transforms import GRAVITY, Array, Vec3
 
 STEEPEST = math.radians(65)
 """No more tilt than this, whatever is asked [rad]."""

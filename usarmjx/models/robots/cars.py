@@ -1,6 +1,7 @@
 """The cars: Hummer, SnowStorm, Sedan and Cooper (manual 12.5 to 12.8).
 
-The manual gives sizes and speeds of most; the real cars' data sheets, and choices, fill in the rest.
+The manual gives sizes and speeds of most; the real cars' data sheets, and choices, fill in the rest. Sedan and
+Cooper have the manual's 100 rad/s; the 134 km/h that it gives them too are those of the Hummer's bigger wheels.
 """
 
 from usarmjx.models.cars import Car, build_car
@@ -96,8 +97,7 @@ SEDAN = build_car(
         colour=(0.3, 0.4, 0.6, 1.0),
     ),
     sources=(
-        ("dimensions, wheel radius, wheels", "manual 12.7"),
-        ("top speed", "manual 12.7: 100 rad/s; its 134 km/h are the Hummer's"),
+        ("dimensions, wheel radius, top speed, wheels", "manual 12.7"),
         ("mass, wheel base, track", "data sheet"),
         ("layout", "chosen"),
     ),
@@ -121,8 +121,7 @@ COOPER = build_car(
         colour=(0.7, 0.15, 0.15, 1.0),
     ),
     sources=(
-        ("wheels", "manual 12.8"),
-        ("top speed", "manual 12.8: 100 rad/s; its 134 km/h are the Hummer's"),
+        ("top speed, wheels", "manual 12.8"),
         ("dimensions, mass, wheel base, track, wheel radius", "data sheet"),
         ("layout", "chosen"),
     ),

@@ -3,8 +3,8 @@
 import math
 
 from usarmjx.models.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick, sick_housing
-from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, RobotSpec, Shape
-from usarmjx.models.tracks import Belt, drive_tracks, mass_of, track_pair
+from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
+from usarmjx.models.tracks import FINGERS, Belt, drive_tracks, mass_of, track_pair
 from usarmjx.transforms import Vec3
 
 OLIVE = (0.35, 0.38, 0.22, 1.0)
@@ -56,7 +56,7 @@ def _arm_link(
 UPPER, LOWER, HAND = 0.45, 0.33, 0.06  # chosen lengths: at zero the arm lies ahead along the deck
 TILT: Vec3 = (-math.pi / 2, 0.0, 0.0)  # turns z to the right: positive lifts the arm
 TALON_ARM = MissionPackage(
-    # The manual's text has two joints, its example of MISPKG moves links 1 and 3: shoulder, elbow and a wrist.
+    # The manual's text has two joints, its example of MISPKG moves links 1 and 3: shoulder, elbow and wrist.
     name="TalonArm",
     links=(
         _arm_link(1, (-0.33, 0.0, -0.19), TILT, (-0.1, 2.6), _arm_motor(120.0, 2.0), UPPER),
@@ -89,7 +89,7 @@ def talon(wheels: int = 10) -> RobotSpec:
             Shape(
                 kind="box",
                 size=(0.35, 0.14, 0.05),
-                mass=TALON_MASS - mass_of(parts, packages),
+                mass=TALON_MASS - mass_of(parts, packages) - FINGERS,
                 surface="fixture",
                 rgba=OLIVE,
             ),
@@ -104,6 +104,7 @@ def talon(wheels: int = 10) -> RobotSpec:
             camera("Camera3", at=(0.0, 0.0, -0.06), parent="TalonArm_Link2"),
             camera("Camera4", at=(0.0, 0.0, -0.06), parent="TalonArm_Link3"),
         ),
+        effecters=(Mount(kind="Gripper", name="Gripper", parent="TalonArm_Link3", at=(HAND, 0.0, 0.0)),),
         wheel_radius=TALON_BELT.radius,
         wheel_separation=TALON_SEPARATION,
         wheel_base=2 * TALON_AXLE,

@@ -1,10 +1,11 @@
 """The TeleMax: four flippers that carry it, and an arm with seven joints (manual 12.19)."""
 
 import math
+from typing import Literal
 
 from usarmjx.models.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, RobotSpec, Shape
-from usarmjx.models.tracks import FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
+from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
+from usarmjx.models.tracks import FINGERS, FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
 from usarmjx.transforms import Vec3
 
 SILVER = (0.75, 0.75, 0.78, 1.0)
@@ -33,25 +34,21 @@ TELEMAX_FLIPPERS = Flippers(
     motor=Motor(max_speed=1.0, torque=250.0, stiffness=8000.0, damping=280.0, armature=4.0),
 )
 
-# Lengths of UsarCommander's inverse kinematics [m]. The captured mounts of links 1 and 2 are those of its L1
-# (turret) and L2 (shoulder); L3 and L4 are the upper arm up to and beyond the telescope's joint, L5 the lower
-# arm, L6 and L7 the wrist.
+# Lengths in the inverse kinematics of the Matlab toolbox for USARSim [m]. Its L1 and L2, turret and shoulder,
+# are the captured mounts of links 1 and 2 here; L3 and L4 are the upper arm up to and beyond the telescope's
+# joint, L5 is the lower arm, L6 and L7 the wrist.
 L3, L4, L5, L6, L7 = 0.4436, 0.18996, 0.3999, 0.125, 0.125
 TURN = 0.10  # chosen: from elbow to the joint that turns the lower arm
-UP_FROM_DOWN, TILT, ALONG, BACK = (
-    (math.pi, 0.0, 0.0),
-    (math.pi / 2, 0.0, 0.0),
-    (0.0, math.pi / 2, 0.0),
-    (0.0, -math.pi / 2, 0.0),
-)
-"""Orientations: of the turret (captured), of the shoulder on it (captured), from a tilting joint to one along
-the arm, and from there to the next tilting joint."""
+RAISED: Vec3 = (math.pi, 0.0, 0.0)  # captured: z of the turret's frame points up
+TILT: Vec3 = (math.pi / 2, 0.0, 0.0)  # captured: z of the shoulder's to the right, so that positive lifts
+ALONG: Vec3 = (0.0, math.pi / 2, 0.0)  # from a tilting joint's frame to one with z ahead along the arm
+BACK: Vec3 = (0.0, -math.pi / 2, 0.0)  # and back
 
 
-def _motor(torque: float, armature: float, speed: float = 0.17) -> Motor:
-    """Stiff enough that the arm's weight bends no joint by more than some thousandths of a radian."""
+def _motor(torque: float, armature: float) -> Motor:
+    """Return a servo with the captured speed, so stiff that the arm's weight bends it by less than 1 mrad."""
     return Motor(
-        max_speed=speed,
+        max_speed=0.17,
         torque=torque,
         stiffness=4000.0 * armature,
         damping=60.0 * armature,
@@ -61,66 +58,51 @@ def _motor(torque: float, armature: float, speed: float = 0.17) -> Motor:
 
 def _link(
     number: int,
-    location: Vec3,
-    orientation: Vec3,
+    place: tuple[Vec3, Vec3],
     limits: tuple[float, float],
-    *,
     motor: Motor,
-    bar: tuple[float, float, float],
-    mass: float,
-    joint: str = "Revolute",
+    bar: Shape,
+    joint: Literal["Revolute", "Prismatic"] = "Revolute",
 ) -> Link:
-    """Return a link whose solid is a bar from `bar[0]` to `bar[1]` ahead of its joint, `bar[2]` thick."""
-    start, end, thick = bar
+    """Return a link at (location, orientation) on the one before it."""
     return Link(
         number=number,
         parent=number - 1 if number > 1 else -1,
-        location=location,
-        orientation=orientation,
+        location=place[0],
+        orientation=place[1],
         max_speed=0.17,
         max_torque=300.0,
         min_range=limits[0],
         max_range=limits[1],
-        joint=joint,  # type: ignore[arg-type]
+        joint=joint,
         motor=motor,
-        shapes=(
-            Shape(
-                kind="box",
-                size=((end - start) / 2, thick / 2, thick / 2),
-                at=((start + end) / 2, 0.0, 0.0),
-                mass=mass,
-                rgba=BLACK,
-            ),
-        ),
+        shapes=(bar,),
     )
+
+
+def _bar(start: float, end: float, thick: float, mass: float) -> Shape:
+    """Return a bar along the arm, from `start` to `end` ahead of its joint."""
+    half = ((end - start) / 2, thick / 2, thick / 2)
+    return Shape(kind="box", size=half, at=((start + end) / 2, 0.0, 0.0), mass=mass, rgba=BLACK)
 
 
 ANY = (1.0, 0.0)  # captured for link 1: unlimited
 SHOULDER, ELBOW, WRIST = _motor(300.0, 12.0), _motor(120.0, 4.0), _motor(40.0, 1.0)
+TELESCOPE = _motor(600.0, 20.0)
 
 TELEMAX_ARM = MissionPackage(
+    # Straight ahead at zero: then the manual's initial pose (12.19.1: link 2 at 2, link 4 at -2) raises the
+    # upper arm and leaves the lower arm level. Ranges of links 1 and 3 are captured and the toolbox's, the
+    # others are chosen.
     name="TeleMaxArm",
     links=(
-        _link(
-            1, (0.1789, -0.0014, -0.0905), UP_FROM_DOWN, ANY, motor=SHOULDER, bar=(-0.05, 0.05, 0.1), mass=2.0
-        ),
-        _link(2, (0.0258, -0.0720, 0.1566), TILT, (-0.5, 2.6), motor=SHOULDER, bar=(0.0, L3, 0.06), mass=2.5),
-        _link(
-            3,
-            (L3, 0.0, 0.0),
-            ALONG,
-            (0.0, 0.3),
-            motor=Motor(max_speed=0.17, torque=600.0, stiffness=80000.0, damping=1200.0, armature=20.0),
-            bar=(-0.2, L4, 0.05),
-            mass=1.2,
-            joint="Prismatic",
-        ),
-        _link(4, (0.0, 0.0, L4), BACK, (-2.6, 2.6), motor=ELBOW, bar=(0.0, TURN, 0.05), mass=0.6),
-        _link(
-            5, (TURN, 0.0, 0.0), ALONG, (-math.pi, math.pi), motor=WRIST, bar=(0.0, L5 - TURN, 0.05), mass=0.8
-        ),
-        _link(6, (0.0, 0.0, L5 - TURN), BACK, (-2.0, 2.0), motor=WRIST, bar=(0.0, L6, 0.04), mass=0.4),
-        _link(7, (L6, 0.0, 0.0), ALONG, ANY, motor=WRIST, bar=(0.0, 0.04, 0.05), mass=0.2),
+        _link(1, ((0.1789, -0.0014, -0.0905), RAISED), ANY, SHOULDER, _bar(-0.05, 0.05, 0.1, 2.0)),
+        _link(2, ((0.0258, -0.0720, 0.1566), TILT), (-0.5, 2.6), SHOULDER, _bar(0.0, L3, 0.06, 2.5)),
+        _link(3, ((L3, 0.0, 0.0), ALONG), (0.0, 0.3), TELESCOPE, _bar(-0.2, L4, 0.05, 1.2), "Prismatic"),
+        _link(4, ((0.0, 0.0, L4), BACK), (-2.6, 2.6), ELBOW, _bar(0.0, TURN, 0.05, 0.6)),
+        _link(5, ((TURN, 0.0, 0.0), ALONG), (-3.14, 3.14), WRIST, _bar(0.0, L5 - TURN, 0.05, 0.8)),
+        _link(6, ((0.0, 0.0, L5 - TURN), BACK), (-2.0, 2.0), WRIST, _bar(0.0, L6, 0.04, 0.4)),
+        _link(7, ((L6, 0.0, 0.0), ALONG), ANY, WRIST, _bar(-0.02, 0.005, 0.05, 0.2)),
     ),
 )
 
@@ -149,7 +131,7 @@ def telemax(wheels: int = 4) -> RobotSpec:
                 kind="box",
                 size=(0.30, 0.10, 0.08),
                 at=(0.0, 0.0, 0.02),
-                mass=TELEMAX_MASS - mass_of(parts, packages),
+                mass=TELEMAX_MASS - mass_of(parts, packages) - FINGERS,
                 surface="fixture",
                 rgba=SILVER,
             ),
@@ -161,6 +143,10 @@ def telemax(wheels: int = 4) -> RobotSpec:
         cameras=(
             camera(at=(0.35, 0.0, -0.10), parent=CHASSIS),
             camera("GCam", at=(0.0, 0.0, -0.05), parent="TeleMaxArm_Link7"),
+        ),
+        # Its closed fingers, 12 cm with the palm, end L7 beyond the joint that turns it.
+        effecters=(
+            Mount(kind="Gripper", name="Gripper", parent="TeleMaxArm_Link7", at=(L7 - 0.12, 0.0, 0.0)),
         ),
         wheel_radius=TELEMAX_BELT.radius,
         wheel_separation=TELEMAX_SEPARATION,
