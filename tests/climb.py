@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
+from usarmjx.models.parts import joint_names
 from usarmjx.models.spec import Shape
 
 NEAR = 1.0
@@ -51,24 +52,27 @@ def nose(rig):
 
 
 class Climb:
-    """A robot before an obstacle: takes a pose there, then drives on while its joints follow a script.
+    """A robot with its joints in a pose before an obstacle; it drives on while they follow a script.
 
     Args:
         name: Robot class.
         solids: The obstacle, with its face at `NEAR`.
         pose: Angles of joints to start with.
-        settle: How long it takes that pose [s].
-        reach: How far its wheels reach ahead of its origin [m]; None: as they are in that pose.
     """
 
-    def __init__(self, name, *solids, pose=None, settle=1.5, reach=None):
-        if reach is None:
-            rig = Rig(name).move(pose or {})
-            rig.run(settle)
-            reach = nose(rig)
-        self.rig = Rig(name, *solids, places=((NEAR - GAP - reach, 0.0, 0.0),)).move(pose or {})
-        self.rig.run(settle)
+    def __init__(self, name, *solids, pose=None):
+        rig = self._posed(name, (), pose or {}, 0.0)
+        self.rig = self._posed(name, solids, pose or {}, NEAR - GAP - nose(rig))
         self.worst = 1.0
+
+    @staticmethod
+    def _posed(name, solids, pose, x):
+        rig = Rig(name, *solids, places=((x, 0.0, 0.0),))
+        names = joint_names(rig.robot)
+        for joint, angle in pose.items():
+            rig.data.qpos[rig.indices[0].qpos[names.index(joint)]] = angle
+        rig.move(pose).run(1.0)
+        return rig
 
     def drive(self, share, seconds, script=()):
         """Drive at a share of the top speed; `script`: (time [s], {joint: angle [rad]}) in order of time."""

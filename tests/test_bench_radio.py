@@ -48,15 +48,11 @@ def test_the_summary_has_the_figures(outcome):
 def test_the_walls_stand_in_the_way():
     """A hundred of them are far more than the cap takes: five and more on a long link."""
     block = random_walls(jax.random.key(1), 100).blocks[0]
-    walls = Solids(
-        np.full(100, int(Geom.mjGEOM_BOX)),
-        *(np.asarray(x, float) for x in (block.pos, block.mat, block.size)),
-    )
-    assert (np.abs(walls.pos[:, :2]) <= SIDE / 2).all()
-    np.testing.assert_allclose(walls.pos[:, 2], walls.size[:, 2])  # they stand on the floor
-    np.testing.assert_allclose(
-        walls.mat @ walls.mat.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6
-    )
+    pos, mat, size = (np.asarray(x, float) for x in (block.pos, block.mat, block.size))
+    walls = Solids(np.full(100, int(Geom.mjGEOM_BOX)), pos, mat, size)
+    assert (np.abs(pos[:, :2]) <= SIDE / 2).all()
+    np.testing.assert_allclose(pos[:, 2], size[:, 2])  # they stand on the floor
+    np.testing.assert_allclose(mat @ mat.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6)
     ends = np.random.default_rng(0).uniform((-10, -10, 0.3), (10, 10, 1), (2, 500, 3))
     counts = walls.count(*ends)
     np.testing.assert_array_equal(counts, slab_count(walls, *ends))

@@ -117,10 +117,11 @@ def _summary(record: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"{case['worlds']} worlds x {case['robots']} robots, {case['walls']} walls on {record['device']}",
-            f"own walls     {record['links_per_s']:15,.0f} links/s  ({record['in_the_step']})",
+            f"own walls     {record['links_per_s']:15,.0f} links/s",
             f"shared walls  {record['links_per_s_shared_walls']:15,.0f} links/s",
             f"wall tests    {record['wall_tests_per_s']:15,.0f} /s, own walls",
             f"walls         {record['mean_walls']:.2f} on a link on average, {record['most_walls']} at most",
+            f"a link        {record['in_the_step']}",
             f"compile [s]   own {compiled['own']:.1f}, shared {compiled['shared']:.1f}",
         ]
     )

@@ -153,6 +153,30 @@ def serve(
         run(world, Settings(host, port, max_connections, realtime_factor), services)
 
 
+@app.command("radio-map")
+def radio_map(
+    arena: Annotated[str, typer.Argument(help="Arena name; `usarmjx list` shows them.")],
+    out: Annotated[Path, typer.Argument(help="PNG file to write.")],
+    source: Annotated[
+        str, typer.Option("--from", help="The sender's antenna: x,y or x,y,z [m], z above the floor.")
+    ],
+    height: Annotated[
+        float | None,
+        typer.Option(help="Height of the receivers above the floor [m]; the sender's, if not given."),
+    ] = None,
+    ini: Annotated[Path | None, typer.Option(help="USARComServer.ini with the radio's constants.")] = None,
+) -> None:
+    """Draw a map of the power that a radio's signal has all over an arena."""
+    with _Failure():
+        from usarmjx.comms.attenuation import RadioSettings, radio_settings
+        from usarmjx.models.arenas import ARENAS
+        from usarmjx.radio_map import radio_picture, read_place
+
+        settings = RadioSettings() if ini is None else radio_settings(ini)
+        radio_picture(ARENAS.get(arena), out, read_place(source), settings, height=height)
+        typer.echo(f"wrote {out}")
+
+
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the picture and the log.")] = Path("out"),

@@ -207,7 +207,8 @@ def drive(
     power brakes its joints and exerts nothing (KRobot.uc).
     """
     robot = plan.robot
-    command = jax.tree.map(lambda told, still: jnp.where(now.powered, told, still), command, idle(robot))
+    braked = idle(robot).replace(order=jnp.full(command.order.shape, int(Order.VELOCITY)))
+    command = jax.tree.map(lambda told, still: jnp.where(now.powered, told, still), command, braked)
     finite, sound = jnp.isfinite(command.target), jnp.isfinite(command.setpoint)
     command = command.replace(
         target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)

@@ -55,16 +55,16 @@ class Registry(Generic[T]):
         return self._entries[key][1]
 
     def names(self) -> list[str]:
-        """Return the registered names, sorted, in the spelling they were added with."""
-        return sorted(name for name, _ in self._entries.values())
+        """Return the registered names, sorted without case, in the spelling they were added with."""
+        return sorted((name for name, _ in self._entries.values()), key=str.lower)
 
     def __contains__(self, name: str) -> bool:
         """Return whether a name or alias is registered, case ignored."""
         return name.lower() in self._entries or name.lower() in self._aliases
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
-        """Iterate over (name, entry), sorted by name."""
-        return iter(sorted(self._entries.values(), key=lambda pair: pair[0]))
+        """Iterate over (name, entry), sorted by name, case ignored."""
+        return iter(sorted(self._entries.values(), key=lambda pair: pair[0].lower()))
 
     def __len__(self) -> int:
         """Return the number of entries, aliases not counted."""

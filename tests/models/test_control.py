@@ -195,6 +195,8 @@ def test_a_drive_takes_its_wheels_back_from_orders_to_single_joints():
 def test_without_power_a_robot_brakes(run):
     told = run([5.0] * 6, ALL_TURN, powered=False)
     assert not told.ctrl.any()
+    told = run([0.0] * 6, [Order.POSITION] * 6, joint_pos=[0, 0, 0, 0, 0.5, 0.2], powered=False)
+    assert not told.ctrl.any(), "it does not go home either"
 
 
 def test_a_torque_is_pulled_with_and_nothing_holds(run):

@@ -233,7 +233,7 @@ def test_nop_stops_the_fingers_on_their_way():
 
 @pytest.mark.parametrize(("half", "mass"), [(0.03, 0.3), (0.02, 0.1), (0.045, 1.0)])
 def test_a_gripped_block_is_lifted_carried_and_dropped(half, mass):
-    """Slip is that of MuJoCo's soft contacts, some 0.2 mm/s; held or lost is what is tested."""
+    """Carried by 1 m and held for 10 s. Soft contacts creep: at most 0.4 mm/s here, 8 mm in all."""
     rig = Rig("Grabber", loose=(block((0.8, 0.0), (half,) * 3, mass),))
     approach(rig)
     assert operate(rig, "Gripper", "Open", 0.0)
@@ -247,9 +247,9 @@ def test_a_gripped_block_is_lifted_carried_and_dropped(half, mass):
     rig.tell(Left=2.0, Right=2.0)
     rig.run(1.0 / 0.26 + 0.3)
     rig.tell(Left=0.0, Right=0.0)
-    rig.run(1.0)
+    rig.run(11.0)
     assert rig.data.qpos[rig.indices[0].root_qpos] > start + 1.0
-    assert np.linalg.norm(middle(rig) - held) < 5 * MM
+    assert np.linalg.norm(middle(rig) - held) < 8 * MM
     assert operate(rig, "Gripper", "Open", 1.4)
     rig.run(1.0)
     assert rig.data.body("loose/block").xpos[2] == pytest.approx(half, abs=2 * MM), "it lies on the floor"
@@ -262,13 +262,16 @@ def test_a_block_is_held_while_the_robot_turns_on_the_spot_and_brakes():
     operate(rig, "Gripper", "Open", 0.0)
     rig.run(1.0)
     held = middle(rig)
-    assert held[1] == pytest.approx(0.0, abs=3 * MM), "geared fingers centre what they close on"
     rig.move({"Lift_Link1": -0.2})
     rig.run(1.5)
+    uneven = 0.0
     for left, right in ((-3.0, 3.0), (99.0, 99.0), (0.0, 0.0)):
         rig.tell(Left=left, Right=right)
-        rig.run(1.5)
+        for _ in range(75):
+            rig.step()
+            uneven = max(uneven, abs(rig.joint("LeftFinger") - rig.joint("RightFinger")))
     assert np.linalg.norm(middle(rig) - held) < 0.02
+    assert uneven < 2 * MM, "geared fingers yield to neither side"
 
 
 # Roller table

@@ -551,7 +551,7 @@ def test_a_mistake_names_its_place_and_what_is_allowed(load, lines, says):
     ("text", "says"),
     [
         ("[USARBot.Dalek]\nWeight=3", r"a\.ini:2: \[USARBot\.Dalek\] is neither .* JointParts or a Base"),
-        ("[USARBot.A]\nBaseClass=Dalek", r"a\.ini:2: unknown BaseClass 'Dalek'; expected one of P2AT, P2DX"),
+        ("[USARBot.A]\nBaseClass=Dalek", r"a\.ini:2: unknown BaseClass 'Dalek'; expected one of Lisa, P2AT"),
         ("[USARBot.A]\nBaseClass=B\n[USARBot.B]\nBaseClass=A", r"a\.ini:4: A is based on itself"),
         (ROVER.replace("Weight=12\n", ""), r"a\.ini:2: new robot Rover has no Weight"),
         (ROVER.replace("Weight=12", "Weight=1").replace(SIZE, SIZE + ",Mass=1"), r"a\.ini:3: .*parts alone"),

@@ -23,14 +23,12 @@ EVERY = pytest.mark.parametrize("name", NAMES)
 WITH_FLIPPERS = pytest.mark.parametrize("name", FLIPPERED)
 EXACT = 1e-6  # float32 arrays of the body plan
 SINK = 1e-3  # m: how deep MuJoCo's soft contacts let a robot sink
-# The arm's initial pose (manual 12.19.1) keeps it over the chassis; it gets there at 0.17 rad/s.
-ARM_UP, ARM_TIME = {"TeleMaxArm_Link2": 2.0, "TeleMaxArm_Link4": -2.0}, 2.0 / 0.17 + 1.0
+ARM_UP = {"TeleMaxArm_Link2": 2.0, "TeleMaxArm_Link4": -2.0}  # manual 12.19.1: the initial pose
 
 
 def poised(name, pose):
-    """Keywords of `Climb`: a pose of the flippers, and of the TeleMax's arm."""
-    arm = ARM_UP if name == "TeleMax" else {}
-    return {"pose": {**pose, **arm}, "settle": ARM_TIME if arm else 2.0}
+    """A pose of the flippers, and of the TeleMax's arm, which else would reach over the obstacle."""
+    return {**pose, **(ARM_UP if name == "TeleMax" else {})}
 
 
 # As built
@@ -130,9 +128,9 @@ TOP = {
     "Kenaf": 0.55,  # none in 12.23: the wheel joint's default of the UDK version
 }
 TOP_RTOL = 0.10
-# Measured [rad/s]: half of what rigid wheels with Coulomb friction would do, as sliding wheels hop in MuJoCo's
-# friction model. The Soryu stands on its middle car: flat on the ground it is too long to turn.
-SPIN = {"Tarantula": 0.6, "Talon": 1.1, "Soryu": 0.6, "TeleMax": 1.5, "Rugbot": 2.8, "Kenaf": 0.7}
+# Measured [rad/s]: half of what rigid wheels with Coulomb friction would do, as wheels that slide hop in
+# MuJoCo's friction model. The Soryu stands on its middle car: flat on the ground it is too long to turn.
+SPIN = {"Tarantula": 0.6, "Talon": 1.1, "Soryu": 1.0, "TeleMax": 1.5, "Rugbot": 2.8, "Kenaf": 0.7}
 SPIN_RTOL = 0.4  # it is chaotic; a robot that does not turn, or turns as if on ice, is far off
 
 
@@ -183,7 +181,7 @@ def test_random_driving_stays_on_the_ground(name, seed):
         assert rig.up[0] > 0.98
     heights = np.array(path)[:, 2] - rig.plan.clearance
     assert fastest < 2 * rig.robot.drive.top_speed
-    assert -2 * SINK - 0.002 < heights.min()
+    assert heights.min() > -4 * SINK
     assert heights.max() < 0.04
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > rig.robot.drive.top_speed, "it did move"
 
@@ -205,15 +203,16 @@ def test_flip_puts_a_robot_back_on_its_tracks(name, roll):
 # Climbing
 
 # Steps [m] climbed with the flippers; without them one of two thirds of that is too high.
-STEP = {"Tarantula": 0.14, "TeleMax": 0.24, "Kenaf": 0.26}
-RAISED = {"Tarantula": -0.6, "TeleMax": -1.0, "Kenaf": -0.6}
+STEP = {"Tarantula": 0.14, "TeleMax": 0.26, "Kenaf": 0.26}
+PRESS = {"Tarantula": 2.0, "TeleMax": 1.0, "Kenaf": 2.0}  # s after the start, with its nose on the edge
 
 
 @WITH_FLIPPERS
 def test_flippers_help_up_a_step(name):
     """Nose on the edge, then the front flippers press down on it while the rear ones lift the tail."""
-    script = ((2.0, flippers(0.5, -0.9)), (4.0, flippers(0.0, 0.0)))
-    climb = Climb(name, step(STEP[name]), **poised(name, flippers(RAISED[name], 0.0)))
+    press = PRESS[name]
+    script = ((press, flippers(0.5, -0.9)), (press + 2.0, flippers(0.0, 0.0)))
+    climb = Climb(name, step(STEP[name]), pose=poised(name, flippers(-0.6, 0.0)))
     climb.drive(0.5, 4.0 + 3.0 / TOP[name], script)
     assert STEP[name] >= 0.10
     assert climb.on_top(STEP[name])
@@ -223,7 +222,7 @@ def test_flippers_help_up_a_step(name):
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_without_flippers_a_step_of_two_thirds_is_too_high(name, share):
     for height, expected in ((0.04, True), (STEP[name] / 1.5, False)):
-        climb = Climb(name, step(height), **poised(name, FOLDED))
+        climb = Climb(name, step(height), pose=poised(name, FOLDED))
         climb.drive(share, 2.0 + 1.0 / (share * TOP[name]))
         assert climb.on_top(height) is expected
 
@@ -251,15 +250,15 @@ def test_climbs_stairs(name, share):
     if name in FLAT:
         pose = flippers(-0.6, 0.0)
         script = (((0.3 if name == "TeleMax" else 0.9) / (share * TOP[name]), flippers(low, -low)),)
-    climb = Climb(name, *stairs(COUNT, RISE, GOING), **poised(name, pose))
-    climb.drive(share, 5.0 / (share * TOP[name]), script)
+    climb = Climb(name, *stairs(COUNT, RISE, GOING), pose=poised(name, pose))
+    climb.drive(share, 7.0 / (share * TOP[name]), script)
     assert climb.on_top(COUNT * RISE, NEAR + (COUNT - 1) * GOING)
     assert climb.worst > math.cos(math.radians(55)), "upright all the way"
 
 
 def test_soryu_lifts_its_front_car_onto_a_step():
     height = 0.30
-    climb = Climb("Soryu", step(height), pose={"FrontTilt": 1.0}, settle=2.0)
+    climb = Climb("Soryu", step(height), pose={"FrontTilt": 1.0})
     climb.drive(1.0, 4.0, ((2.0, {"FrontTilt": 0.0}),))
     front = [climb.rig.data.body(f"r0/{name}").xpos for name in ("LeftFWheel", "RightFWheel", "LeftWheel4")]
     assert all(x > NEAR for x, _, _ in front)

@@ -143,13 +143,12 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     return gather(model.geom_type, pos, mat, model.geom_size.astype(np.float32), owner)  # type: ignore
 
 
-def _crossed(kind: int, block: Block, middle: jax.Array, half: jax.Array) -> jax.Array:
-    """Which geoms of a block one segment crosses (geoms,)."""
-    # As in the raycaster: sums of products fuse with the kernel and are not rounded to TensorFloat-32.
-    offset, mat = middle - block.pos, block.mat
-    local = tuple(sum(mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3))
-    along = tuple(sum(mat[:, j, i] * half[j] for j in range(3)) for i in range(3))
-    return KERNELS[kind](local, along, tuple(block.size[:, i] for i in range(3)))  # type: ignore - three each
+def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Triple]:
+    """Return position, orientation and size by components (geoms,): side by side memory is read fastest."""
+    pos, size = (tuple(values[:, i] for i in range(3)) for values in (block.pos, block.size))
+    mat = tuple(tuple(block.mat[:, j, i] for i in range(3)) for j in range(3))
+    # The barrier keeps XLA from merging this into the loop over segments, which would jump through the rows.
+    return jax.lax.optimization_barrier((pos, mat, size))  # type: ignore - three of each
 
 
 @jax.jit
@@ -161,11 +160,16 @@ def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """
+    blocks = [_columns(block) for block in geoms.blocks]
 
     def one(middle: jax.Array, half: jax.Array) -> jax.Array:
         count = jnp.zeros((), jnp.int32)
-        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
-            count = count + _crossed(kind, block, middle, half).sum(dtype=jnp.int32)
+        for kind, (pos, mat, size) in zip(geoms.types, blocks, strict=True):
+            # As in the raycaster: sums of products fuse with the kernel, and keep all their bits on a GPU.
+            offset = [middle[j] - pos[j] for j in range(3)]
+            local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
+            along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
+            count = count + KERNELS[kind](local, along, size).sum(dtype=jnp.int32)  # type: ignore
         return count
 
     return jax.vmap(one)((start + end) / 2, (end - start) / 2)

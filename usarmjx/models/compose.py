@@ -229,7 +229,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
         joint.limited, joint.range = True, part.limits
     if part.spring is not None:
         spring = part.spring
-        joint.stiffness, joint.damping = spring.stiffness, spring.damping
+        joint.stiffness, joint.damping = [spring.stiffness, 0, 0], [spring.damping, 0, 0]
         joint.springref = -spring.load / spring.stiffness
     return body
 

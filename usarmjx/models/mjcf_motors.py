@@ -101,7 +101,8 @@ def _kind(model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
         if bias == mujoco.mjtBias.mjBIAS_NONE:
             return "motor"
     raise SpecError(
-        f"{_name(model, actuator)} is of a kind without a servo; position, velocity, intvelocity and motor have one"
+        f"{_name(model, actuator)} is of a kind that has no servo; "
+        "those of position, velocity, intvelocity and motor have one"
     )
 
 

@@ -9,8 +9,9 @@ __all__ = ["CameraSettings", "field_name", "resolve"]
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Fields of view of a camera [rad] (manual 10.14.2, and its CONF example)."""
+    """Weight of a camera [kg] and its fields of view [rad] (manual 10.14.2, and its CONF example)."""
 
+    weight: float = 0.4
     camera_def_fov: float = 0.8727
     camera_min_fov: float = 0.3491
     camera_max_fov: float = 2.0944

@@ -26,7 +26,7 @@ class Wheel:
         x: Where it is on the chassis, forward [m].
         y: To the right [m].
         powered: Whether it has a motor.
-        brakes: Whether it has a brake although it is not powered.
+        brakes: Whether it has a brake; powered wheels brake anyway.
     """
 
     joint: str

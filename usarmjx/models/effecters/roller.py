@@ -54,7 +54,7 @@ class RollerTable(Effecter):
 
     def parts(self) -> tuple[Part, ...]:
         """The rollers."""
-        motor = Motor(**{**vars(MOTOR), "max_speed": self.settings.max_speed})
+        motor = replace(MOTOR, max_speed=self.settings.max_speed)
         places = [(i - (ROLLERS - 1) / 2) * PITCH for i in range(ROLLERS)]
         # MuJoCo has one contact between a cylinder and a box: on two halves a box lies still.
         half = Shape(kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE, mass=0.15, surface="wheel")

@@ -1,6 +1,7 @@
 """The robot classes that INIT can spawn."""
 
 from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
+from usarmjx.models.robots.cars import COOPER, HUMMER, SEDAN, SNOWSTORM
 from usarmjx.models.robots.flippers import KENAF, TARANTULA
 from usarmjx.models.robots.kurt import KURT2D, KURT3D
 from usarmjx.models.robots.legged import ERS, QRIO
@@ -24,6 +25,10 @@ for _spec in (
     STEREO_P2AT,
     ATRVJR,
     ZERG,
+    HUMMER,
+    SNOWSTORM,
+    SEDAN,
+    COOPER,
     KURT2D,
     KURT3D,
     LISA,

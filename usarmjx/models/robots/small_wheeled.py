@@ -48,9 +48,9 @@ ATRV_MOTOR = firm_motor(
     max_speed=1.0 / ATRV_WHEEL,  # manual 12.4.1: 1.0 m/s; the 2.0943 in 9.3's CONF are its 120 degrees/s
     torque=20.0,  # chosen, as the P2AT's: about what a tyre can put on the ground
     inertia=ATRV_WHEEL_MASS * ATRV_WHEEL**2 / 2,
-    armature=1.2,  # chosen, as in proportion is that of the P2AT: light wheels would slide sideways too easily
+    armature=1.2,  # chosen, in proportion the P2AT's: with less, wheels skid sideways and turn it slowly
 )
-# x [mm], y [mm], yaw [degrees] of the front and right sonars S1..S11 (manual 12.4.1).
+# x [mm], y [mm], yaw [degrees] of the sonars S1..S17 (manual 12.4.1).
 ATRV_SONARS = (
     (334.95, -104.39, -30),
     (340.41, -49.91, -15),
