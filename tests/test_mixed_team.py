@@ -19,9 +19,9 @@ ORDERS = {
 }
 STEPS = 50
 """Control steps: one second."""
-PARITY = 0.01
-"""Between engines [m]: single precision through rolling contacts over up to 0.7 m, from tyres that skid as they
-start (tests/test_engines.py has 5 mm for two P2ATs)."""
+PARITY = 0.02
+"""Between engines [m] after up to 0.9 m. With 10 solver iterations a Talon's dozen track wheels are 1.2 cm from
+where 100 iterations take it, on warp as on C; with 60 iterations all agree within 0.1 mm."""
 
 
 @pytest.fixture(scope="module")

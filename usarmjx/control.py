@@ -97,8 +97,9 @@ class Servos:
         damping: Gain on the velocity.
         low: Lowest position.
         high: Highest position.
-        slack: How far a servo's target may run ahead of its joint: just enough to exert its full torque at
-            full speed. Without the bound a stalled wheel would have to unwind first.
+        lead: How far a servo's target is ahead of its joint per speed of that, without torque.
+        slack: How much farther it may be: just enough to exert its full torque. Without the bound a stalled
+            wheel would have to unwind first, and a braked one would roll back.
     """
 
     speed: np.ndarray
@@ -107,6 +108,7 @@ class Servos:
     damping: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    lead: np.ndarray
     slack: np.ndarray
 
 
@@ -127,7 +129,8 @@ def servos_of(robot: RobotSpec) -> Servos:
         damping=row([m.damping for m in motors]),
         low=row([low for low, _ in limits]),
         high=row([high for _, high in limits]),
-        slack=row([(m.torque + m.damping * m.max_speed) / m.stiffness for m in motors]),
+        lead=row([m.damping / m.stiffness for m in motors]),
+        slack=row([m.torque / m.stiffness for m in motors]),
     )
 
 
@@ -145,14 +148,14 @@ def idle(robot: RobotSpec) -> Command:
 
 
 @cache
-def _aimed(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return per joint whether the drive moves it, the row of `Drive.values` that does, and its order."""
+def _aimed(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return per joint whether the drive moves it, and the row of `Drive.values` that does."""
     names = joint_names(robot)
-    mask, row, order = (np.zeros(len(names), kind) for kind in (bool, int, np.int32))
+    mask, row = np.zeros(len(names), bool), np.zeros(len(names), int)
     for i, aim in enumerate(robot.drive.aims):
         joint = names.index(aim.joint)
-        mask[joint], row[joint], order[joint] = True, i, aim.order
-    return mask, row, order
+        mask[joint], row[joint] = True, i
+    return mask, row
 
 
 def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
@@ -186,11 +189,11 @@ def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: M
         here = np.arange(len(drive.keys)) == place
         value = xp.asarray(value, xp.float32)[..., None]
         setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
-    mask, row, order = _aimed(robot)
+    mask, row = _aimed(robot)
     command = command.replace(setpoint=setpoint)
     if not mask.any():
         return command
-    aimed = drive.values(setpoint, xp)[..., row]
+    aimed, order = drive.values(setpoint, xp)[..., row], drive.orders(setpoint, xp)[..., row]
     return command.replace(
         target=xp.where(mask, aimed, command.target).astype(xp.float32),
         order=xp.where(mask, order, command.order).astype(xp.int32),
@@ -232,9 +235,10 @@ def _servo(
     joint is held there for as long as the torque pushes outward.
     """
     servos, here = servos_of(plan.robot), plan.actuated
-    q, target, order = (x[here] for x in (state.joint_pos, command.target, command.order))
+    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
     speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
-    act = jnp.clip(act, q - servos.slack[here], q + servos.slack[here])
+    even, slack = q + servos.lead[here] * v, servos.slack[here]
+    act = jnp.clip(act, even - slack, even + slack)
     wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
     rate = jnp.clip(wanted, -speed, speed)
     ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)

@@ -92,7 +92,7 @@ def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
         ylabel="y [m]",
     )
     axes.set_title(_title(arena, log["track"]), loc="left", fontsize=11)
-    _draw_shapes(axes, arena.shapes)
+    draw_shapes(axes, arena.shapes)
     _draw_run(axes, log)
     axes.spines[:].set_visible(False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
@@ -104,7 +104,7 @@ def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
     return f"{arena.name}: {lasted:.1f} simulated seconds"
 
 
-def _draw_shapes(axes: Axes, shapes: Sequence[Shape]) -> None:
+def draw_shapes(axes: Axes, shapes: Sequence[Shape]) -> None:
     """Draw walls dark and the rest lighter, each as its outline on the floor."""
     for colour, edge, members in (
         (GROUND, "#a8987a", [shape for shape in shapes if shape.surface != "wall"]),

@@ -14,13 +14,18 @@ from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.errors import UsageError
 from usarmjx.models.spec import ArenaSpec
-from usarmjx.picture import DPI, PAPER, WIDTH, _draw_shapes
+from usarmjx.picture import DPI, PAPER, WIDTH, draw_shapes
 
 HEIGHT = 0.5
 """Antennas are this high above the floor unless told otherwise [m]: about a P2AT's."""
 MARGIN = 0.5
 """The map goes this far beyond the arena's plan [m]."""
 FINEST = 0.02
+"""Grids have at least this between their places [m]."""
+PLACES = 300
+"""Places along the longer side of an arena, unless told otherwise."""
+BRIGHTEST = 0.5
+"""Nearer to the sender than this colours change no more [m]."""
 COLOURS, CUTOFF_LINE = "viridis", "#d1622b"
 
 
@@ -62,7 +67,7 @@ def power_map(
     settings: RadioSettings | None = None,
     *,
     height: float | None = None,
-    step: float = 0.05,
+    step: float | None = None,
 ) -> PowerMap:
     """Return the power received all over an arena.
 
@@ -72,21 +77,23 @@ def power_map(
             in the arena's axes [m].
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
-        step: Distance of two places on the grid [m].
+        step: Distance of two places on the grid [m]; None: `PLACES` along the arena.
 
     Raises:
         UsageError: A step too fine to be drawn.
     """
+    (x0, x1), (y0, y1) = arena.extent
+    if step is None:
+        step = max(FINEST, max(x1 - x0, y1 - y0) / PLACES)
     if not step >= FINEST:
         raise UsageError(f"the step of a map is {step}, allowed is {FINEST} m and more")
-    (x0, x1), (y0, y1) = arena.extent
     x, y = (
         np.arange(x0 - MARGIN, x1 + MARGIN + step / 2, step),
         np.arange(y0 - MARGIN, y1 + MARGIN + step / 2, step),
     )
     up = source[2] if len(source) > 2 else HEIGHT
     grid = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), up if height is None else height)], -1)
-    ends = (grid.reshape(-1, 3) + (0, 0, arena.floor)).astype(np.float32)
+    ends = (grid.reshape(-1, 3) + np.array([0.0, 0.0, arena.floor])).astype(np.float32)
     start = np.broadcast_to(np.array([*source[:2], up + arena.floor], np.float32), ends.shape)
     walls = count_walls(arena_solids(arena), jnp.asarray(start), jnp.asarray(ends))
     distance = np.linalg.norm(ends - start, axis=-1)
@@ -127,10 +134,14 @@ def radio_picture(
     axes = figure.add_subplot()
     axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
     axes.set_title(_title(arena, source, settings), loc="left", fontsize=11)
-    colours = axes.pcolormesh(drawn.x, drawn.y, drawn.power, cmap=COLOURS, shading="nearest", zorder=1)
+    # The few places right at the sender would take half of the colours.
+    top = min(drawn.power.max(), float(received_power(settings, BRIGHTEST, 0)))
+    colours = axes.pcolormesh(
+        drawn.x, drawn.y, drawn.power, cmap=COLOURS, vmax=top, shading="nearest", zorder=1
+    )
     figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)
     _draw_cutoff(axes, drawn, settings.cutoff)
-    _draw_shapes(axes, arena.shapes)
+    draw_shapes(axes, arena.shapes)
     axes.plot(*source[:2], "*", color="white", mec="black", ms=16, zorder=6)
     axes.spines[:].set_visible(False)
     figure.savefig(path, format="png")
@@ -144,4 +155,5 @@ def _title(arena: ArenaSpec, source: Sequence[float], settings: RadioSettings) -
 
 def _draw_cutoff(axes: Axes, drawn: PowerMap, cutoff: float) -> None:
     if drawn.power.min() < cutoff < drawn.power.max():
-        axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors=CUTOFF_LINE, linewidths=1.6, zorder=3)
+        line = axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors=CUTOFF_LINE, zorder=3)
+        line.set(linewidth=1.6, linestyle="solid")

@@ -219,6 +219,27 @@ def test_nothing_is_compiled_twice(batch):
         assert kinds[0] == kinds[1] == kinds[2]
 
 
+@pytest.mark.slow
+def test_the_radio_is_part_of_a_compiled_step(batch):
+    """On an engine that can be traced, with links evaluated now and then: the same as on C MuJoCo."""
+    scene = replace(batch.scene, radio=replace(RADIO, period=2 * PERIOD))
+    one, other = (Batch(scene, WORLDS, engine=engine, seed=1) for engine in ("jax", "c"))
+    to = ~np.eye(N, dtype=bool)
+
+    def tick(i, state):
+        return one.send(one.step(state), to, jnp.ones((N, 1)), length=1)
+
+    traced = jax.jit(lambda state: jax.lax.fori_loop(0, 11, tick, state))(one.reset())
+    state = other.reset()
+    for _ in range(11):
+        state = other.send(other.step(state), to, jnp.ones((N, 1)), length=1)
+    mine, theirs = traced.worlds, state.worlds
+    assert mine.links.step.tolist() == theirs.links.step.tolist() == [11] * WORLDS
+    np.testing.assert_allclose(mine.links.power, theirs.links.power, atol=0.01)  # robots settle on the floor
+    np.testing.assert_array_equal(mine.links.walls, theirs.links.walls)
+    jax.tree.map(np.testing.assert_array_equal, mine.mail, theirs.mail)
+
+
 def test_antennas_are_where_the_poses_put_them(batch):
     state = drive(batch, batch.reset(), NORTH, (3.0, -3.0, 0.0))
     for _ in range(20):

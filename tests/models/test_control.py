@@ -39,7 +39,7 @@ def run():
     """`drive` of a P2AT, compiled once, as a function of plain numbers, at 1 s."""
     compiled = jax.jit(partial(drive, body_plan(P2AT), period=PERIOD))
 
-    def call(target, order, joint_pos=(0.0,) * 6, act=None, **lying):
+    def call(target, order, joint_pos=(0.0,) * 6, joint_vel=(0.0,) * 6, act=None, **lying):
         act = joint_pos if act is None else act
         command = idle(P2AT).replace(
             target=jnp.asarray(target, jnp.float32),
@@ -52,7 +52,7 @@ def run():
             linear=jnp.zeros(3),
             angular=jnp.zeros(3),
             joint_pos=jnp.asarray(joint_pos, jnp.float32),
-            joint_vel=jnp.zeros(6),
+            joint_vel=jnp.asarray(joint_vel, jnp.float32),
         )
         now = Circumstances(
             time=jnp.float32(1.0),
@@ -115,16 +115,22 @@ def test_what_is_not_finite_counts_as_zero_and_is_counted(run, bad):
     np.testing.assert_allclose(told.ctrl[:5], [0, 1, 0, -1, 0])
 
 
-def test_a_servos_target_leads_its_joint_by_what_full_torque_at_full_speed_needs(run):
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_a_servos_target_leads_its_joint_by_what_full_torque_at_its_speed_needs(run, speed):
     slack = servos_of(P2AT).slack
     motor = P2AT_MOTOR
-    # Stiffness times lead, less damping times speed, is the torque.
-    assert slack[0] * motor.stiffness - motor.damping * motor.max_speed == pytest.approx(
-        motor.torque, rel=1e-5
+    told = run(
+        [0] * 6,
+        WHEELS_TURN,
+        joint_pos=np.full(6, 0.2),
+        joint_vel=np.full(6, speed),
+        act=[9, -9, 0.2, 0.2, 9, -9],
     )
-    told = run([0] * 6, WHEELS_TURN, joint_pos=np.full(6, 0.2), act=[9, -9, 0.2, 0.3, 9, -9])
-    expected = [0.2 + slack[0], 0.2 - slack[0], 0.2, 0.3, 0.2 + slack[4], 0.2 - slack[5]]
-    np.testing.assert_allclose(told.act, expected, rtol=1e-6)
+    # Stiffness times lead, less damping times speed, is the torque.
+    pull = motor.stiffness * (told.act[:2] - 0.2) - motor.damping * speed
+    np.testing.assert_allclose(pull, [motor.torque, -motor.torque], rtol=1e-5)
+    if not speed:
+        np.testing.assert_allclose(told.act[2:], [0.2, 0.2, 0.2 + slack[4], 0.2 - slack[5]], rtol=1e-6)
 
 
 def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):

@@ -636,7 +636,7 @@ def test_a_robot_made_of_pairs_drives_and_turns(rig):
     assert abs(rover.data.qpos[1]) < 0.02, "straight ahead"
     rover.tell(Left=-4.0, Right=4.0)
     v, a, b = 0.4, 0.16, 0.2  # as in tests/test_drive.py: rigid wheels with Coulomb friction
-    assert steady_spin(rover) == pytest.approx(v * b / (a * a + b * b), rel=0.2), "skid is not that exact"
+    assert steady_spin(rover) == pytest.approx(v * b / (a * a + b * b), rel=0.25), "skid is not that exact"
 
 
 def test_a_car_made_of_pairs_stands_on_its_springs_and_steers_as_a_bicycle_does(rig):

@@ -127,12 +127,13 @@ def climb(model, start, yaw):
     wheels = slice(len(P2AT.wheels))
     team = scene.teams[0]
     targets, joints = team.activation[0, wheels], team.qpos[0, wheels]
-    slack = servos_of(P2AT).slack[wheels]
+    servos = servos_of(P2AT)
+    lead, slack = servos.lead[wheels], servos.slack[wheels]
     data.ctrl[team.hold[0]] = 1.0
     data.ctrl[team.actuator[0, wheels]] = 3.0
     for _ in range(1200):
         mujoco.mj_step(model, data)
-        at = data.qpos[joints]
+        at = data.qpos[joints] + lead * data.qvel[team.dof[0, wheels]]
         data.act[targets] = np.clip(data.act[targets], at - slack, at + slack)
     chassis = data.body("r0/chassis")
     return (chassis.xpos[:2] - ORIGIN) / CELL, chassis.xmat[8]

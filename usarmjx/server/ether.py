@@ -46,7 +46,7 @@ class Ether:
         self.cutoff = settings.cutoff
         self._world = world
         self._time = -1.0
-        self._antennas: dict[Robot, Vec3] = {}
+        self._states: dict[Robot, RobotState] = {}
         self._links: dict[tuple[Robot, Robot], tuple[float, int]] = {}
         with _beside_the_physics():
             geoms = arena_solids(world.arena)
@@ -57,7 +57,7 @@ class Ether:
     def present(self) -> list[Presence]:
         """Return all robots in the world, in the order of their slots."""
         return [
-            Presence(robot.name, _vec3(self._world.state(robot).pos), self._world.battery(robot) <= 0)
+            Presence(robot.name, _vec3(self._state(robot).pos), self._world.battery(robot) <= 0)
             for robot in self._robots()
         ]
 
@@ -98,16 +98,19 @@ class Ether:
         """Return the links worked out in this control step."""
         if self._time != self._world.time:
             self._time = self._world.time
-            self._antennas.clear()
+            self._states.clear()
             self._links.clear()
         return self._links
 
-    def _antenna(self, robot: Robot) -> Vec3:
+    def _state(self, robot: Robot) -> RobotState:
+        """Return where a robot is, fetched once per control step."""
         self._now()
-        if robot not in self._antennas:
-            state = self._world.state(robot)
-            self._antennas[robot] = antenna_place(robot, state, self._world.arena.floor)
-        return self._antennas[robot]
+        if robot not in self._states:
+            self._states[robot] = self._world.state(robot)
+        return self._states[robot]
+
+    def _antenna(self, robot: Robot) -> Vec3:
+        return antenna_place(robot, self._state(robot), self._world.arena.floor)
 
     def _link(self, one: str, other: str) -> tuple[float, int] | None:
         pair = _ordered(self._find(one), self._find(other))

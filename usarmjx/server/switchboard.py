@@ -50,7 +50,7 @@ class Station:
         address: Where its controller is.
         ports: Where that takes calls; the first is meant when none is named.
         since: When it came [s of real time].
-        seen: Whether the robot has been in the world since.
+        seen: Whether the robot has been in the world since, or was then.
     """
 
     address: str
@@ -97,7 +97,7 @@ class Switchboard:
 
     def join(self, name: str, address: str, ports: tuple[int, ...]) -> None:
         """Let a robot take part."""
-        self._stations[name] = Station(address, ports, self._now())
+        self._stations[name] = Station(address, ports, self._now(), seen=self.air.has(name))
 
     def leave(self, name: str) -> tuple[list[Route], list[Route]]:
         """Forget a robot; return the routes from it, which are gone, and those to it, which are closed."""

@@ -20,7 +20,16 @@ from usarmjx.server.host import HostWorld
 from usarmjx.server.positions import PositionSession
 from usarmjx.server.wireless_net_a import LinkServer
 from usarmjx.server.wireless_net_b import PipeServer
-from usarmjx.server.wireless_sockets import CHUNK, Turnstile, address_of, drain, hang_up, listen, log
+from usarmjx.server.wireless_sockets import (
+    CHUNK,
+    Turnstile,
+    address_of,
+    drain,
+    hang_up,
+    limit_kernel_buffer,
+    listen,
+    log,
+)
 
 LOOK = 1.0
 """Between two looks at the world [s of simulated time]: the pace of the stand-alone server's poll."""
@@ -188,6 +197,7 @@ class Wireless:
                 log.warning("%s:%d: refused, %d connections are open", address, port, len(self._guests))
                 writer.close()
                 return
+            limit_kernel_buffer(writer)
             guest = Guest(writer, talk(address))
             self._guests.append(guest)
             try:

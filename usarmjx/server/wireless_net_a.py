@@ -111,8 +111,9 @@ class LinkServer:
                     if messages and not reaches(self._ether, *link.dial.names):
                         log.info("%s and %s do not reach each other any more", *link.dial.names)
                         break
-                    for message in messages:
-                        there.writer.write(message)
+                    if there.writer.is_closing():
+                        break
+                    there.writer.write(b"".join(messages))
                 await drain(there.writer)
         except (ConnectionError, PeerError) as error:
             log.info("%s: %s", here.end.name, error)

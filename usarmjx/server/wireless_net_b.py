@@ -164,6 +164,8 @@ class PipeServer:
         try:
             while data := await reader.read(BULK):
                 async with self._turnstile:
+                    if writer.is_closing():
+                        break
                     writer.write(data)
                 await drain(writer)
         except (ConnectionError, PeerError) as error:

@@ -14,7 +14,7 @@ log = logging.getLogger("usarmjx.server.wireless")
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
-CHUNK = 1024
+CHUNK = 256
 """Most bytes taken at once from a control connection, whose every message costs some work."""
 BULK = 64 * 1024
 """Likewise from a data connection, where a byte costs little."""
@@ -188,7 +188,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
     """Wait until a peer has read most of what waits for it.
 
     Raises:
-        PeerError: It reads nothing for too long.
+        PeerError: It reads nothing for too long; the connection is broken off.
         ConnectionError: It is gone.
     """
     while (waiting := writer.transport.get_write_buffer_size()) > BACKLOG:
@@ -197,6 +197,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
                 await writer.drain()
         except TimeoutError as error:
             if writer.transport.get_write_buffer_size() >= waiting:
+                writer.transport.abort()
                 raise PeerError(f"the peer does not read: {waiting} bytes wait for it") from error
 
 
@@ -205,6 +206,11 @@ def hang_up(writer: asyncio.StreamWriter) -> None:
     writer.close()
     if writer.transport.get_write_buffer_size():
         asyncio.get_running_loop().call_later(LINGER, writer.transport.abort)
+
+
+def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
+    """Keep the system from holding megabytes of answers for a peer that does not read them."""
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BULK)
 
 
 def address_of(writer: asyncio.StreamWriter) -> tuple[str, int]:

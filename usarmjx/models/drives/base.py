@@ -27,7 +27,7 @@ class Aim:
 
     Attributes:
         joint: Name of the joint.
-        order: 0 for a position, 1 for a velocity.
+        order: 0 for a position, 1 for a velocity, 2 for a torque.
     """
 
     joint: str
@@ -64,6 +64,11 @@ class Drive(ABC):
         """Return the targets of `aims` (..., aims) for a setpoint (..., keys)."""
         del setpoint, xp
         raise NotImplementedError
+
+    def orders(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+        """Return the orders of `aims` (..., aims) for a setpoint (..., keys): those that they name."""
+        del setpoint, xp
+        return np.array([aim.order for aim in self.aims], np.int32)
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
         """Return force [N] and torque [N m] on the chassis, world axes (6,), of a powered robot.
