@@ -269,6 +269,17 @@ def test_links_per_robot_are_bounded():
     assert party.dial(f"OPEN R1 9 R2 {last};") is not None
 
 
+def test_links_of_all_robots_together_are_bounded(monkeypatch):
+    monkeypatch.setattr(comserver, "LINKS_IN_ALL", 2)
+    party = registered()
+    for port in (1, 2, 3):
+        party.ask(f"LISTEN R2 {port};")
+    for port in (1, 2):
+        party.dial(f"OPEN R1 9 R2 {port};")
+        party.answer(True)
+    assert party.ask("OPEN R1 9 R2 3;") == "Fail: Could not establish connection;"
+
+
 def test_ports_per_robot_are_bounded():
     party = registered()
     replies = [party.ask(f"LISTEN R1 {port};") for port in range(1, comserver.MOST_PORTS + 2)]

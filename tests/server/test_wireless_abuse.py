@@ -180,7 +180,7 @@ def test_who_asks_and_never_reads_waits_for_his_answers_and_is_dropped(radio, co
 
 
 def test_a_flood_of_questions_does_not_stop_the_world_or_the_others(radio, control, record_property):
-    """Sixteen peers ask as fast as they can; together they get their share of each step and no more."""
+    """Sixteen peers ask as fast as they can; together they get their share of the time and no more."""
     stop = threading.Event()
 
     def ask(port, question):
@@ -308,6 +308,14 @@ def test_pipes_of_dialect_b_are_bounded(radio, stations):
     assert not is_over(other._socket)
 
 
+def test_peers_that_come_and_go_at_once(radio, control):
+    for port in everywhere(radio):
+        for end in (Peer.close, Peer.reset):
+            for _ in range(20):
+                end(Peer(port))
+    wait_until(lambda: len(radio.service._guests) == 1, "only the controller's connection to be left")
+
+
 # In the long run
 
 
@@ -315,39 +323,65 @@ def descriptors():
     return len(os.listdir("/proc/self/fd"))
 
 
-@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts what /proc lists")
-def test_nothing_is_left_of_links_and_pipes_in_the_long_run(radio, control, record_property):
-    """The short version of a soak: 300 links and pipes come and go, one in three in an ugly way."""
+def memory():
+    """Resident memory of this process, server and clients [MB]."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def churn(radio, control, base, ugly):
+    """Let a link and a pipe come, carry something and go, in an ugly way if asked to."""
+    with radio.control_a("Base0"), contextlib.ExitStack() as stack:
+        door = stack.enter_context(control.listen("Base1"))
+        near = stack.enter_context(control.connect("Base0", "Base1", door.port))
+        far = stack.enter_context(door.accept(PATIENCE))
+        caller = stack.enter_context(client().WirelessB("Base0", port=radio.ports["wss2"]))
+        there = stack.enter_context(caller.connect("Base2"))
+        here = stack.enter_context(base.door.accept(PATIENCE))
+        for link, end in ((near, far), (there, here)):
+            link.send(b"x" * 1000)
+            drain(end, 1000)
+        if ugly:
+            near._socket.sendall(b"SEND 1000000000000 ")
+            there._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    wait_until(lambda: len(radio.service._links._links) == 1, "the link to go")
+    wait_until(lambda: not radio.service._pipes._pipes, "the pipe to go")
+    wait_until(lambda: len(radio.service._pipes._talks) == 1, "the caller to go")
+    wait_until(lambda: not radio.service._pipes._ports, "its number to be given back")
+
+
+LISTED = pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts what /proc lists")
+
+
+@LISTED
+def test_nothing_is_left_of_links_and_pipes(radio, control, record_property):
+    """The short version of the soak: one in three ends in an ugly way."""
     base = radio.control_b("Base2")
     counts = []
     for cycle in range(150):
-        with radio.control_a("Base0"), contextlib.ExitStack() as stack:
-            door = stack.enter_context(control.listen("Base1"))
-            near = stack.enter_context(control.connect("Base0", "Base1", door.port))
-            far = stack.enter_context(door.accept(PATIENCE))
-            caller = stack.enter_context(client().WirelessB("Base0", port=radio.ports["wss2"]))
-            there = stack.enter_context(caller.connect("Base2"))
-            here = stack.enter_context(base.door.accept(PATIENCE))
-            for link, end in ((near, far), (there, here)):
-                link.send(b"x" * 1000)
-                drain(end, 1000)
-            if cycle % 3 == 0:
-                near._socket.sendall(b"SEND 1000000000000 ")
-                there._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        wait_until(lambda: len(radio.service._links._links) == 1, "the link to go")
-        wait_until(lambda: not radio.service._pipes._pipes, "the pipe to go")
-        wait_until(lambda: len(radio.service._pipes._talks) == 1, "the caller to go")
+        churn(radio, control, base, ugly=cycle % 3 == 0)
         if cycle >= 10 and cycle % 10 == 0:
             counts.append(descriptors())
     record_property("descriptors", counts)
     assert max(counts) - min(counts) <= 8, counts
     assert abs(counts[-1] - counts[0]) <= 4, "no trend"
-    assert len(radio.service._pipes._ports) == 0
 
 
-def test_peers_that_come_and_go_at_once(radio, control):
-    for port in everywhere(radio):
-        for end in (Peer.close, Peer.reset):
-            for _ in range(20):
-                end(Peer(port))
-    wait_until(lambda: len(radio.service._guests) == 1, "only the controller's connection to be left")
+@LISTED
+@pytest.mark.slow
+def test_descriptors_and_memory_stay_flat_for_half_an_hour(radio, control, record_property):
+    """`USARMJX_SOAK` says for how many seconds; half an hour if it does not."""
+    base, end = radio.control_b("Base2"), float(os.environ.get("USARMJX_SOAK", "1800")) + time.monotonic()
+    counts, sizes, cycle = [], [], 0
+    while time.monotonic() < end:
+        churn(radio, control, base, ugly=cycle % 3 == 0)
+        cycle += 1
+        if cycle % 200 == 0:
+            counts.append(descriptors())
+            sizes.append(memory())
+    record_property("cycles", cycle)
+    record_property("descriptors", (min(counts), max(counts)))
+    record_property("memory_mb", (sizes[0], sizes[len(sizes) // 2], sizes[-1]))
+    assert max(counts) - min(counts) <= 8, counts
+    # From the middle on, when all pools have their size; in half an hour 100 bytes per cycle would show.
+    assert sizes[-1] - sizes[len(sizes) // 2] < 5.0, sizes

@@ -199,6 +199,19 @@ def test_numbers_per_robot_are_bounded():
     assert replies[-1] == error("Could.Not.Allocate.Port")
 
 
+def test_numbers_and_pipes_of_all_robots_together_are_bounded(monkeypatch):
+    monkeypatch.setattr(switchboard, "NUMBERS_IN_ALL", 2)
+    monkeypatch.setattr(switchboard, "PIPES_IN_ALL", 1)
+    party = Party()
+    one, two = party.joined("R1", "1,2"), party.joined("R2", "1,2")
+    for session, line in ((one, "DNS {Robot R2}"), (two, "DNS {Robot R1}")):
+        assert ask(session, line).startswith("DNSREPLY")
+    assert ask(one, "DNS {Robot R2} {Port 2}") == error("Could.Not.Allocate.Port")
+    assert party.board.may_call(Route("R1", "R2", 1), HERE)
+    party.board.connected(Route("R2", "R1", 1), 50000)
+    assert not party.board.may_call(Route("R1", "R2", 1), HERE)
+
+
 # REVERSEDNS
 
 

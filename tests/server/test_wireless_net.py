@@ -4,6 +4,7 @@ A world is served from a thread of this process, five times faster than the cloc
 above what an idle machine needs.
 """
 
+import dataclasses
 import hashlib
 import math
 import re
@@ -20,7 +21,7 @@ from tests.server.radios import REACH, SHORT, client, crowded, drain, on_air, sp
 from usarmjx.cli import app
 from usarmjx.comms.antenna import antenna_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.wireless_sockets import listener
+from usarmjx.server.wireless_sockets import listener, log
 
 LINES = (
     r"usarmjx: listening on 127\.0\.0\.1:\d+\n"
@@ -93,6 +94,20 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     assert seen["services"][0]._settings.wss_port == 9
     assert CliRunner().invoke(app, ["serve", "--no-wireless"]).exit_code == 0
     assert seen["services"] == []
+
+
+def test_bdebug_makes_it_log(world, caplog):
+    """Manual 3.2.4.2."""
+    level = log.level
+    try:
+        for debug in (False, True):
+            with on_air(world, dataclasses.replace(SHORT, debug=debug)) as radio:
+                for i in (0, 1):
+                    radio.robot(f"Base{i}", 0.5 * i)
+                radio.link_a(radio.control_a("Base0", "Base1"), "Base0", "Base1")
+            assert ("link between Base0 and Base1" in caplog.text) == debug
+    finally:
+        log.setLevel(level)
 
 
 @pytest.mark.parametrize(

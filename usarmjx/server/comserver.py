@@ -21,6 +21,8 @@ MOST_PORTS = 64
 """Ports that one robot may be listening on at a time."""
 MOST_LINKS = 32
 """Data links that one robot may have at a time."""
+LINKS_IN_ALL = 128
+"""Data links of all robots: two sockets each, of the 1024 that a process often has."""
 
 
 class Refusal(PeerError):
@@ -181,7 +183,7 @@ class ComServer:
             raise Refusal(THIRD_PARTY)
         if not reaches(self._air, ask.name, ask.host):
             raise Refusal(f"Cannot connect to {ask.host}")
-        if ask.name not in self._stations or max(self._links[ask.name], self._links[ask.host]) >= MOST_LINKS:
+        if ask.name not in self._stations or self._is_full(ask):
             raise Refusal(NO_CONNECTION)
         if not self._owns(caller, ask.name) and ask.port not in self._listening.get(ask.name, ()):
             raise Refusal(f"{ask.name} not listening on port {ask.port}")
@@ -233,6 +235,10 @@ class ComServer:
 
     def _has_left(self, name: str) -> bool:
         return name in self._seen and not self._air.has(name)
+
+    def _is_full(self, ask: Open) -> bool:
+        busiest = max(self._links[ask.name], self._links[ask.host])
+        return busiest >= MOST_LINKS or self._links.total() >= 2 * LINKS_IN_ALL
 
     def _make_room(self) -> None:
         """Forget the oldest registration without a robot."""

@@ -14,8 +14,12 @@ from usarmjx.server.air import Air, Presence, reaches
 
 MOST_NUMBERS = 64
 """Numbers that one robot may hold."""
+NUMBERS_IN_ALL = 256
+"""Numbers of all robots: a socket each, of the 1024 that a process often has."""
 MOST_PIPES = 32
 """Pipes that one robot may have at a time."""
+PIPES_IN_ALL = 128
+"""Pipes of all robots, two sockets each."""
 GRACE = 30.0
 """Whoever takes part and is not in the world yet has so long to appear [s of real time]."""
 
@@ -124,7 +128,8 @@ class Switchboard:
         """Return the number that stands for a route, a new one if need be; None if none can be had."""
         if route not in self._numbers:
             held = sum(other.caller == route.caller for other in self._numbers)
-            port = self._allocate(route) if held < MOST_NUMBERS else None
+            room = held < MOST_NUMBERS and len(self._numbers) < NUMBERS_IN_ALL
+            port = self._allocate(route) if room else None
             if port is None:
                 return None
             self._numbers[route] = Number(port)
@@ -169,6 +174,7 @@ class Switchboard:
             and self._is_carried(route)
             and address == self.address_of(route.caller)
             and max(count[route.caller], count[route.called]) < MOST_PIPES
+            and len(self._pipes) < PIPES_IN_ALL
         )
 
     def connected(self, route: Route, port: int) -> None:

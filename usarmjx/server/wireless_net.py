@@ -202,7 +202,7 @@ class Wireless:
             self._guests.append(guest)
             try:
                 await _converse(guest, reader)
-            except (ConnectionError, PeerError) as error:
+            except (OSError, PeerError) as error:
                 log.info("%s:%d: %s", address, port, error)
             except asyncio.CancelledError:
                 log.info("%s:%d: the server stops", address, port)

@@ -115,7 +115,7 @@ class LinkServer:
                         break
                     there.writer.write(b"".join(messages))
                 await drain(there.writer)
-        except (ConnectionError, PeerError) as error:
+        except (OSError, PeerError) as error:
             log.info("%s: %s", here.end.name, error)
         finally:
             link.cut()

@@ -68,9 +68,11 @@ class PipeServer:
         """Return the names at both ends of every route."""
         return [(route.caller, route.called) for route in self._ports]
 
-    async def hear(self, session: ControlSession, data: bytes) -> bytes:
-        """Take bytes of a control connection and return the answers."""
+    async def hear(self, talk: "PipeTalk", session: ControlSession, data: bytes) -> bytes:
+        """Take bytes of a control connection and return the answers; nothing if it is over."""
         async with self._turnstile:
+            if talk not in self._talks:
+                return b""
             answers = session.receive_data(data)
             opened = self._board.take_opened()
         await self._open(opened)  # before anybody is told the number
@@ -119,12 +121,19 @@ class PipeServer:
 
     async def _open(self, routes: Iterable[Route]) -> None:
         for route in routes:
+            port = self._ports.get(route)
+            if port is None:
+                continue
             try:
-                if route in self._ports:  # its caller may have left meanwhile
-                    await self._ports[route].open()
+                await port.open()
             except UsageError as error:
                 log.warning("%s", error)
                 self._board.failed(route)
+            # Meanwhile its caller may have left, or the signal.
+            if self._ports.get(route) is not port:
+                port.release()
+            elif not self._board.is_open(route):
+                port.close()
 
     def _close(self, route: Route) -> None:
         if route in self._ports:
@@ -168,7 +177,7 @@ class PipeServer:
                         break
                     writer.write(data)
                 await drain(writer)
-        except (ConnectionError, PeerError) as error:
+        except (OSError, PeerError) as error:
             log.info("a pipe ends: %s", error)
         finally:
             pipe.cut()
@@ -201,7 +210,7 @@ class PipeTalk:
 
     async def hear(self, data: bytes) -> bytes:
         """Take bytes and return the answers."""
-        return b"" if self.over else await self._pipes.hear(self._session, data)
+        return await self._pipes.hear(self, self._session, data)
 
     def end(self) -> None:
         """The connection is gone, and with it what its robot holds."""

@@ -16,10 +16,12 @@ Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]
 
 CHUNK = 256
 """Most bytes taken at once from a control connection, whose every message costs some work."""
-BULK = 64 * 1024
+BULK = 16 * 1024
 """Likewise from a data connection, where a byte costs little."""
-BUDGET = 4e-3
-"""All wireless connections together may use so much of a control step; the rest waits for the next [s]."""
+SHARE = 0.25
+"""All wireless connections together may use so much of the time; the rest is the world's."""
+BURST = 5e-3
+"""They may be so far ahead of their share [s]."""
 BACKLOG = 256 * 1024
 """While this much waits for a peer to read it, nothing more is read for it [bytes]."""
 STALL = 30.0
@@ -31,7 +33,7 @@ LINGER = 5.0
 
 
 class Turnstile:
-    """Lets connections do their work one at a time, in the order of their coming, within the budget.
+    """Lets connections do their work one at a time, in the order of their coming, within their share.
 
     `async with turnstile:` around work without waiting. Nobody can keep the world from stepping, and nobody
     comes twice before another has come once.
@@ -40,11 +42,14 @@ class Turnstile:
     def __init__(self) -> None:
         self._lock = asyncio.Lock()
         self._stepped = asyncio.Event()
-        self._spent = self._began = 0.0
+        self._owed = 0.0
+        self._began = self._last = time.perf_counter()
 
     def step(self) -> None:
-        """Renew the budget: the world has made a control step."""
-        self._spent = 0.0
+        """Count the time that has passed: the world has made a control step."""
+        now = time.perf_counter()
+        self._owed = max(0.0, self._owed - SHARE * (now - self._last))
+        self._last = now
         self._stepped.set()
         self._stepped.clear()
 
@@ -52,7 +57,7 @@ class Turnstile:
         """Wait for the turn."""
         await self._lock.acquire()
         try:
-            while self._spent > BUDGET:
+            while self._owed > BURST:
                 await self._stepped.wait()
         except BaseException:
             self._lock.release()
@@ -66,7 +71,7 @@ class Turnstile:
         trace: TracebackType | None,
     ) -> None:
         """Count what it took."""
-        self._spent += time.perf_counter() - self._began
+        self._owed += time.perf_counter() - self._began
         self._lock.release()
 
 
@@ -189,7 +194,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
 
     Raises:
         PeerError: It reads nothing for too long; the connection is broken off.
-        ConnectionError: It is gone.
+        OSError: It is gone.
     """
     while (waiting := writer.transport.get_write_buffer_size()) > BACKLOG:
         try:
@@ -210,7 +215,7 @@ def hang_up(writer: asyncio.StreamWriter) -> None:
 
 def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
     """Keep the system from holding megabytes of answers for a peer that does not read them."""
-    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BULK)
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG // 4)
 
 
 def address_of(writer: asyncio.StreamWriter) -> tuple[str, int]:
