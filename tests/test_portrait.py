@@ -60,7 +60,7 @@ def test_every_pixel_has_the_colour_of_what_mj_ray_meets(scene):
 
 
 def test_the_side_towards_the_sun_is_brighter_and_there_is_a_shadow(scene):
-    model, data, picture = scene
+    _, _, picture = scene
     red = picture[..., 0] * (picture[..., 1] < 0.01)
     assert red.max() > 1.3 * red[red > 0].min()
     floor = picture[np.abs(picture[..., 0] - picture[..., 1]) < 1e-6][:, 0]

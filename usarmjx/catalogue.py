@@ -14,10 +14,9 @@ from usarmjx.sensors.suite import suite_of
 
 TABLE_HEAD = """# All robots
 
-This page is the output of `usarmjx list robots`; a test keeps it so. Sizes in m, masses in kg. The last column
-says where each figure is from: the manual's section, lines captured from a real server, the machine's data
-sheet, or chosen by us because nothing was found. What was measured on the built robots is in
-[robots.md](robots.md).
+This page is the output of `usarmjx list robots`; a test keeps it so. The last column says where each figure
+is from: the manual's section, lines captured from a real server, the machine's data sheet, or chosen by us
+because nothing was found. What was measured on the built robots is in [robots.md](robots.md).
 
 ![All robots, drawn by `usarmjx portraits`](robots.png)
 """

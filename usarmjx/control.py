@@ -220,7 +220,7 @@ def drive(
     wrench = robot.drive.passive_wrench(state, now.depth)
     wrench += jnp.where(now.powered, robot.drive.wrench(command.setpoint, state, now.depth), 0.0)
     if robot.drive.wheeled:
-        wrench += jnp.where(now.time < command.flip_until, righting(plan, state), 0.0)
+        wrench += jnp.where(now.time < command.flip_until, righting(plan, state, period), 0.0)
     # A key of a drive that aims joints has reached their targets already.
     refused = (~finite).sum() + (0 if robot.drive.aims else (~sound).sum())
     return Driven(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
@@ -250,10 +250,10 @@ def _servo(
     return jnp.where(forced, 0.0, ctrl), jnp.where(free, 0.0, 1.0), act
 
 
-def righting(plan: BodyPlan, state: RobotState) -> jax.Array:
+def righting(plan: BodyPlan, state: RobotState, period: float) -> jax.Array:
     """Return the wrench (6,) that turns a robot's wheels down again: a damped torque about its tilt axis.
 
-    The torque is twice what tips the robot over its longer half, so it rolls over its own edge.
+    The torque is twice what tips a box of the robot's dimensions over its edge, so it rolls over its own.
     """
     mat = mat_from_quat(state.quat)
     up = mat[:, 2]
@@ -261,6 +261,12 @@ def righting(plan: BodyPlan, state: RobotState) -> jax.Array:
     # Upside down every axis is as good: roll about the robot's own length.
     axis = jnp.where(up[2] < -0.9, mat[:, 0], axis)
     axis = axis / jnp.maximum(jnp.linalg.norm(axis), 1e-6)
-    strength = plan.mass * GRAVITY * plan.robot.dimensions[0]
-    torque = strength * (axis - (mat @ state.angular) / FLIP_RATE)
+    spin = mat @ state.angular
+    across = ((1.0 - (mat.T @ axis) ** 2) * jnp.square(jnp.array(plan.robot.dimensions))).sum()
+    strength = plan.mass * GRAVITY * jnp.sqrt(across)
+    # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
+    # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
+    push = jnp.clip(1.0 - jnp.dot(spin, axis) / FLIP_RATE, 0.0, 1.0)
+    damping = jnp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
+    torque = strength * push * axis - damping * spin
     return jnp.where(up[2] < UPRIGHT, jnp.concatenate([jnp.zeros(3), torque]), 0.0)

@@ -150,7 +150,7 @@ def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:
     """
     robots = [ROBOTS.get(name) for name in names]
     rows = -(-len(robots) // columns)
-    figure = Figure(figsize=(3.2 * columns, 2.75 * rows), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(3.2 * columns, 2.75 * rows), dpi=80, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     for i, robot in enumerate(robots):
         axes = figure.add_subplot(rows, columns, i + 1)

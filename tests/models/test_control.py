@@ -1,5 +1,6 @@
 """What the motors are told: clamps, refusals, and orders carried out by C MuJoCo."""
 
+import math
 from functools import partial
 
 import jax
@@ -140,8 +141,8 @@ def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):
     assert not run(still, WHEELS_TURN, until=2.0).wrench.any()
     wrench = run(still, WHEELS_TURN, quat=on_its_side, until=2.0).wrench
     assert not wrench[:3].any()
-    # Back about the axis that it fell over, with twice what tips it over its longer half.
-    twice = 2 * P2AT.mass * 9.81 * P2AT.dimensions[0] / 2
+    # Back about the axis that it fell over (its length), with twice what tips its cross-section over an edge.
+    twice = 2 * P2AT.mass * 9.81 * math.hypot(*P2AT.dimensions[1:]) / 2
     np.testing.assert_allclose(wrench[3:], [-twice, 0, 0], atol=1e-3)
 
 
@@ -150,7 +151,7 @@ def test_righting_gets_a_robot_back_on_its_wheels(roll):
     scene = build_scene(NOWHERE, ["P2AT"])
     data, team = mujoco.MjData(scene.model), scene.teams[0]
     data.qpos[team.root_qpos[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
-    push = jax.jit(partial(righting, body_plan(P2AT)))
+    push = jax.jit(partial(righting, body_plan(P2AT), period=PERIOD))
     for _ in range(300):  # 6 s, twice FlipTime: one push to the feet, and time to come to rest
         root, dof = data.qpos[team.root_qpos[0]], data.qvel[team.root_dof[0]]
         state = RobotState(

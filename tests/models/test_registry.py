@@ -58,7 +58,9 @@ def test_what_ships_is_registered():
     assert ROBOTS.get("p2at") is P2AT
     assert ROBOTS.get("P2dx") is P2DX
     assert ARENAS.get("dm-usar_YELLOW") is ARENAS.get("yellow") is YELLOW
-    with pytest.raises(UnknownNameError, match="unknown robot 'R2D2'; known: AirRobot, .*, P2AT, P2DX, .*, Zerg"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown robot 'R2D2'; known: AirRobot, .*, P2AT, P2DX, .*, Zerg"
+    ):
         ROBOTS.get("R2D2")
-    with pytest.raises(UnknownNameError, match="unknown arena 'blue'; known: DM-Field, DM-Pool, DM-USAR_yellow"):
+    with pytest.raises(UnknownNameError, match=r"unknown arena 'blue'; known: .*DM-USAR_yellow"):
         ARENAS.get("blue")

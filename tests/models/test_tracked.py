@@ -186,14 +186,8 @@ def test_random_driving_stays_on_the_ground(name, seed):
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > rig.robot.drive.top_speed, "it did move"
 
 
-TOO_BRISK = pytest.mark.xfail(
-    reason="control.righting turns a robot as narrow as this by several radians in one control step",
-    strict=True,
-)
-
-
 @pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
-@pytest.mark.parametrize("name", [*NAMES[:2], pytest.param("Soryu", marks=TOO_BRISK), *NAMES[3:]])
+@pytest.mark.parametrize("name", NAMES)
 def test_flip_puts_a_robot_back_on_its_tracks(name, roll):
     rig = Rig(name, roll=roll)
     rig.run(1.0)

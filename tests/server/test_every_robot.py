@@ -34,7 +34,7 @@ VECTOR = r"(-?[\d.]+),(-?[\d.]+),(-?[\d.]+)"
 
 @dataclass(frozen=True)
 class Trip:
-    """What to tell a robot, and where it must be afterwards: ranges of forward, right, down [m], yaw [rad]."""
+    """What to tell a robot, and where it must be then: ranges of forward, right, down [m], yaw [rad]."""
 
     name: str
     orders: tuple[str, ...]
@@ -55,7 +55,7 @@ def skid(name, spin, low, high, seconds=3.0, **more):
 
 
 def car(name, low, high):
-    """Ahead and to the left, which is against the wire's yaw (manual 9.4: FrontSteer is positive to the left)."""
+    """Ahead and to the left, against the wire's yaw (manual 9.4: FrontSteer is positive to the left)."""
     return Trip(
         name,
         ("DRIVE {Speed 8} {FrontSteer 0.2}",),
@@ -181,9 +181,8 @@ def test_a_robot_reports_itself_and_drives(ports, trip):
     peer.say("GETGEO {Type Robot}\r\nGETCONF {Type Robot}")
     geometry, configuration = peer.until(b"GEO").decode(), peer.until(b"CONF").decode()
     assert geometry.startswith(f"GEO {{Type {trip.kind}}} {{Name {trip.name}}} {{Dimensions ")
-    assert configuration.startswith(
-        f"CONF {{Type {trip.kind}}} {{Name {trip.name}}} {{SteeringType {trip.steering}}} {{Mass {int(robot.mass)}."
-    )
+    head = f"CONF {{Type {trip.kind}}} {{Name {trip.name}}} {{SteeringType {trip.steering}}} "
+    assert configuration.startswith(head + f"{{Mass {int(robot.mass)}.")
     began, x0, y0, z0, *_, yaw0 = ground_truth(peer)
     for order in trip.orders:
         peer.say(order)

@@ -22,8 +22,9 @@ from usarmjx.transforms import Array
 ITERATION_BITS = 512 | 1024
 UNEQUAL, UNEQUAL_ITERATIONS = 4.0, 30
 """Least solver iterations of `jax` where free bodies' masses differ by more than this factor. It solves all
-contacts of a world as one problem, in which the heavy ones count most: with 10 iterations a block of 0.3 kg crept
-at 3 mm/s and shot out of a gripper, and a P2AT beside a car went 2 cm astray in a second; not so on `c` and `warp`."""
+contacts of a world as one problem, in which the heavy ones count most: with 10 iterations a block of 0.3 kg
+crept at 3 mm/s and shot out of a gripper, and a P2AT beside a car went 2 cm astray in a second. Not so on `c`
+and `warp`."""
 LONGEST_BOX = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 

@@ -11,25 +11,16 @@ from usarmjx.models.drives import Tracks
 from usarmjx.models.kit import BLACK, wheel
 from usarmjx.models.spec import (
     CHASSIS,
-    FIXED,
-    HULL,
-    SURFACES,
-    WHEEL,
     MissionPackage,
     Motor,
     Part,
     Shape,
-    Surface,
 )
 from usarmjx.transforms import Vec3
 
 BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
 """Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a
 third of what they are stable at), damped to 0.8 of critical."""
-
-# Rubber with cleats that hook over edges (chosen). With the 0.8 of tyres a row of wheels hangs on stairs of
-# 35 degrees: an edge between two wheels meets a flank that is steeper than the stairs.
-SURFACES["track"] = Surface(friction=1.2, priority=0, contype=WHEEL, conaffinity=HULL | FIXED)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Pioneers that look all around: OmniP2AT and OmniP2DX, classes of a 2011 release (manual 10.15 mounts them)."""
+"""Pioneers that look all around: OmniP2AT and OmniP2DX, classes of a 2011 release (camera: manual 10.15)."""
 
 from dataclasses import replace
 
