@@ -20,7 +20,7 @@ ORDERS = {
 STEPS = 50
 """Control steps: one second."""
 PARITY = 0.02
-"""Between engines [m] after up to 0.9 m. With 10 solver iterations a Talon on its dozen track wheels is 1.2 cm
+"""Between engines [m] after up to 0.9 m. With 10 solver iterations a Talon on a dozen track wheels is 1.2 cm
 from where 100 take it, on warp as on C; with 60 all agree within 0.1 mm."""
 
 
