@@ -375,6 +375,7 @@ def test_descriptors_and_memory_stay_flat_for_half_an_hour(radio, control, recor
     counts, sizes, cycle = [], [], 0
     while time.monotonic() < end:
         churn(radio, control, base, ugly=cycle % 3 == 0)
+        time.sleep(0.03)  # the system keeps the ports of closed connections for a minute: let them last
         cycle += 1
         if cycle % 200 == 0:
             counts.append(descriptors())
@@ -383,5 +384,5 @@ def test_descriptors_and_memory_stay_flat_for_half_an_hour(radio, control, recor
     record_property("descriptors", (min(counts), max(counts)))
     record_property("memory_mb", (sizes[0], sizes[len(sizes) // 2], sizes[-1]))
     assert max(counts) - min(counts) <= 8, counts
-    # From the middle on, when all pools have their size; in half an hour 100 bytes per cycle would show.
+    # From the middle on, when all pools have their size; in half an hour 200 bytes per cycle would show.
     assert sizes[-1] - sizes[len(sizes) // 2] < 5.0, sizes

@@ -143,12 +143,42 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     return gather(model.geom_type, pos, mat, model.geom_size.astype(np.float32), owner)  # type: ignore
 
 
+CHUNK = 16
+"""Solids that one pass over all segments looks at: their numbers are read once for all segments of a world, and
+the passes are few."""
+FAR = 1e6
+"""Where the solids are that fill the last chunk [m]."""
+
+
 def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Triple]:
-    """Return position, orientation and size by components (geoms,): side by side memory is read fastest."""
-    pos, size = (tuple(values[:, i] for i in range(3)) for values in (block.pos, block.size))
-    mat = tuple(tuple(block.mat[:, j, i] for i in range(3)) for j in range(3))
-    # The barrier keeps XLA from merging this into the loop over segments, which would jump through the rows.
-    return jax.lax.optimization_barrier((pos, mat, size))  # type: ignore - three of each
+    """Return position, orientation and size by components (geoms,), filled up to whole chunks."""
+    fill = -len(block.owner) % CHUNK
+    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=FAR)
+    size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)
+    mat = jnp.concatenate([block.mat, jnp.tile(jnp.eye(3, dtype=jnp.float32), (fill, 1, 1))])
+    split = tuple(tuple(values[:, i] for i in range(3)) for values in (pos, size))
+    turned = tuple(tuple(mat[:, j, i] for i in range(3)) for j in range(3))
+    return split[0], turned, split[1]  # type: ignore - three of each
+
+
+def _count(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
+    """Return how many solids of one type each segment crosses (segments,)."""
+    columns = _columns(block)
+
+    def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
+        for k in range(CHUNK):
+            pos, mat, size = jax.tree.map(
+                lambda x, i=c * CHUNK + k: jax.lax.dynamic_index_in_dim(x, i)[0], columns
+            )
+            # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
+            offset = [middle[j] - pos[j] for j in range(3)]
+            local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
+            along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
+            count = count + KERNELS[kind](local, along, size)  # type: ignore - three components each
+        return count
+
+    passes = -(-len(block.owner) // CHUNK)
+    return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
 
 
 @jax.jit
@@ -160,16 +190,7 @@ def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """
-    blocks = [_columns(block) for block in geoms.blocks]
-
-    def one(middle: jax.Array, half: jax.Array) -> jax.Array:
-        count = jnp.zeros((), jnp.int32)
-        for kind, (pos, mat, size) in zip(geoms.types, blocks, strict=True):
-            # As in the raycaster: sums of products fuse with the kernel, and keep all their bits on a GPU.
-            offset = [middle[j] - pos[j] for j in range(3)]
-            local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
-            along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
-            count = count + KERNELS[kind](local, along, size).sum(dtype=jnp.int32)  # type: ignore
-        return count
-
-    return jax.vmap(one)((start + end) / 2, (end - start) / 2)
+    middle = tuple(jnp.moveaxis((start + end) / 2, -1, 0))
+    half = tuple(jnp.moveaxis((end - start) / 2, -1, 0))
+    counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.types, geoms.blocks, strict=True)]
+    return sum(counts, start=jnp.zeros(start.shape[:-1], jnp.int32))

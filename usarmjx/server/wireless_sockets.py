@@ -1,7 +1,9 @@
 """What the wireless servers share on sockets: taking turns, dialling, bounded waits, held port numbers."""
 
 import asyncio
+import errno
 import logging
+import os
 import socket
 import time
 from collections.abc import Awaitable, Callable
@@ -28,6 +30,8 @@ STALL = 30.0
 """A peer that reads nothing for so long although something waits for it is dropped [s]."""
 DIAL_LIMIT = 5.0
 """How long a peer may take to answer a call [s]."""
+UNDER_WAY = (errno.EINPROGRESS, errno.EWOULDBLOCK)
+"""What a call that does not wait for its answer returns."""
 LINGER = 5.0
 """How long what was written before a connection ends may take to leave [s]."""
 
@@ -170,7 +174,7 @@ async def dial(
     Args:
         address: Its IP address.
         port: Its port.
-        note: Is told our port before the peer can see the call.
+        note: Is told our port as soon as the call is under way, before anything else is heard.
 
     Raises:
         OSError: It does not answer; TimeoutError, which is one, if not in time.
@@ -179,10 +183,15 @@ async def dial(
     caller = socket.socket(family, socket.SOCK_STREAM)
     try:
         caller.setblocking(False)
-        caller.bind(("", 0))
+        state = caller.connect_ex((address, port))
+        if state not in (0, *UNDER_WAY):
+            raise OSError(state, os.strerror(state))
         note(caller.getsockname()[1])
-        async with asyncio.timeout(DIAL_LIMIT):
-            await asyncio.get_running_loop().sock_connect(caller, (address, port))
+        if state:
+            async with asyncio.timeout(DIAL_LIMIT):
+                await asyncio.get_running_loop().sock_connect(caller, (address, port))
+        if caller.getsockname() == caller.getpeername():
+            raise ConnectionRefusedError("nobody listens there: the call was answered by itself")
         return await asyncio.open_connection(sock=caller)
     except BaseException:
         caller.close()
