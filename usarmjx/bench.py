@@ -20,6 +20,7 @@ import numpy as np
 
 from usarmjx.batch import Batch, State
 from usarmjx.bench_tools import append, heading, timed
+from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.control import Order, idle, steer
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
@@ -40,6 +41,7 @@ class Case:
     roster: str = "P2AT"
     arena: str = "yellow"
     engine: str = "auto"
+    radio: bool = False
     substeps: int = 10
     steps: int = 20
     repeats: int = 5
@@ -109,6 +111,8 @@ def _whole(batch: Batch, key: jax.Array) -> Callable[[jax.Array, State], State]:
             state = batch.drive(state, t, _random_values(batch, team, now))
         state = batch.step(state)
         state, _ = batch.observe(state)
+        if batch.scene.radio is not None:
+            state, _ = batch.links(state)
         again = jax.random.uniform(jax.random.fold_in(now, 1), (batch.worlds,)) < RESET_SHARE
         return batch.reset_where(state, again)
 
@@ -137,7 +141,8 @@ def measure(case: Case, file: Path | None = None) -> str:
         EngineError: A contact buffer overflowed, so the figures would be wrong.
     """
     engine = choose_engine(case.engine, "train")
-    scene = build_scene(case.arena, parse_roster(case.roster), Physics(substeps=case.substeps))
+    kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
+    scene = build_scene(case.arena, parse_roster(case.roster), Physics(substeps=case.substeps), **kept)
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
@@ -155,7 +160,12 @@ def measure(case: Case, file: Path | None = None) -> str:
         "robots_per_world": scene.robots,
         "timestep": scene.physics.timestep,
         "in_the_step": "contacts, random commands, control, all sensors of the robots every control step, "
-        f"resets of {RESET_SHARE:.0%} of worlds every control step; no radio, no rendering",
+        f"resets of {RESET_SHARE:.0%} of worlds every control step; "
+        + (
+            "all links of the radio every control step, no rendering"
+            if case.radio
+            else "no radio, no rendering"
+        ),
         "rays_per_control_step": rays * case.worlds,
         "bare_robot_steps_per_s": bare_rate,
         "robot_steps_per_s": whole_rate,
