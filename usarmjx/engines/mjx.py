@@ -158,9 +158,9 @@ class WarpEngine(MjxEngine):
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
         # A contact of the elliptic cone with sliding friction has three constraint rows. Rows are counted
-        # per world, contacts over all worlds, so a world has room for twice the average.
+        # per world, contacts over all worlds, so a world has room for three times the average.
         return mjx.make_data(
-            self.model, impl=self.impl, naconmax=self.worlds * contacts, njmax=2 * 3 * contacts
+            self.model, impl=self.impl, naconmax=self.worlds * contacts, njmax=3 * 3 * contacts
         )
 
     def overflow(self, own: mjx.Data) -> jax.Array:
