@@ -144,8 +144,8 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
 
 
 CHUNK = 16
-"""Solids that one pass over all segments looks at: their numbers are read once for all segments of a world, and
-the passes are few."""
+"""Solids that one pass over all segments looks at: their numbers are read once for all segments of a world,
+and the passes are few."""
 FAR = 1e6
 """Where the solids are that fill the last chunk [m]."""
 
@@ -167,9 +167,8 @@ def _count(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
 
     def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
         for k in range(CHUNK):
-            pos, mat, size = jax.tree.map(
-                lambda x, i=c * CHUNK + k: jax.lax.dynamic_index_in_dim(x, i)[0], columns
-            )
+            here = c * CHUNK + k
+            pos, mat, size = jax.tree.map(lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns)
             # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
