@@ -7,7 +7,6 @@ import pytest
 
 from tests.climb import FOLDED, NEAR, Climb, flippers, stairs, step
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
-from usarmjx.control import FLIP_TIME
 from usarmjx.models.parts import joint_names, parts_of
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots import ROBOTS
@@ -184,22 +183,6 @@ def test_random_driving_stays_on_the_ground(name, seed):
     assert heights.min() > -4 * SINK
     assert heights.max() < 0.04
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > rig.robot.drive.top_speed, "it did move"
-
-
-@pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
-@pytest.mark.parametrize("name", NAMES)
-def test_flip_puts_a_robot_back_on_its_tracks(name, roll):
-    rig = Rig(name, roll=roll)
-    rig.run(1.0)
-    assert rig.up[0] < 0.3
-    rig.tell(flip_until=rig.data.time + FLIP_TIME)
-    rig.run(FLIP_TIME)
-    assert rig.up[0] > math.cos(math.radians(10))
-    rig.run(1.0)
-    assert rig.up[0] > 0.999
-    assert rig.data.qpos[2] == pytest.approx(rig.plan.clearance, abs=0.005)
-    assert np.linalg.norm(rig.data.qpos[:2]) < 1.0, "it rolled over its edge, no more"
-    assert not any(warning.number for warning in rig.data.warning), "MuJoCo did not have to start again"
 
 
 # Climbing

@@ -8,7 +8,6 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
-from usarmjx.control import FLIP_TIME
 from usarmjx.engines.base import check_features
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.plan import body_plan
@@ -275,20 +274,6 @@ def test_a_car_that_was_driven_stops_and_holds_on_ten_degrees(name):
     way, speed, _ = creep(rig)
     assert way < 0.01
     assert speed < 1e-3
-
-
-@every
-@pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
-def test_flip_puts_it_back_on_its_wheels(name, roll):
-    rig = Rig(name, roll=roll)
-    rig.run(1.5)
-    assert rig.up[0] < 0.3
-    rig.tell(flip_until=rig.data.time + FLIP_TIME)
-    rig.run(FLIP_TIME)
-    assert rig.up[0] > math.cos(math.radians(10))
-    rig.run(1.0)
-    assert rig.up[0] > 0.999
-    assert rig.data.qpos[2] == pytest.approx(rig.robot.origin_height, abs=0.005)
 
 
 # What they carry
