@@ -331,7 +331,8 @@ def memory():
 
 def churn(radio, control, base, ugly):
     """Let a link and a pipe come, carry something and go, in an ugly way if asked to."""
-    with radio.control_a("Base0"), contextlib.ExitStack() as stack:
+    with client().WirelessA(port=radio.ports["wss"]) as once, contextlib.ExitStack() as stack:
+        once.register("Base0")
         door = stack.enter_context(control.listen("Base1"))
         near = stack.enter_context(control.connect("Base0", "Base1", door.port))
         far = stack.enter_context(door.accept(PATIENCE))
