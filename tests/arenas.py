@@ -2,7 +2,8 @@
 
 import math
 
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.spec import Shape
 
 RAMP = Shape(
     kind="box",

@@ -6,10 +6,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from usarmjx.models.arena_spec import Loose
 from usarmjx.models.effecters import effecters_of, no_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Link, Loose, MissionPackage, Motor, Mount, Shape, options
+from usarmjx.models.spec import Link, MissionPackage, Motor, Mount, Shape, options
 from usarmjx.operate import Load, Operation, perform
 
 LIFT = MissionPackage(

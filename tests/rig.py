@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 
 from usarmjx.control import Circumstances, Order, drive, idle, steer
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.compose import Physics
 from usarmjx.models.parts import joint_names
 from usarmjx.models.plan import body_plan, lowest_point, robot_state
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, StartPose
 from usarmjx.scene import START_GAP, build_scene
 from usarmjx.transforms import quat_from_angles
 from usarmjx.world import depth_in_water

@@ -9,8 +9,9 @@ import pytest
 from matplotlib.image import imread
 
 from usarmjx import demo
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.arenas.yellow import YELLOW
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.spec import Shape
 
 HALF = (0.5, 0.3)
 BOX = np.array([[2.0, -1.0, 3.0, 1.0]])

@@ -14,11 +14,12 @@ from tests.arenas import FLAT, RAMP, STEP
 from tests.handy import GRABBER, TAGGER, block, known
 from usarmjx.batch import Batch
 from usarmjx.errors import UnknownNameError, UsageError
+from usarmjx.models.arena_spec import StartPose
 from usarmjx.models.effecters import TAG_ROOM
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.parts import joint_names
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, Shape, StartPose, options
+from usarmjx.models.spec import Mount, Shape, options
 from usarmjx.operate import OK
 from usarmjx.scene import build_scene
 from usarmjx.world import look

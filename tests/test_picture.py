@@ -9,8 +9,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from usarmjx import picture
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.arenas.yellow import YELLOW
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.spec import Shape
 
 ROOM = ArenaSpec(
     name="Room",

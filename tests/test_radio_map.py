@@ -14,7 +14,8 @@ from usarmjx import picture
 from usarmjx.cli import app
 from usarmjx.comms.attenuation import RadioSettings, reach
 from usarmjx.errors import UsageError
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.spec import Shape
 from usarmjx.radio_map import CUTOFF_LINE, HEIGHT, power_map, radio_picture, read_place
 
 ROOM = ArenaSpec(

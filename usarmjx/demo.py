@@ -18,9 +18,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from usarmjx.errors import UsarmjxError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import ArenaSpec
 from usarmjx.picture import arena_picture, tracks
 
 ROOT = Path(__file__).resolve().parent.parent

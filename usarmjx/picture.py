@@ -16,7 +16,8 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from usarmjx.models.spec import ArenaSpec, Shape
+from usarmjx.models.arena_spec import ArenaSpec
+from usarmjx.models.spec import Shape
 from usarmjx.transforms import mat_from_angles
 
 DPI = 120

@@ -12,10 +12,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.raycast import KERNELS
 
 SUN = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])

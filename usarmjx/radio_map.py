@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.errors import UsageError
-from usarmjx.models.spec import ArenaSpec
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.picture import DPI, PAPER, WIDTH, draw_shapes
 
 HEIGHT = 0.5

@@ -11,13 +11,14 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MailSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.errors import SpecError
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compose import LOOSE, Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, RobotSpec, StartPose
+from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.raycast import check_types
 from usarmjx.sensors.suite import Suite, suite_of
 

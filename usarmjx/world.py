@@ -15,10 +15,11 @@ from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.mail import Mail, no_mail
 from usarmjx.control import Circumstances, Command, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.drives import DRY
 from usarmjx.models.effecters import Tags, no_tags
 from usarmjx.models.plan import Bodies, body_poses, geom_poses
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
 from usarmjx.scene import Scene, Team, parking_place, start_height

@@ -16,10 +16,11 @@ from usarmjx.comms.attenuation import RadioSettings, reach
 from usarmjx.comms.connectivity import reachable
 from usarmjx.comms.mail import MailSettings
 from usarmjx.errors import SpecError, UsageError
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.robots.station import COMSTATION
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.spec import Shape
 from usarmjx.radio import antennas, present_links
 from usarmjx.scene import Entry, build_scene
 from usarmjx.transforms import quat_from_angles

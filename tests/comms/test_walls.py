@@ -13,8 +13,9 @@ from tests.arenas import COURSE
 from tests.comms.solids import Geom, Solids, box, random_boxes, ray_count, slab_count, solids
 from usarmjx.comms.walls import KERNELS, arena_solids, check_types, count_walls
 from usarmjx.errors import UnsupportedGeomError
+from usarmjx.models.arena_spec import Loose
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.spec import Loose, Shape
+from usarmjx.models.spec import Shape
 from usarmjx.scene import build_scene
 from usarmjx.sensors.raycast import FAR_AWAY, gather
 

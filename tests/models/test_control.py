@@ -12,11 +12,11 @@ import pytest
 from tests.rig import Rig
 from usarmjx.control import Circumstances, Order, drive, idle, righting, servos_of, steer
 from usarmjx.errors import UnknownNameError
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.drives import DRY
 from usarmjx.models.parts import LINK_STIFFNESS
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
-from usarmjx.models.spec import ArenaSpec, StartPose
 from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 

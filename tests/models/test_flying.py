@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.drives.fluid import AIR, added_mass, shape_factors
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, Shape
+from usarmjx.models.spec import Shape
 
 G = 9.81
 SPEED_RTOL = 0.05

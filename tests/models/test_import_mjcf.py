@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from usarmjx.errors import SpecError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.drives import NoDrive, SkidSteer
 from usarmjx.models.import_mjcf import robot_from_mjcf
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import CHASSIS, ArenaSpec, Motor, Mount
+from usarmjx.models.spec import CHASSIS, Motor, Mount
 from usarmjx.sensors.payload import payload_of
 
 MASS_ATOL = 1e-6  # kg

@@ -9,6 +9,7 @@ import pytest
 
 from usarmjx.configure import configure, item_settings
 from usarmjx.errors import SpecError, UsageError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.ini_robots import load_robots
 from usarmjx.models.parts import joint_names
@@ -17,7 +18,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec import CHASSIS, ArenaSpec, Motor, options
+from usarmjx.models.spec import CHASSIS, Motor, options
 from usarmjx.registry import Registry
 from usarmjx.sensors.payload import overload, payload_of
 from usarmjx.sensors.suite import suite_of

@@ -12,10 +12,11 @@ import pytest
 
 from tests.rig import Rig
 from usarmjx.control import Order, servos_of
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics
 from usarmjx.models.parts import joint_names
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import ArenaSpec, Shape
+from usarmjx.models.spec import Shape
 from usarmjx.server.live import LiveWorld
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.layout import index_robot
 from usarmjx.models.parts import link_frames
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec import ArenaSpec
 from usarmjx.transforms import flip_vector
 
 ROBOTS = [P2AT, P2DX]

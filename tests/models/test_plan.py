@@ -8,11 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.layout import index_robot
 from usarmjx.models.plan import body_plan, body_poses, geom_poses, robot_state
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec import ArenaSpec, Link, MissionPackage, Shape
+from usarmjx.models.spec import Link, MissionPackage, Shape
 
 KINEMATICS_ATOL = 1e-5  # float32 at room scale: positions up to 5 m round to 5e-7, times some products
 HEIGHT_ATOL = 1e-6  # float64 in the compiled model

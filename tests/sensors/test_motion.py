@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from usarmjx.errors import SpecError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import ArenaSpec, Mount, options
+from usarmjx.models.spec import Mount, options
 from usarmjx.transforms import flip_angles, flip_vector
 
 DEAD_RECKONING_ATOL = 1e-5  # m, rad: float32 sums of some hundred steps within 2 m

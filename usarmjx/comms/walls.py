@@ -24,8 +24,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.errors import UnsupportedGeomError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, new_spec
-from usarmjx.models.spec import ArenaSpec
 from usarmjx.sensors.raycast import Block, Geoms, gather
 
 TINY = 1e-12

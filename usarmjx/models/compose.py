@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from usarmjx.models.arena_spec import ArenaSpec, Loose
 from usarmjx.models.parts import chassis_shapes, parts_of
-from usarmjx.models.spec import CHASSIS, HOLD, SURFACES, ArenaSpec, Loose, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec import CHASSIS, HOLD, SURFACES, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 
 GEOM_TYPES = {

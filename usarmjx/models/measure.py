@@ -5,9 +5,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.plan import body_plan
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import RobotSpec
 
 DIGITS = 6
 """Figures are rounded to micrometres and milligrams: body plans are in single precision."""

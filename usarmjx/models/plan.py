@@ -14,10 +14,11 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.parts import joint_names, parts_of
-from usarmjx.models.spec import CHASSIS, ArenaSpec, RobotSpec
+from usarmjx.models.spec import CHASSIS, RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
 from usarmjx.transforms import Array

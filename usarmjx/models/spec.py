@@ -1,13 +1,14 @@
-"""What a robot and an arena are made of: frozen values, no code.
+"""What a robot is made of: frozen values, no code. What an arena is made of is in `arena_spec`.
 
 Robot descriptions are written in USARSim's axes (x forward, y right, z down; roll, pitch, yaw applied
 as ZYX), so that a line can be compared with the manual's tables; `models.compose` converts them once.
-Arena descriptions are written in MuJoCo's axes (z up) with the floor at height zero, and say where
-that floor lies in the world. Lengths are metres, angles radians, masses kilograms.
+Lengths are metres, angles radians, masses kilograms.
 """
 
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from usarmjx.models.drives import Drive
 from usarmjx.transforms import Vec3
@@ -85,6 +86,31 @@ SURFACES = {
 }
 
 
+OPAQUE, GLASS, MIRROR, FENDER, SKY = "opaque", "glass", "mirror", "fender", "sky"
+MATERIALS = (OPAQUE, GLASS, MIRROR, FENDER, SKY)
+"""What a solid does to rays (manual 14.1.2), beside stopping them: glass lets infrared and light through,
+not sound; a mirror reflects light; a grid fender lets every ray through that meets one of its holes; the sky
+lets everything but light through, is never touched, and is no wall to the radio."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A convex solid: its corners [m] (vertices, 3), of which MuJoCo takes the convex hull."""
+
+    vertices: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """Terrain: heights above the shape's place on a regular grid, none below zero [m] (rows, columns).
+
+    Rows run along y, columns along x, from the corner with the lowest of both; the shape's size is half the
+    lengths along x and y, and the thickness of the ground below the lowest point.
+    """
+
+    heights: np.ndarray
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shape:
     """One solid, seen by contacts and by rays.
@@ -96,15 +122,21 @@ class Shape:
         rotation: Roll, pitch, yaw.
         mass: Mass; 0 leaves the body's mass to its other shapes.
         surface: A key of `SURFACES`.
+        material: What it does to rays; one of `MATERIALS`. Fenders are boxes.
+        mesh: The solid of kind mesh.
+        heights: The terrain of kind hfield.
         rgba: Colour, for pictures.
     """
 
-    kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid"]
-    size: tuple[float, ...]
+    kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield"]
+    size: tuple[float, ...] = ()
     at: Vec3 = ZERO
     rotation: Vec3 = ZERO
     mass: float = 0.0
     surface: str = "hull"
+    material: str = OPAQUE
+    mesh: Mesh | None = None
+    heights: HeightField | None = None
     rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
 
 
@@ -284,62 +316,3 @@ class RobotSpec:
     def wheels(self) -> tuple[Part, ...]:
         """The parts that roll."""
         return tuple(part for part in self.parts if part.rolls)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Loose:
-    """A loose object of an arena: what robots push, climb, grip and carry.
-
-    Attributes:
-        name: Unique within the arena.
-        at: Where its origin starts, in the arena's axes.
-        rotation: Roll, pitch, yaw.
-        shapes: Its solids; together they need a mass.
-    """
-
-    name: str
-    at: Vec3
-    rotation: Vec3 = ZERO
-    shapes: tuple[Shape, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Water:
-    """A box of water: lower and upper corner, in the arena's axes; `high[2]` is the surface."""
-
-    low: Vec3
-    high: Vec3
-
-
-@dataclass(frozen=True, kw_only=True)
-class StartPose:
-    """A named place to start from; `at` is above the floor, `yaw` counter-clockwise."""
-
-    tag: str
-    at: Vec3
-    yaw: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ArenaSpec:
-    """An arena: a floor and solids on it.
-
-    Attributes:
-        name: Level name as the greeting reports it (DM-USAR_yellow).
-        aliases: Short names.
-        floor: Height of the floor in the world, z up.
-        shapes: Fixed solids, with the floor at height zero.
-        starts: Start poses, in the order in which robots without a pose of their own take them.
-        extent: x and y limits of the floor plan ((x0, x1), (y0, y1)), for pictures and random places.
-        loose: Loose objects.
-        waters: Volumes of water.
-    """
-
-    name: str
-    aliases: tuple[str, ...] = ()
-    floor: float = 0.0
-    shapes: tuple[Shape, ...] = ()
-    starts: tuple[StartPose, ...]
-    extent: tuple[tuple[float, float], tuple[float, float]]
-    loose: tuple[Loose, ...] = ()
-    waters: tuple[Water, ...] = ()

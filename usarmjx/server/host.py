@@ -13,9 +13,10 @@ import numpy as np
 
 from usarmjx.control import Command
 from usarmjx.errors import UsageError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.effecters import Effecter, Opcode, effecters_of
 from usarmjx.models.plan import BodyPlan
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.operate import OK, Outcome
 from usarmjx.sensors.suite import Suite, suite_of

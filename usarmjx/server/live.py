@@ -19,11 +19,12 @@ import numpy as np
 from usarmjx.control import Circumstances, Command, Driven, drive, idle
 from usarmjx.engines.c import buffer_warnings
 from usarmjx.errors import UsageError
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.plan import Bodies, body_plan, body_poses, lowest_point, robot_state
-from usarmjx.models.spec import ArenaSpec, RobotSpec
+from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of

@@ -1,9 +1,9 @@
 """The arenas that ship with usarmjx."""
 
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.arenas.field import FIELD
 from usarmjx.models.arenas.pool import POOL
 from usarmjx.models.arenas.yellow import YELLOW
-from usarmjx.models.spec import ArenaSpec
 from usarmjx.registry import Registry
 
 ARENAS: Registry[ArenaSpec] = Registry("arena")

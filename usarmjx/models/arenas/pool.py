@@ -4,7 +4,8 @@ The manual's list of files has maps for submarines, but describes none: the plan
 basin is the arena's floor; the quay lies at the wire's origin height.
 """
 
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose, Water
+from usarmjx.models.arena_spec import ArenaSpec, StartPose, Water
+from usarmjx.models.spec import Shape
 
 LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
 """Of the water [m]: room for the submarine to turn about, which takes it 36 m."""

@@ -8,8 +8,9 @@ origin is 0.26 m above the ground (5.3.6), 2 cm above the floor.
 
 import math
 
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.spec import ArenaSpec, Shape, StartPose
+from usarmjx.models.spec import Shape
 
 FLOOR = -2.08
 CELL = 1.2
