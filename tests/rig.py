@@ -1,6 +1,7 @@
 """Robots of one class on plain C MuJoCo with the product's control function, as a served world has them."""
 
 import math
+from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -18,6 +19,7 @@ from usarmjx.transforms import quat_from_angles
 from usarmjx.world import depth_in_water
 
 PERIOD = Physics().period
+BARE = ArenaSpec(name="track", starts=(), extent=((-3, 3), (-3, 3)))
 
 
 @cache
@@ -29,30 +31,38 @@ def control_of(name):
 class Rig:
     """Robots of one class on a floor with some solids, by default at the origin, on a tilt if asked.
 
-    `height`: of the robots' origins; None puts them on the floor. `tilt`: of gravity, uphill along x.
+    `places`: x, y and yaw of each, and the height of the ground there if it is not the floor. `height`: of
+    the robots' origins; None puts them on the ground. `tilt`: of gravity, uphill along x. `arena`: a whole
+    arena, to which the solids are added. `contents`: other parts of the arena, as `waters` or `loose`.
     """
 
     def __init__(
-        self, name, *solids, places=((0.0, 0.0, 0.0),), roll=0.0, tilt=0.0, height=None, waters=(), loose=()
+        self,
+        name,
+        *solids,
+        places=((0.0, 0.0, 0.0),),
+        roll=0.0,
+        tilt=0.0,
+        height=None,
+        arena=BARE,
+        **contents,
     ):
         starts = tuple(
-            StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=yaw) for i, (x, y, yaw) in enumerate(places)
+            StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=yaw) for i, (x, y, yaw, *_) in enumerate(places)
         )
-        arena = ArenaSpec(
-            name="track", starts=starts, extent=((-3, 3), (-3, 3)), shapes=solids, waters=waters, loose=loose
-        )
+        arena = replace(arena, starts=starts, shapes=(*arena.shapes, *solids), **contents)
         scene = build_scene(arena, [name] * len(places))
         self.arena, self.robot, self.model = arena, scene.teams[0].robot, scene.model
         self.plan, self.indices = scene.teams[0].plan, scene.teams[0].indices
         self.model.opt.gravity[:] = 9.81 * np.array([-math.sin(tilt), 0.0, -math.cos(tilt)])
         self.data = mujoco.MjData(self.model)
-        for index, (x, y, yaw) in zip(self.indices, places, strict=True):
+        for index, (x, y, yaw, *ground) in zip(self.indices, places, strict=True):
             root = slice(index.root_qpos, index.root_qpos + 7)
             self.data.qpos[root] = (x, y, height or 0.0, *quat_from_angles(roll, 0.0, yaw))
             if height is None:
                 mujoco.mj_kinematics(self.model, self.data)
                 low = lowest_point(self.model, self.data, np.isin(self.model.geom_bodyid, index.body))
-                self.data.qpos[index.root_qpos + 2] = START_GAP - low
+                self.data.qpos[index.root_qpos + 2] = arena.floor + sum(ground) + START_GAP - low
         self.commands = [jax.tree.map(np.array, idle(self.robot)) for _ in places]
         self.powered = True
         self._control = control_of(name)

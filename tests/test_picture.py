@@ -118,10 +118,14 @@ def test_empty_run_is_drawn(tmp_path: Path):
     assert len(coloured(imread(path), picture.WALL)) > 5000
 
 
-def test_outline_of_a_ramp_is_as_long_as_its_shadow():
-    angle = math.radians(15)
-    ramp = Shape(kind="box", size=(0.5, 0.3, 0.1), at=(1.0, 2.0, 0.0), rotation=(0.0, -angle, 0.0))
-    shadow = picture._outline(ramp)
-    assert shadow.get_width() == pytest.approx(1.0 * math.cos(angle) + 0.2 * math.sin(angle))
-    assert shadow.get_height() == pytest.approx(0.6)
-    assert (shadow.get_x() + shadow.get_width() / 2, shadow.get_y() + 0.3) == pytest.approx((1.0, 2.0))
+def test_styles_of_solids():
+    box = {"kind": "box", "size": (1.0, 1.0, 0.1)}
+    for style, given in (
+        ("ground", {}),
+        ("wall", {"surface": "wall"}),
+        ("glass", {"surface": "wall", "material": "glass"}),
+        ("overhead", {"surface": "wall", "at": (0.0, 0.0, 2.31)}),
+        ("wall", {"surface": "wall", "at": (0.0, 0.0, 2.29)}),
+        ("sky", {"material": "sky", "at": (0.0, 0.0, 9.0)}),
+    ):
+        assert picture._sort(Shape(**box, **{"surface": "ground", **given})) == style

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from usarmjx.errors import UnknownNameError
-from usarmjx.portrait import SKY, TILES, draw, portraits, solids_of
+from usarmjx.portrait import portraits
+from usarmjx.render import SKY_RGB, TILES, draw
+from usarmjx.scenery import solids_of
 
 BALL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>
@@ -48,7 +50,7 @@ def test_every_pixel_has_the_colour_of_what_mj_ray_meets(scene):
         name = model.geom(int(geom[0])).name if geom[0] >= 0 else "sky"
         seen.add(name)
         if name == "sky":
-            assert colour == pytest.approx(SKY)
+            assert colour == pytest.approx(SKY_RGB)
         elif name == "floor":
             assert colour[0] == pytest.approx(colour[1]), "the tiles are grey"
             assert colour[2] / colour[0] == pytest.approx(TILES[0, 2] / TILES[0, 0], abs=0.04)

@@ -18,6 +18,8 @@ from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
 from usarmjx.control import Order, check_keys, steer
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
 from usarmjx.errors import EngineError, UnknownNameError, UsageError
+from usarmjx.models.arena_set import Site, turn_of
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.effecters import Opcode
 from usarmjx.operate import Outcome, find_operation, operate
 from usarmjx.radio import boxes, every, kept_links, links_due, mail_of, present_links, radio_of, send
@@ -36,10 +38,13 @@ class State(struct.PyTreeNode, kw_only=True):
     Attributes:
         physics: The engine's own state.
         worlds: Everything else (worlds, ...).
+        library: The arenas that resets draw from (arenas, ...), which may be replaced by others of the same
+            shapes; None where all worlds have the same arena.
     """
 
     physics: Any
     worlds: World
+    library: Site | None = None
 
 
 def _choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
@@ -78,13 +83,16 @@ class Batch:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
         self.scene = scene
         self.worlds = worlds
-        self.engine = make_engine(choose_engine(engine, "train"), scene.spec, scene.physics, worlds)
-        numbers = jnp.arange(first, first + worlds)
-        self._keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(numbers)
+        kind = choose_engine(engine, "train")
+        self.engine = make_engine(kind, scene.spec, scene.physics, worlds, scene.moved)
+        self._numbers = jnp.arange(first, first + worlds)
+        self._keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
         self._control = self._compile(jax.vmap(partial(control, scene)))
         self._settle = self._compile(jax.vmap(partial(settle, scene)))
-        self._restart = self._compile(jax.vmap(partial(restart, scene, shuffle=shuffle)))
-        self._first = self._compile(jax.vmap(partial(first_episode, scene, shuffle=shuffle)))
+        self._restart = self._compile(jax.vmap(partial(restart, scene, shuffle=shuffle), in_axes=(0, None)))
+        self._first = self._compile(
+            jax.vmap(partial(first_episode, scene, shuffle=shuffle), in_axes=(0, 0, None))
+        )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
         self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
         self._links = self._compile(self._look_at_links)
@@ -104,23 +112,34 @@ class Batch:
 
     def reset(self) -> State:
         """Return all worlds at the start of their first episode."""
-        worlds, qpos = self._first(self._keys)
+        library = None if self.scene.arenas is None else jax.tree.map(jnp.asarray, self.scene.arenas.sites)
+        worlds, qpos = self._first(self._keys, self._numbers, library)
         everywhere = jnp.ones(self.worlds, bool)
-        return State(physics=self.engine.reset(self.engine.start(), everywhere, qpos), worlds=worlds)
+        physics = self.engine.reset(self.engine.start(), everywhere, qpos)
+        return State(physics=physics, worlds=worlds, library=library)
 
     def _reset_where(self, state: State, mask: jax.Array) -> State:
-        fresh, qpos = self._restart(state.worlds)
+        fresh, qpos = self._restart(state.worlds, state.library)
         worlds = jax.tree.map(partial(_choose, mask), fresh, state.worlds)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
     def _step(self, state: State) -> State:
         worlds, inputs = self._control(state.worlds, self.engine.state(state.physics))
         physics = self.engine.advance(state.physics, inputs)
-        worlds, finite = self._settle(worlds, self.engine.state(physics), self.engine.overflow(physics))
-        state = State(physics=physics, worlds=worlds)
+        lost = self.engine.overflow(physics, inputs)
+        worlds, finite = self._settle(worlds, self.engine.state(physics), lost)
+        state = state.replace(physics=physics, worlds=worlds)
         if self.engine.traceable:
             return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
         return state if bool(finite.all()) else self._reset_where(state, ~finite)
+
+    def arena_of(self, state: State, world: int) -> ArenaSpec:
+        """Return the arena that a world has in its present episode, if nobody replaced the library."""
+        arenas = self.scene.arenas
+        if arenas is None:
+            return self.scene.arena
+        episode = int(state.worlds.episode[world])
+        return arenas.arenas[turn_of(int(state.worlds.number[world]), episode, len(arenas.arenas))]
 
     def physics(self, state: State) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""

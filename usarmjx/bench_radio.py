@@ -20,6 +20,7 @@ import numpy as np
 from usarmjx.bench_tools import append, heading, timed
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate, no_links
+from usarmjx.models.spec import OPAQUE
 from usarmjx.sensors.raycast import Block, Geoms
 
 SIDE = 20.0
@@ -52,7 +53,7 @@ def random_walls(key: jax.Array, walls: int) -> Geoms:
     pos = jnp.concatenate([at, size[:, 2:]], -1)
     owner = jnp.full(walls, -1)
     block = Block(pos=pos, mat=mat, size=size, owner=owner)
-    return Geoms(blocks=(block,), types=(int(mujoco.mjtGeom.mjGEOM_BOX),))
+    return Geoms(blocks=(block,), types=(int(mujoco.mjtGeom.mjGEOM_BOX),), materials=(OPAQUE,))
 
 
 def _antennas(key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:

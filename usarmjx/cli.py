@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.errors import UsarmjxError
+from usarmjx import cli_arena
+from usarmjx.cli_tools import Failure, SeedOption
 
 app = typer.Typer(
     help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
@@ -17,28 +18,15 @@ app = typer.Typer(
 )
 bench_app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
+app.add_typer(cli_arena.app, name="arena")
 
 EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
-ArenaOption = Annotated[str, typer.Option(help="Arena name; `usarmjx list` shows them.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+ArenaOption = Annotated[str, typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.")]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
 ]
 UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
-
-
-class _Failure:
-    """Turns our own exceptions into one line and exit code 2; anything else is a bug and shows itself."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
-        if isinstance(error, UsarmjxError):
-            typer.echo(f"usarmjx: {error}", err=True)
-            raise typer.Exit(2)
-        return False
 
 
 def _configure(files: list[Path] | None, uu_per_metre: float) -> None:
@@ -58,7 +46,7 @@ def list_everything(
     uu_per_metre: UnitOption = 250.0,
 ) -> None:
     """List robots, arenas, sensors and engines."""
-    with _Failure():
+    with Failure():
         _configure(ini, uu_per_metre)
         from usarmjx.catalogue import catalogue, robots_table
         from usarmjx.errors import UsageError
@@ -75,7 +63,7 @@ def portraits(
     robots: Annotated[list[str] | None, typer.Argument(help="Robot classes; all without any.")] = None,
 ) -> None:
     """Draw robots with the sensors' raycaster."""
-    with _Failure():
+    with Failure():
         from usarmjx.models.robots import ROBOTS
         from usarmjx.portrait import portraits as draw_all
 
@@ -124,7 +112,7 @@ def serve(
     """Serve one world of a batch over the Gamebots protocol, and its radio."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
-    with _Failure():
+    with Failure():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
         from usarmjx.server.net import Settings
         from usarmjx.server.net import serve as run
@@ -155,7 +143,7 @@ def serve(
 
 @app.command("radio-map")
 def radio_map(
-    arena: Annotated[str, typer.Argument(help="Arena name; `usarmjx list` shows them.")],
+    arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
     out: Annotated[Path, typer.Argument(help="PNG file to write.")],
     source: Annotated[
         str, typer.Option("--from", help="The sender's antenna: x,y or x,y,z [m], z above the floor.")
@@ -167,13 +155,13 @@ def radio_map(
     ini: Annotated[Path | None, typer.Option(help="USARComServer.ini with the radio's constants.")] = None,
 ) -> None:
     """Draw a map of the power that a radio's signal has all over an arena."""
-    with _Failure():
+    with Failure():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
-        from usarmjx.models.arenas import ARENAS
+        from usarmjx.models.arena_files import find_arena
         from usarmjx.radio_map import radio_picture, read_place
 
         settings = RadioSettings() if ini is None else radio_settings(ini)
-        radio_picture(ARENAS.get(arena), out, read_place(source), settings, height=height)
+        radio_picture(find_arena(arena), out, read_place(source), settings, height=height)
         typer.echo(f"wrote {out}")
 
 
@@ -183,7 +171,7 @@ def demo(
     seconds: Annotated[float, typer.Option(min=1.0, help="Simulated seconds to wander.")] = 20.0,
 ) -> None:
     """Run the main job: serve a batch, let the example client drive a P2AT, draw what it did."""
-    with _Failure():
+    with Failure():
         from usarmjx.demo import run_demo
 
         sys.exit(run_demo(out, seconds))
@@ -200,7 +188,7 @@ def bench_radio(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure the links of all pairs of robots, walls counted."""
-    with _Failure():
+    with Failure():
         from usarmjx.bench_radio import RadioCase, measure_radio
 
         case = RadioCase(worlds=worlds, robots=robots, walls=walls, steps=steps, repeats=repeats, seed=seed)
@@ -221,7 +209,7 @@ def bench_step(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
-    with _Failure():
+    with Failure():
         from usarmjx.bench import Case, measure
 
         case = Case(

@@ -4,6 +4,7 @@ UsarmjxError
 ├── UsageError              our caller's fault: propagates
 │   ├── UnknownNameError    a name that no registry entry has
 │   ├── SpecError           a robot, arena or scene description that cannot be built
+│   │   ├── ArenaFileError            an arena's file that does not read
 │   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
 │   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
 │   └── EngineError         the engine cannot run here, or overflowed its buffers
@@ -29,6 +30,10 @@ class UnknownNameError(UsageError, KeyError):
 
 class SpecError(UsageError):
     """A robot, arena or scene description that cannot be built."""
+
+
+class ArenaFileError(SpecError):
+    """A file of an arena that does not read; the message names file, line and what is allowed there."""
 
 
 class UnsupportedFeatureError(SpecError):

@@ -16,11 +16,12 @@ from usarmjx.errors import UnknownNameError
 from usarmjx.models.effecters import TAG_ROOM, Effect, Effecter, Opcode, Tags
 from usarmjx.models.parts import parts_of
 from usarmjx.models.plan import Bodies, BodyPlan, body_poses
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec import SKY, RobotSpec
 from usarmjx.scene import Scene, Team
-from usarmjx.sensors.raycast import cast, gather
+from usarmjx.sensors.raycast import Geoms, cast
 from usarmjx.transforms import Array, flip_vector
-from usarmjx.world import World, powered, team_states
+from usarmjx.visible import arena_rows, collect
+from usarmjx.world import World, powered, team_states, time_of
 
 SLACK = 1e-3
 """A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
@@ -155,13 +156,11 @@ def mount_point(effecter: Effecter, plan: BodyPlan, bodies: Bodies) -> Array:
     return bodies.pos[body] + bodies.mat[body] @ np.array(flip_vector(effecter.mount.at), np.float32)
 
 
-def ground_below(scene: Scene, point: jax.Array) -> jax.Array:
+def ground_below(geoms: Geoms, point: jax.Array) -> jax.Array:
     """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
-    arena = scene.arena_geoms
-    pos, mat, size = jnp.asarray(arena.pos), jnp.asarray(arena.mat), jnp.asarray(arena.size)
-    geoms = gather(arena.kind, pos, mat, size, jnp.full(len(arena.kind), -1))
     down = jnp.array([[0.0, 0.0, -1.0]])
-    return point.at[2].add(-cast(geoms, point[None], down, jnp.int32(NOBODY)).distance[0])
+    hits = cast(geoms, point[None], down, jnp.int32(NOBODY), frozenset({SKY}))
+    return point.at[2].add(-hits.distance[0])
 
 
 def operate(
@@ -191,7 +190,8 @@ def operate(
     def ground() -> jax.Array:
         bodies = jax.vmap(partial(body_poses, team.plan))(team_states(team, physics))
         points = jax.vmap(partial(mount_point, effecter, team.plan))(bodies)
-        return jax.vmap(partial(ground_below, scene))(points)
+        geoms = collect(arena_rows(scene, world.site, time_of(scene, world)))
+        return jax.vmap(partial(ground_below, geoms))(points)
 
     load = Load(command=state.command, stock=state.stock[:, place], tags=world.tags)
     asked = asked & powered(scene, world, team, state)

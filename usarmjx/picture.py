@@ -13,12 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon
 
 from usarmjx.models.arena_spec import ArenaSpec
-from usarmjx.models.spec import Shape
-from usarmjx.transforms import mat_from_angles
+from usarmjx.models.spec import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
+from usarmjx.outlines import heights, outline
 
 DPI = 120
 WIDTH = 11.0  # inches; the height follows from the arena's shape
@@ -28,7 +29,23 @@ SCANNER_RANGE = 20.0
 ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
 """Marker of the last pose, pointing forward (corners, 2)."""
 
-PAPER, WALL, GROUND = "#f7f5ef", "#3b3a36", "#cdbf9f"
+PAPER, WALL, GROUND_EDGE = "#f7f5ef", "#3b3a36", "#a8987a"
+GROUND = LinearSegmentedColormap.from_list("ground", ["#e6dcc3", "#cdbf9f", "#8f7d58"])
+HIGHEST = 1.2
+"""Ground that is higher is not drawn darker [m]."""
+CONTOURS = 12
+OVERHEAD = 2.2
+"""Whose underside is above this height is over robots' heads [m]."""
+STYLES: dict[str, dict[str, Any]] = {
+    "ground": {"edgecolor": GROUND_EDGE, "lw": 0.8, "zorder": 2},
+    "wall": {"facecolor": WALL, "edgecolor": WALL, "lw": 0.8, "zorder": 2.1},
+    "overhead": {"facecolor": "none", "edgecolor": "#9a958a", "lw": 0.6, "ls": "--", "zorder": 2.3},
+    GLASS: {"facecolor": "#c4e6f3", "edgecolor": "#3d9cc4", "lw": 1.0, "zorder": 2.2},
+    MIRROR: {"facecolor": "#d8d2ea", "edgecolor": "#6a4fb0", "lw": 1.0, "zorder": 2.2},
+    FENDER: {"facecolor": "#ffffff", "edgecolor": "#4c7a3f", "lw": 0.8, "hatch": "xxxx", "zorder": 2.2},
+    SKY: {"visible": False},
+}
+"""How solids are drawn: ground, walls, what is overhead, and materials that are not opaque."""
 TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
 
 
@@ -106,24 +123,45 @@ def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
 
 
 def draw_shapes(axes: Axes, shapes: Sequence[Shape]) -> None:
-    """Draw walls dark and the rest lighter, each as its outline on the floor."""
-    for colour, edge, members in (
-        (GROUND, "#a8987a", [shape for shape in shapes if shape.surface != "wall"]),
-        (WALL, WALL, [shape for shape in shapes if shape.surface == "wall"]),
-    ):
-        patches = [_outline(shape) for shape in members]
-        axes.add_collection(
-            PatchCollection(patches, facecolor=colour, edgecolor=edge, linewidth=0.8, zorder=2)
-        )
+    """Draw solids as their outlines on the floor: walls dark, ground the darker the higher it is.
+
+    Glass, mirrors and fenders have their own styles, terrain is drawn as contours, the sky not at all; of
+    roofs and whatever else is above all robots there is only a dashed line.
+    """
+    sorts: dict[str, list[Shape]] = {}
+    for shape in shapes:
+        if shape.heights is not None:
+            _draw_terrain(axes, shape)
+        else:
+            sorts.setdefault(_sort(shape), []).append(shape)
+    tops = {id(shape): heights(shape)[1] for shape in sorts.get("ground", ())}
+    for sort, members in sorts.items():
+        style = dict(STYLES[sort])
+        if sort == "ground":
+            members = sorted(members, key=lambda shape: tops[id(shape)])
+            style["facecolor"] = [GROUND(tops[id(shape)] / HIGHEST) for shape in members]
+        axes.add_collection(PatchCollection([Polygon(outline(shape)) for shape in members], **style))
 
 
-def _outline(shape: Shape) -> Rectangle:
-    """Return the rectangle that a solid covers, seen from above; its tilt shortens it."""
-    half = (*shape.size, shape.size[0], shape.size[0])[:3] if shape.kind != "box" else shape.size
-    roll, pitch, yaw = shape.rotation
-    along, across = (np.abs(mat_from_angles(roll, pitch, 0.0)) @ np.array(half))[:2]
-    corner = (shape.at[0] - along, shape.at[1] - across)
-    return Rectangle(corner, 2 * along, 2 * across, angle=math.degrees(yaw), rotation_point="center")
+def _sort(shape: Shape) -> str:
+    """Return the style in which a solid is drawn."""
+    if shape.material == SKY or heights(shape)[0] > OVERHEAD:
+        return shape.material if shape.material == SKY else "overhead"
+    if shape.material != OPAQUE:
+        return shape.material
+    return "wall" if shape.surface == "wall" else "ground"
+
+
+def _draw_terrain(axes: Axes, shape: Shape) -> None:
+    assert shape.heights is not None
+    z = np.asarray(shape.heights.heights, float) + shape.at[2]
+    x, y = np.meshgrid(*(np.linspace(-h, h, n) for h, n in zip(shape.size, z.shape[::-1], strict=False)))
+    cos, sin = math.cos(shape.rotation[2]), math.sin(shape.rotation[2])
+    x, y = shape.at[0] + cos * x - sin * y, shape.at[1] + sin * x + cos * y
+    if np.ptp(z) == 0:
+        return
+    axes.contourf(x, y, z, levels=CONTOURS, cmap=GROUND, zorder=1)
+    axes.contour(x, y, z, levels=CONTOURS, colors=GROUND_EDGE, linewidths=0.5, zorder=1)
 
 
 def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:

@@ -2,15 +2,20 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from usarmjx.comms.antenna import antenna_places
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate, is_due, repeat
 from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver
-from usarmjx.comms.walls import arena_solids
+from usarmjx.comms.walls import arena_solids, bare, with_boxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.errors import UsageError
+from usarmjx.models.doors import door_boxes
+from usarmjx.models.spec import SKY
+from usarmjx.rotations import mat_from_quat
 from usarmjx.scene import Scene
+from usarmjx.sensors.raycast import Geoms
 from usarmjx.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, team_states, time_of
 
 
@@ -64,11 +69,23 @@ def kept_links(world: World) -> Links:
     return repeat(_links(world), world.step)
 
 
+def solids(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
+    """Return what weakens links now: the arena's solids, and doors where they stand."""
+    if world.site is None:
+        doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
+        return with_boxes(arena_solids(scene.arena), *doors)
+    site, lift = world.site, jnp.array([0.0, 0.0, scene.arena.floor])
+    shapes = scene.arena.shapes[: len(site.pos)]
+    walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
+    pos, mat = site.pos[walls] + lift, mat_from_quat(site.quat[walls])
+    return with_boxes(arena_solids(bare(scene.arena)), pos, mat, site.size[walls])
+
+
 def present_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
     places, in_use = antennas(scene, world, physics)
-    key, solids = episode_key(world, RADIO_STREAM), arena_solids(scene.arena)
-    now = evaluate(radio_of(scene), solids, (places, in_use), _links(world), key, world.step)
+    key, walls = episode_key(world, RADIO_STREAM), solids(scene, world, physics)
+    now = evaluate(radio_of(scene), walls, (places, in_use), _links(world), key, world.step)
     due = links_due(scene, world)
     return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, kept_links(world))
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,16 +12,22 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MailSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.errors import SpecError
+from usarmjx.models.arena_files import find_arena
+from usarmjx.models.arena_set import ArenaSet, arena_set
 from usarmjx.models.arena_spec import ArenaSpec, StartPose
-from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import LOOSE, Physics, add_robot, cap_contacts, new_spec
+from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
+from usarmjx.models.compose_arena import ARENA, BONE
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.layout import RobotIndex, index_robot
+from usarmjx.models.moved import MovedGeoms
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
+from usarmjx.models.victims import VictimTable, victim_table
+from usarmjx.scene_geoms import Look, LooseGeoms, door_qpos, fixed_look, loose_geoms, moved_look
 from usarmjx.sensors.raycast import check_types
 from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.transforms import Array
 
 PARKING_HEIGHT = 30.0
 """Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""
@@ -120,36 +127,11 @@ class Team:
 
 
 @dataclass(frozen=True, eq=False)
-class ArenaGeoms:
-    """Floor and arena geoms: MuJoCo types (n,), positions (n, 3), orientations (n, 3, 3), sizes (n, 3)."""
-
-    kind: np.ndarray
-    pos: np.ndarray
-    mat: np.ndarray
-    size: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class LooseGeoms:
-    """Geoms of loose objects, in the frames of their objects.
-
-    Attributes:
-        root_qpos: Qpos addresses of the objects' free joints (objects, 7).
-        owner: The object that each geom belongs to (geoms,).
-        local: Type, position, orientation and size of the geoms, as in `ArenaGeoms`.
-    """
-
-    root_qpos: np.ndarray
-    owner: np.ndarray
-    local: ArenaGeoms
-
-
-@dataclass(frozen=True, eq=False)
 class Scene:
     """A composed scene.
 
     Attributes:
-        arena: Arena description.
+        arena: Arena description; of a scene with several arenas, one with room for any of them.
         physics: Solver and time settings.
         roster: The robots, by slot.
         spec: The MuJoCo description, for engines that add and remove robots.
@@ -157,6 +139,7 @@ class Scene:
         teams: The robots by class.
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over it; None: there are none.
+        arenas: The arenas, of which each world has one; None: all have `arena`.
     """
 
     arena: ArenaSpec
@@ -167,6 +150,12 @@ class Scene:
     teams: tuple[Team, ...] = field(default=())
     radio: RadioSettings | None = None
     mail: MailSettings | None = None
+    arenas: ArenaSet | None = None
+
+    @cached_property
+    def victims(self) -> VictimTable:
+        """The victims, where all worlds have the same arena."""
+        return victim_table(self.arena.victims, self.arena.false_alarms)
 
     @property
     def robots(self) -> int:
@@ -174,38 +163,44 @@ class Scene:
         return len(self.roster)
 
     @cached_property
-    def arena_geoms(self) -> ArenaGeoms:
-        """What of the scene does not belong to a robot."""
-        data = mujoco.MjData(self.model)
-        mujoco.mj_kinematics(self.model, data)
-        fixed = self.model.geom_bodyid < 2  # the world's own body and the arena's
-        return ArenaGeoms(
-            kind=self.model.geom_type[fixed],
-            pos=data.geom_xpos[fixed].astype(np.float32),
-            mat=data.geom_xmat[fixed].reshape(-1, 3, 3).astype(np.float32),
-            size=self.model.geom_size[fixed].astype(np.float32),
-        )
+    def swinging(self) -> np.ndarray:
+        """The victims' boxes that move, as places in `victims`; where all worlds have the same arena."""
+        return np.flatnonzero(self.victims.swing > 0)
+
+    @cached_property
+    def moved(self) -> MovedGeoms | None:
+        """The arena's geoms that are data; None: there are none."""
+        if self.arenas is not None:
+            names = tuple(f"{ARENA}{i}" for i in range(len(self.arena.shapes)))
+            return MovedGeoms(names=names, longest=self.arenas.longest, resized=True)
+        if not len(self.swinging):
+            return None
+        names = tuple(f"{BONE}{i}" for i in self.swinging)
+        return MovedGeoms(names=names, longest=self.victims.size[self.swinging].max(-1), resized=False)
+
+    @cached_property
+    def _moved_names(self) -> tuple[str, ...]:
+        return () if self.moved is None else self.moved.names
+
+    @cached_property
+    def fixed_look(self) -> Look:
+        """Floor and arena, without the geoms that are data."""
+        return fixed_look(self.model, self.arena, self._moved_names)
+
+    @cached_property
+    def moved_look(self) -> Look:
+        """The geoms that are data; the kinds, materials and sizes of these are of use."""
+        return moved_look(self.model, self.arena, self._moved_names)
 
     @cached_property
     def loose_geoms(self) -> LooseGeoms:
-        """What of the scene lies loose."""
-        model, names = self.model, [f"{LOOSE}{loose.name}" for loose in self.arena.loose]
-        bodies = [model.body(name).id for name in names]
-        roots = [int(model.joint(name).qposadr[0]) for name in names]
-        mine = np.isin(model.geom_bodyid, bodies)
-        mats = np.zeros((int(mine.sum()), 9))
-        for mat, quat in zip(mats, model.geom_quat[mine], strict=True):
-            mujoco.mju_quat2Mat(mat, quat)
-        return LooseGeoms(
-            root_qpos=np.array([root + np.arange(7) for root in roots], int).reshape(len(roots), 7),
-            owner=np.searchsorted(bodies, model.geom_bodyid[mine]),
-            local=ArenaGeoms(
-                kind=model.geom_type[mine],
-                pos=model.geom_pos[mine].astype(np.float32),
-                mat=mats.reshape(-1, 3, 3).astype(np.float32),
-                size=model.geom_size[mine].astype(np.float32),
-            ),
-        )
+        """What lies loose."""
+        return loose_geoms(self.model, self.arena)
+
+    @cached_property
+    def door_qpos(self) -> np.ndarray:
+        """Qpos addresses of the doors' hinges (doors,)."""
+        return door_qpos(self.model, self.arena)
 
     def team_of(self, slot: int) -> tuple[int, int]:
         """Return (team, place in the team) of a roster slot."""
@@ -227,14 +222,18 @@ def parking_place(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
     return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
 
 
+def origin_height(arena: ArenaSpec, height: Array, robot: RobotSpec) -> Array:
+    """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
+    return arena.floor + height - START_ELEVATION + body_plan(robot).clearance + START_GAP
+
+
 def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
     """Return the height of a robot's origin when it stands on the ground under a start pose [m]."""
-    ground = arena.floor + start.at[2] - START_ELEVATION
-    return ground + body_plan(robot).clearance + START_GAP
+    return origin_height(arena, start.at[2], robot)
 
 
 def build_scene(
-    arena: str | ArenaSpec = "yellow",
+    arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
     roster: Sequence[str | Entry] = ("P2AT",),
     physics: Physics | None = None,
     *,
@@ -244,7 +243,8 @@ def build_scene(
     """Compose an arena and its robots.
 
     Args:
-        arena: Name or description.
+        arena: Name, file (see `models.arena_files`) or description; or several descriptions, of which each
+            world gets one at every reset.
         roster: Class names or entries, in slot order; robots that are not parked need a start pose each.
         physics: Solver and time settings.
         radio: Constants of the robots' radios; None: they have none, and it costs nothing.
@@ -252,11 +252,17 @@ def build_scene(
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.
-        SpecError: More robots than the arena has start poses; mail without a radio.
+        SpecError: More robots than the arena has start poses; mail without a radio; arenas that cannot be
+            together in a batch, see `models.arena_set`.
         UnsupportedGeomError: A geom that rays cannot hit, or that the radio cannot count as a wall.
     """
     physics = physics or Physics()
-    arena = ARENAS.get(arena) if isinstance(arena, str) else arena
+    arenas = None
+    if isinstance(arena, (str, Path)):
+        arena = find_arena(arena)
+    elif not isinstance(arena, ArenaSpec):
+        arenas = arena_set(arena)
+        arena = arenas.template
     entries = tuple(Entry(robot=e) if isinstance(e, str) else e for e in roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
@@ -281,6 +287,7 @@ def build_scene(
         teams=_teams(model, entries),
         radio=radio,
         mail=mail,
+        arenas=arenas,
     )
 
 

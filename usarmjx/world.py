@@ -15,17 +15,19 @@ from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.mail import Mail, no_mail
 from usarmjx.control import Circumstances, Command, drive, idle
 from usarmjx.engines.base import Inputs, PhysicsState
+from usarmjx.models.arena_set import Site
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.drives import DRY
 from usarmjx.models.effecters import Tags, no_tags
-from usarmjx.models.plan import Bodies, body_poses, geom_poses
+from usarmjx.models.plan import body_poses
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
-from usarmjx.rotations import mat_from_quat
-from usarmjx.scene import Scene, Team, parking_place, start_height
+from usarmjx.scene import Scene, Team, origin_height, parking_place
 from usarmjx.sensors.base import Reading, Sight
-from usarmjx.sensors.raycast import FAR_AWAY, NO_HITS, Geoms, gather
+from usarmjx.sensors.raycast import NO_HITS
 from usarmjx.sensors.suite import NO_MEMORY, Memory
+from usarmjx.site import places, site_at, start_poses
+from usarmjx.visible import arena_rows, collect, door_rows, loose_rows, robot_rows
 
 RUNAWAY_SPEED = 5.0
 """A chassis faster than this, and than half more than its drive's top speed, did not get there by driving:
@@ -75,6 +77,8 @@ class World(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         key: The world's random key, made from the batch's seed and the world's number ().
+        number: The world's number ().
+        site: The world's arena; None where all worlds have the same.
         episode: Resets so far ().
         step: Control steps since the last reset ().
         teams: The robots by class.
@@ -85,6 +89,8 @@ class World(struct.PyTreeNode, kw_only=True):
     """
 
     key: jax.Array
+    number: jax.Array
+    site: Site | None
     episode: jax.Array
     step: jax.Array
     teams: tuple[TeamState, ...]
@@ -117,24 +123,32 @@ def team_states(team: Team, physics: PhysicsState) -> RobotState:
     )
 
 
-def first_episode(scene: Scene, key: jax.Array, *, shuffle: bool = False) -> tuple[World, jax.Array]:
+def first_episode(
+    scene: Scene, key: jax.Array, number: jax.Array, library: Site | None = None, *, shuffle: bool = False
+) -> tuple[World, jax.Array]:
     """Return a new world and the qpos (nq,) it starts from; see `restart`."""
     zero = jnp.zeros((), jnp.int32)
     status = Status(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
-    world = World(key=key, episode=zero - 1, step=zero, teams=(), tags=no_tags(), status=status)
-    return restart(scene, world, shuffle=shuffle)
+    before = {"site": None, "episode": zero - 1, "step": zero, "teams": (), "tags": no_tags()}
+    world = World(key=key, number=number, status=status, **before)
+    return restart(scene, world, library, shuffle=shuffle)
 
 
-def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World, jax.Array]:
+def restart(
+    scene: Scene, world: World, library: Site | None = None, *, shuffle: bool = False
+) -> tuple[World, jax.Array]:
     """Return the world at the start of its next episode, and the qpos (nq,) it starts from.
 
     Args:
         scene: The scene.
-        world: The world as it was; its key and status live on.
+        world: The world as it was; its key, number and status live on.
+        library: The arenas that worlds go through (arenas, ...); None: all have the scene's.
         shuffle: Draw the robots' start poses instead of handing them out in the arena's order.
     """
+    episode = world.episode + 1
     world = world.replace(
-        episode=world.episode + 1,
+        episode=episode,
+        site=site_at(library, world.number, episode),
         step=jnp.zeros((), jnp.int32),
         teams=(),
         tags=no_tags(),
@@ -169,21 +183,21 @@ def restart(scene: Scene, world: World, *, shuffle: bool = False) -> tuple[World
 
 def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
     """Active robots take start poses in the arena's (or a random) order, parked ones their places."""
-    starts = scene.arena.starts
+    starts = start_poses(scene, world.site)
     order = jnp.arange(len(starts))
     if shuffle:
         order = jax.random.permutation(episode_key(world, PLACE_STREAM), order)
-    flat = jnp.array([(*start.at, start.yaw) for start in starts])
     qpos = jnp.asarray(scene.model.qpos0, jnp.float32)
+    if world.site is not None:
+        qpos = qpos.at[scene.loose_geoms.root_qpos].set(world.site.loose)
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for team in scene.teams:
-        heights = jnp.array([start_height(scene.arena, start, team.robot) for start in starts])
         for place, slot in enumerate(team.slots):
             address = team.root_qpos[place]
             if slot in active:
-                chosen = order[active.index(slot)]
-                x, y, _, yaw = flat[chosen]
-                root = [x, y, heights[chosen], jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
+                x, y, z, yaw = starts[order[active.index(slot)]]
+                height = origin_height(scene.arena, z, team.robot)
+                root = [x, y, height, jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
             else:
                 root = [*parking_place(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
             qpos = qpos.at[address].set(jnp.stack([jnp.asarray(v, jnp.float32) for v in root]))
@@ -208,37 +222,17 @@ def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight
 def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:
     """Return what each team's robots sense, rays cast; leading axis over robots, but for the time."""
     sights = [feel(scene, world, physics, team) for team in scene.teams]
-    geoms = _visible(scene, world, physics, [sight.bodies for sight in sights])
+    geoms = collect(
+        [
+            *arena_rows(scene, world.site, time_of(scene, world)),
+            loose_rows(scene, physics),
+            door_rows(scene, physics),
+            *robot_rows(scene, [sight.bodies for sight in sights], [state.active for state in world.teams]),
+        ]
+    )
     return tuple(
         sight.replace(hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots)))
         for team, sight in zip(scene.teams, sights, strict=True)
-    )
-
-
-def _visible(scene: Scene, world: World, physics: PhysicsState, bodies: list[Bodies]) -> Geoms:
-    """Return all geoms that rays can hit: floor and arena, loose objects, and the robots in use."""
-    arena, loose = scene.arena_geoms, scene.loose_geoms
-    root = physics.qpos[loose.root_qpos]
-    turn = mat_from_quat(root[:, 3:])[loose.owner]
-    lying = root[loose.owner, :3] + jnp.einsum("gij,gj->gi", turn, loose.local.pos)
-    kinds, pos, mat, size = (
-        [arena.kind, loose.local.kind],
-        [jnp.asarray(arena.pos), lying],
-        [jnp.asarray(arena.mat), turn @ loose.local.mat],
-        [jnp.asarray(arena.size), jnp.asarray(loose.local.size)],
-    )
-    owner = [jnp.full(len(arena.kind) + len(loose.owner), -1)]
-    for team, state, body in zip(scene.teams, world.teams, bodies, strict=True):
-        n, g = len(team.slots), len(team.plan.geom_type)
-        team_pos, team_mat = jax.vmap(partial(geom_poses, team.plan))(body)
-        kinds.append(np.tile(team.plan.geom_type, n))
-        pos.append(jnp.where(state.active[:, None, None], team_pos, FAR_AWAY).reshape(-1, 3))
-        mat.append(team_mat.reshape(-1, 3, 3))
-        size.append(jnp.tile(team.plan.geom_size, (n, 1)))
-        owner.append(jnp.repeat(jnp.asarray(team.slots), g))
-    kind = np.concatenate(kinds)
-    return gather(
-        kind, jnp.concatenate(pos), jnp.concatenate(mat), jnp.concatenate(size), jnp.concatenate(owner)
     )
 
 
@@ -276,7 +270,14 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         pinned=jnp.zeros(scene.model.nq, bool),
         pinned_dof=jnp.zeros(scene.model.nv, bool),
         qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
+        places=places(scene, world.site, time),
     )
+    if world.site is not None:
+        loose, missing = scene.loose_geoms, ~world.site.present
+        inputs = inputs.replace(
+            pinned=_mark(inputs.pinned, loose.root_qpos, missing),
+            pinned_dof=_mark(inputs.pinned_dof, loose.root_dof, missing),
+        )
     refused, teams = world.status.refused, []
     for team, state in zip(scene.teams, world.teams, strict=True):
         robots = team_states(team, physics)

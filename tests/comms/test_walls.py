@@ -270,13 +270,14 @@ def test_one_loop_goes_over_segments_times_solids():
 
 
 def test_shapes_that_cannot_be_counted_are_refused():
-    with pytest.raises(UnsupportedGeomError, match=r"mjGEOM_MESH.*mjGEOM_BOX"):
-        check_types([BOX, Geom.mjGEOM_MESH])
+    with pytest.raises(UnsupportedGeomError, match=r"mjGEOM_SDF.*mjGEOM_BOX"):
+        check_types([BOX, Geom.mjGEOM_SDF])
+    check_types([BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD])
 
 
 @pytest.mark.parametrize("arena", [ARENAS.get("yellow"), COURSE], ids=lambda arena: arena.name)
 def test_an_arenas_solids_are_those_that_sensors_see(arena):
-    seen, counted = build_scene(arena, ["P2AT"]).arena_geoms, arena_solids(arena)
+    seen, counted = build_scene(arena, ["P2AT"]).fixed_look, arena_solids(arena)
     expected = gather(seen.kind, seen.pos, seen.mat, seen.size, np.full(len(seen.kind), -1))
     assert counted.types == expected.types
     for mine, theirs in zip(counted.blocks, expected.blocks, strict=True):

@@ -167,7 +167,7 @@ def test_a_robots_drive():
 
 
 def test_blocks_and_hits(scene):
-    geoms, n = scene.arena_geoms, len(scene.arena_geoms.kind)
+    geoms, n = scene.fixed_look, len(scene.fixed_look.kind)
     sorted_geoms = gather(geoms.kind, geoms.pos, geoms.mat, geoms.size, jnp.zeros(n))
     assert sum(len(block.pos) for block in sorted_geoms.blocks) == n
     for block in sorted_geoms.blocks:

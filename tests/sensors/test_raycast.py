@@ -208,14 +208,14 @@ def test_rays_along_the_faces_of_a_box(origin, direction, distance):
 
 
 def test_unknown_type_is_refused_by_type_and_name():
-    types = [Geom.mjGEOM_BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD, Geom.mjGEOM_MESH]
+    types = [Geom.mjGEOM_BOX, Geom.mjGEOM_SDF, Geom.mjGEOM_ARROW, Geom.mjGEOM_SDF]
     with pytest.raises(UnsupportedGeomError) as caught:
         check_types(types, ["crate", "statue", "hill", "bust"])
     message = str(caught.value)
-    for word in ("mjGEOM_MESH", "mjGEOM_HFIELD", "statue", "hill", "bust"):
+    for word in ("mjGEOM_SDF", "mjGEOM_ARROW", "statue", "hill", "bust"):
         assert word in message
     assert "crate" not in message
-    check_types([int(kind) for kind in KINDS.values()], list(KINDS))
+    check_types([*KINDS.values(), Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD], [*KINDS, "stone", "hill"])
 
 
 def test_a_scene_with_such_a_geom_is_refused(monkeypatch):

@@ -4,14 +4,16 @@ A solid counts once, however thin, and however close to the next one, when the o
 antennas passes through its inside. So a segment that starts or ends inside a solid, or lies within it
 whole, counts it; one that runs along a face or an edge, or only touches a corner, does not; one whose ends
 are the same point counts the solids which that point is inside of. A plane counts when the two ends lie on
-opposite sides of it (neither on it), and the segment meets it within its half sizes.
+opposite sides of it (neither on it), and the segment meets it within its half sizes. A terrain counts once,
+when the segment passes below its surface. Glass, mirrors and grid fenders count as other solids do, the sky
+does not.
 
 The in-engine server marched along the segment and looked again 0.2 m behind each surface it met, so that a
 stack of thin walls counted as one there. Here it counts in full.
 
 Kernels see a segment by its middle and the half vector from there to its end, in the geom's frame, so that
 exchanging the two ends changes no bit of the answer. They take no square roots, and divide only for round
-shapes.
+shapes, meshes and terrain. A mesh is what lies behind the faces of all its triangles, a terrain its columns.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,17 +25,20 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.comms.clipping import Triple, behind_face, both, crosses_column
 from usarmjx.errors import UnsupportedGeomError
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, new_spec
+from usarmjx.models.materials import materials_of
+from usarmjx.models.pieces import COLUMN_KIND, HFIELD, MESH, TRIANGLE_KIND, pieces_of
+from usarmjx.models.spec import OPAQUE, SKY
 from usarmjx.sensors.raycast import Block, Geoms, gather
+from usarmjx.transforms import Array
 
 TINY = 1e-12
 """Stands in for zero where it divides."""
 
 GeomType = mujoco.mjtGeom
-Triple = tuple[jax.Array, jax.Array, jax.Array]
-"""Components x, y, z; apart, so that no array of segments times geoms is stored."""
 
 
 def crosses_plane(middle: Triple, half: Triple, size: Triple) -> jax.Array:
@@ -112,6 +117,8 @@ KERNELS: dict[int, Callable[[Triple, Triple, Triple], jax.Array]] = {
     int(GeomType.mjGEOM_CYLINDER): crosses_cylinder,
     int(GeomType.mjGEOM_ELLIPSOID): crosses_ellipsoid,
 }
+COUNTED = (*KERNELS, MESH, HFIELD)
+"""Types of geoms that can be counted, as they are or in pieces."""
 
 
 def check_types(geom_types: Sequence[int]) -> None:
@@ -120,9 +127,9 @@ def check_types(geom_types: Sequence[int]) -> None:
     Raises:
         UnsupportedGeomError: Names the types, and those that can be counted.
     """
-    bad = sorted({GeomType(int(t)).name for t in geom_types if int(t) not in KERNELS})
+    bad = sorted({GeomType(int(t)).name for t in geom_types if int(t) not in COUNTED})
     if bad:
-        known = ", ".join(GeomType(t).name for t in KERNELS)
+        known = ", ".join(GeomType(t).name for t in COUNTED)
         raise UnsupportedGeomError(f"the radio cannot count walls of type {', '.join(bad)}; it can: {known}")
 
 
@@ -130,19 +137,49 @@ def check_types(geom_types: Sequence[int]) -> None:
 def arena_solids(arena: ArenaSpec) -> Geoms:
     """Return what weakens radio links in an arena: its floor and its fixed solids, not what lies loose.
 
+    Owners tell apart the solids that come in pieces, meshes and terrain: those of a solid follow one another.
+
     Raises:
         UnsupportedGeomError: A solid that cannot be counted.
     """
-    model = new_spec(replace(arena, loose=()), Physics()).compile()
+    fixed = replace(arena, loose=(), doors=(), victims=(), false_alarms=())
+    model = new_spec(fixed, Physics()).compile()
     check_types(model.geom_type)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    pos, mat = data.geom_xpos.astype(np.float32), data.geom_xmat.reshape(-1, 3, 3).astype(np.float32)
-    owner = np.full(model.ngeom, -1)
+    walls = np.flatnonzero(np.array(materials_of(model, arena), object) != SKY)
+    pieces = pieces_of(model, walls, columns=True)
+    pos, mat = pieces.placed(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
     # Numpy throughout: jax arrays made while tracing could not be kept.
-    return gather(model.geom_type, pos, mat, model.geom_size.astype(np.float32), owner)  # type: ignore
+    return gather(pieces.kind, pos.astype(np.float32), mat.astype(np.float32), pieces.size, pieces.geom)
 
 
+@cache
+def bare(arena: ArenaSpec) -> ArenaSpec:
+    """Return the arena without anything on its floor."""
+    return ArenaSpec(
+        name=arena.name, floor=arena.floor, has_floor=arena.has_floor, starts=(), extent=arena.extent
+    )
+
+
+def with_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
+    """Return solids and boxes: centres [m] (n, 3), orientations (n, 3, 3), half lengths [m] (n, 3)."""
+    if not len(size):
+        return solids
+    block = Block(pos=pos, mat=mat, size=size, owner=np.full(len(size), -1))
+    box = int(GeomType.mjGEOM_BOX)
+    return Geoms(
+        blocks=(*solids.blocks, block),
+        types=(*solids.types, box),
+        materials=(*solids.materials, OPAQUE),
+    )
+
+
+Tally = tuple[jax.Array, ...]
+"""How many solids each segment crosses so far, and what is known of a solid that comes in pieces: of terrain,
+whether it is crossed already; of a mesh, the part of the segment behind all faces so far."""
+FRESH = {COLUMN_KIND: (False,), TRIANGLE_KIND: (-1.0, 1.0)}
+"""What is known of a solid before its first piece."""
 CHUNK = 16
 """Solids that one pass over all segments looks at: their numbers are read once for all segments of a world,
 and the passes are few."""
@@ -161,23 +198,47 @@ def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Tripl
     return split[0], turned, split[1]  # type: ignore - three of each
 
 
+def _last(block: Block) -> jax.Array:
+    """Return which pieces are the last of their solids (geoms,), filled up to whole chunks with none."""
+    following = jnp.append(block.owner[1:], -1)
+    return jnp.pad(block.owner != following, (0, -len(block.owner) % CHUNK))
+
+
+def _add(kind: int, tally: Tally, local: Triple, along: Triple, size: Triple, last: jax.Array) -> Tally:
+    """Return the tally of segments after one more solid, or piece of a solid."""
+    if kind in KERNELS:
+        return (tally[0] + KERNELS[kind](local, along, size),)
+    if kind == COLUMN_KIND:
+        now = (tally[1] | crosses_column(local, along, size),)
+        crossed = now[0]
+    else:
+        now = both((tally[1], tally[2]), behind_face(local, along))
+        crossed = now[0] < now[1]
+    kept = (jnp.where(last, fresh, value) for fresh, value in zip(FRESH[kind], now, strict=True))
+    return (tally[0] + (crossed & last), *kept)
+
+
 def _count(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
     """Return how many solids of one type each segment crosses (segments,)."""
-    columns = _columns(block)
+    columns = (*_columns(block), None if kind in KERNELS else _last(block))
 
-    def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
+    def chunk(c: jax.Array, tally: Tally) -> Tally:
         for k in range(CHUNK):
             here = c * CHUNK + k
-            pos, mat, size = jax.tree.map(lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns)
+            pos, mat, size, last = jax.tree.map(
+                lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns
+            )
             # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
             along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
-            count = count + KERNELS[kind](local, along, size)  # type: ignore - three components each
-        return count
+            tally = _add(kind, tally, local, along, size, last)  # type: ignore - three components each
+        return tally
 
     passes = -(-len(block.owner) // CHUNK)
-    return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
+    start = [jnp.zeros(middle[0].shape, jnp.int32)]
+    start += [jnp.full(middle[0].shape, value) for value in FRESH.get(kind, ())]
+    return jax.lax.fori_loop(0, passes, chunk, tuple(start))[0]
 
 
 @jax.jit
@@ -185,7 +246,8 @@ def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
     """Return how many solids lie on the way of each segment, as the module says (segments,) int32.
 
     Args:
-        geoms: The solids: what belongs to the arena, no robots and no loose objects; owners do not matter.
+        geoms: The solids as `arena_solids` gives them: what belongs to the arena, no robots and no loose
+            objects; owners matter only to pieces.
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """

@@ -10,6 +10,7 @@ from flax import struct
 
 from usarmjx.errors import UnsupportedFeatureError
 from usarmjx.models.compose import Physics
+from usarmjx.models.moved import MovedGeoms
 from usarmjx.transforms import Array
 
 GeomType = mujoco.mjtGeom
@@ -29,6 +30,20 @@ class PhysicsState(struct.PyTreeNode, kw_only=True):
     act: jax.Array
 
 
+class Places(struct.PyTreeNode, kw_only=True):
+    """Where the arena's geoms are that are data, in the axes of the body `arena`.
+
+    Attributes:
+        pos: Centres [m] (worlds, geoms, 3).
+        quat: Orientations (worlds, geoms, 4).
+        size: MuJoCo sizes [m] (worlds, geoms, 3); None: as in the model.
+    """
+
+    pos: Array
+    quat: Array
+    size: Array | None = None
+
+
 class Inputs(struct.PyTreeNode, kw_only=True):
     """What the engine is told for one control step.
 
@@ -39,6 +54,7 @@ class Inputs(struct.PyTreeNode, kw_only=True):
         pinned: Which coordinates are held: qpos is set and their velocities are zero (worlds, nq).
         pinned_dof: The same for the velocities (worlds, nv).
         qpos: Positions of the pinned coordinates; the others are ignored (worlds, nq).
+        places: Where the arena's geoms are that are data; None: there are none.
     """
 
     ctrl: Array
@@ -47,6 +63,7 @@ class Inputs(struct.PyTreeNode, kw_only=True):
     pinned: Array
     pinned_dof: Array
     qpos: Array
+    places: Places | None = None
 
 
 class Engine(ABC):
@@ -56,6 +73,8 @@ class Engine(ABC):
         spec: The description of the model; its bodies, joints and actuators keep their order.
         physics: Solver and time settings.
         worlds: Number of copies.
+        moved: Geoms of the arena that are data, of which every `Inputs` tells the places; None: there are
+            none.
 
     Raises:
         UnsupportedFeatureError: The model has a feature that this engine would ignore or refuse.
@@ -66,12 +85,17 @@ class Engine(ABC):
     traceable: ClassVar[bool]
     """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
-        model = self.compile(spec)
-        check_features(model, self.name)
+    def __init__(
+        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    ) -> None:
         self.physics = physics
         self.worlds = worlds
-        self.model = model
+        self.moved = moved
+        self.model = self.compile(spec)
+        check_features(self.model, self.name)
+        # A geom that lies in its body's frame would be taken for one that always does.
+        self.moved_ids = [] if moved is None else [self.model.geom(name).id for name in moved.names]
+        self.model.geom_sameframe[self.moved_ids] = 0
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model as this engine wants it."""
@@ -98,8 +122,13 @@ class Engine(ABC):
         """Return what others may see of the state."""
 
     @abstractmethod
-    def overflow(self, own: Any) -> jax.Array:  # noqa: ANN401
-        """Return how much each world's last step lost to full contact buffers (worlds,); 0 is none."""
+    def overflow(self, own: Any, inputs: Inputs) -> jax.Array:  # noqa: ANN401
+        """Return how much each world's last step lost to full contact buffers (worlds,); 0 is none.
+
+        Args:
+            own: The state after the step.
+            inputs: What the engine was told for it.
+        """
 
 
 # What MJX-JAX and MJX-Warp accept without a word and then compute something else (found by comparing

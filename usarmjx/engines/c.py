@@ -3,12 +3,14 @@
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.compose import Physics
+from usarmjx.models.moved import MovedGeoms
 from usarmjx.threads import cores
 from usarmjx.transforms import Array
 
@@ -33,6 +35,20 @@ def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
     return copy
 
 
+def move_geoms(
+    model: mujoco.MjModel, ids: list[int], pos: Array, quat: Array, size: Array | None = None
+) -> None:
+    """Put geoms of the model elsewhere: pos (n, 3), quat (n, 4), and boxes' sizes (n, 3) if they change.
+
+    The model must have its midphase disabled (its tree of bounding boxes would be out of date) and
+    `geom_sameframe` cleared.
+    """
+    model.geom_pos[ids], model.geom_quat[ids] = pos, quat
+    if size is not None:
+        model.geom_size[ids], model.geom_aabb[ids, 3:] = size, size
+        model.geom_rbound[ids] = np.linalg.norm(size, axis=-1)
+
+
 def buffer_warnings(data: mujoco.MjData) -> int:
     """Return how often this data's contact or constraint buffer was too small."""
     full = (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL)
@@ -51,15 +67,22 @@ class CEngine(Engine):
     name = "c"
     traceable = False
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
-        super().__init__(spec, physics, worlds)
+    def __init__(
+        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    ) -> None:
+        super().__init__(spec, physics, worlds, moved)
         count = min(worlds, cores())
+        # Each thread has its own model, as the arena of the world that it steps is part of it.
+        self._models = [self.model if moved is None else self.model.__copy__() for _ in range(count)]
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model, with silent resets off."""
-        return c_model(spec.compile())
+        model = c_model(spec.compile())
+        if self.moved is not None:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+        return model
 
     def start(self) -> CState:
         """Return every world at the model's reference configuration."""
@@ -80,15 +103,19 @@ class CEngine(Engine):
     def advance(self, own: CState, inputs: Inputs) -> CState:
         """Step every world by one control step."""
         new = CState(*(array.copy() for array in own))
-        told = Inputs(**{name: np.asarray(value) for name, value in vars(inputs).items()})
+        told = jax.tree.map(np.asarray, inputs)
 
         def work(thread: int) -> None:
-            data = self._datas[thread]
+            model, data = self._models[thread], self._datas[thread]
             for world in range(thread, self.worlds, len(self._datas)):
-                mujoco.mj_setState(self.model, data, own.everything[world], EVERYTHING)
+                mujoco.mj_setState(model, data, own.everything[world], EVERYTHING)
                 self._apply(data, told, world)
+                if told.places is not None:
+                    here = told.places
+                    size = None if here.size is None else here.size[world]
+                    move_geoms(model, self.moved_ids, here.pos[world], here.quat[world], size)
                 before = buffer_warnings(data)
-                mujoco.mj_step(self.model, data, nstep=self.physics.substeps)
+                mujoco.mj_step(model, data, nstep=self.physics.substeps)
                 new.overflow[world] = buffer_warnings(data) - before
                 self._save(data, new, world)
 
@@ -131,6 +158,7 @@ class CEngine(Engine):
             act=jnp.asarray(own.act, jnp.float32),
         )
 
-    def overflow(self, own: CState) -> jnp.ndarray:
+    def overflow(self, own: CState, inputs: Inputs) -> jnp.ndarray:
         """Return the number of buffer warnings of the last step (worlds,)."""
+        del inputs
         return jnp.asarray(own.overflow)

@@ -9,6 +9,7 @@ import mujoco
 
 from usarmjx.engines.base import Engine
 from usarmjx.models.compose import Physics
+from usarmjx.models.moved import MovedGeoms
 from usarmjx.registry import Registry
 
 ENGINES: Registry[tuple[str, str]] = Registry("engine")
@@ -33,8 +34,10 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
     return "c" if purpose == "serve" else "jax"
 
 
-def make_engine(name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> Engine:
-    """Build an engine by name.
+def make_engine(
+    name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+) -> Engine:
+    """Build an engine by name; the other arguments are those of `Engine`.
 
     Raises:
         UnknownNameError: No such engine.
@@ -43,4 +46,4 @@ def make_engine(name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int) -
     """
     module, kind = ENGINES.get(name)
     engine: type[Engine] = getattr(import_module(module), kind)
-    return engine(spec, physics, worlds)
+    return engine(spec, physics, worlds, moved)

@@ -12,9 +12,12 @@ from mujoco.mjx._src import collision_driver
 
 from usarmjx import threads
 from usarmjx.engines import cylinder_box
-from usarmjx.engines.base import Engine, Inputs, PhysicsState
+from usarmjx.engines.base import Engine, Inputs, PhysicsState, Places
+from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.errors import EngineError
-from usarmjx.models.compose import Physics, with_short_boxes
+from usarmjx.models.compose import Physics
+from usarmjx.models.compose_arena import with_short_boxes
+from usarmjx.models.moved import MovedGeoms
 from usarmjx.transforms import Array
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
@@ -35,8 +38,10 @@ class MjxEngine(Engine):
     traceable = True
     impl: ClassVar[str]
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
-        super().__init__(spec, physics, worlds)
+    def __init__(
+        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    ) -> None:
+        super().__init__(spec, physics, worlds, moved)
         self.mx = self._put_model(self.model)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
@@ -53,8 +58,33 @@ class MjxEngine(Engine):
         """Step every world by one control step."""
         data = self.place(own, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
-        step = jax.vmap(mjx.step, in_axes=(None, 0))
-        return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(self.mx, d), data)
+        if inputs.places is None:
+            model, axes = self.mx, None
+        else:
+            fields = self._moved_fields(inputs.places)
+            model = self.mx.tree_replace(fields)
+            axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
+        step = jax.vmap(mjx.step, in_axes=(axes, 0))
+        return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(model, d), data)
+
+    def _moved_fields(self, places: Places) -> dict[str, jax.Array]:
+        """Return the model's fields that differ between worlds (worlds, ngeom, ...)."""
+        ids = np.array(self.moved_ids)
+
+        def everywhere(value: jax.Array, here: Array) -> jax.Array:
+            all_worlds = jnp.broadcast_to(value, (self.worlds, *value.shape))
+            return all_worlds.at[:, ids].set(jnp.reshape(here, (self.worlds, len(ids), *value.shape[1:])))
+
+        fields = {
+            "geom_pos": everywhere(self.mx.geom_pos, places.pos),
+            "geom_quat": everywhere(self.mx.geom_quat, places.quat),
+        }
+        if places.size is not None:
+            box = jnp.concatenate([jnp.zeros_like(places.size), places.size], -1)
+            fields["geom_size"] = everywhere(self.mx.geom_size, places.size)
+            fields["geom_aabb"] = everywhere(self.mx.geom_aabb, box)
+            fields["geom_rbound"] = everywhere(self.mx.geom_rbound, jnp.linalg.norm(places.size, axis=-1))
+        return fields
 
     def place(self, own: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
         """Put the pinned coordinates at qpos, at rest."""
@@ -95,11 +125,14 @@ class JaxEngine(MjxEngine):
 
     name = "jax"
     impl = "jax"
+    _short: "ShortBoxes | None" = None
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
+    def __init__(
+        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    ) -> None:
         threads.check()
         cylinder_box.register()
-        super().__init__(spec, physics, worlds)
+        super().__init__(spec, physics, worlds, moved)
         cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
         groups = collision_driver._geom_groups(self.model)  # private, as the table that cylinder_box fills
@@ -112,21 +145,31 @@ class JaxEngine(MjxEngine):
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model with long walls in pieces, which bounding spheres tell apart."""
-        model = with_short_boxes(spec, LONGEST_BOX)
+        if self.moved is not None and self.moved.resized:
+            self._short = ShortBoxes(self.moved, LONGEST_BOX)
+            self.moved = self._short.moved
+            model = self._short.compile(spec)
+        else:
+            model = with_short_boxes(spec, LONGEST_BOX)
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         masses = model.body_subtreemass[free]
         if len(free) and masses.max() > UNEQUAL * masses.min():
             model.opt.iterations = max(model.opt.iterations, UNEQUAL_ITERATIONS)
         return model
 
-    def overflow(self, own: mjx.Data) -> jax.Array:
+    def _moved_fields(self, places: Places) -> dict[str, jax.Array]:
+        return super()._moved_fields(places if self._short is None else self._short.cut(places))
+
+    def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:
         """Return pairs and contacts that may have been dropped (worlds,)."""
         contact = own._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
+        moved = {} if inputs.places is None else self._moved_fields(inputs.places)
+        radius = moved.get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
         for pairs in self._capped:
             apart = own.geom_xpos[:, pairs[:, 0]] - own.geom_xpos[:, pairs[:, 1]]
-            reach = self.model.geom_rbound[pairs].sum(-1)
+            reach = radius[:, pairs].sum(-1)
             near = (jnp.linalg.norm(apart, axis=-1) < reach).sum(-1)
             lost += jnp.maximum(near - self._pair_cap, 0)
         return lost.astype(jnp.int32)
@@ -141,14 +184,16 @@ class WarpEngine(MjxEngine):
     name = "warp"
     impl = "warp"
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics, worlds: int) -> None:
+    def __init__(
+        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    ) -> None:
         try:
             import warp  # noqa: F401 - optional
         except ImportError as missing:
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
-        super().__init__(spec, physics, worlds)
+        super().__init__(spec, physics, worlds, moved)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
         # Its kernels print a line per world and step when the solver uses all its iterations; that alone
@@ -163,6 +208,7 @@ class WarpEngine(MjxEngine):
             self.model, impl=self.impl, naconmax=self.worlds * contacts, njmax=3 * 3 * contacts
         )
 
-    def overflow(self, own: mjx.Data) -> jax.Array:
+    def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:
         """Return the overflow bits of the last step (worlds,)."""
+        del inputs
         return (own._impl.overflow & ~ITERATION_BITS).reshape(self.worlds, -1).max(-1).astype(jnp.int32)

@@ -11,25 +11,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from usarmjx.models.arena_spec import ArenaSpec, Loose
+from usarmjx.models.arena_spec import ArenaSpec
+from usarmjx.models.compose_arena import add_arena
+from usarmjx.models.geoms import add_geom
 from usarmjx.models.parts import chassis_shapes, parts_of
 from usarmjx.models.spec import CHASSIS, HOLD, SURFACES, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 
-GEOM_TYPES = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-}
-FLOOR_SIZE = (0.0, 0.0, 1.0)
-"""MuJoCo: a plane with zero half sizes is unbounded."""
-FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
-LOOSE = "loose/"
-"""What the names of loose objects start with."""
-MOST_PIECES = 512
-"""Of an arena's boxes for engines that want short ones."""
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
@@ -68,12 +56,10 @@ class Physics:
 
 
 def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
-    """Return a model description with the arena, its floor and no robots.
-
-    The arena's solids hang on one mocap body, so that a batch can place them differently in each world.
-    """
+    """Return a model description with the arena, its floor and no robots."""
     spec = mujoco.MjSpec()
     spec.modelname = arena.name
+    spec.compiler.degree = False  # joint limits are radians, as everything here
     option = spec.option
     option.timestep = physics.timestep
     # MJX-JAX's implicitfast goes on damping a servo that is at its force limit, C and Warp do not; with
@@ -86,23 +72,8 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     option.iterations = physics.iterations
     option.ls_iterations = physics.ls_iterations
-    floor = Shape(kind="box", size=FLOOR_SIZE, at=(0.0, 0.0, arena.floor), surface="ground", rgba=FLOOR_RGBA)
-    _add_geom(spec.worldbody, "floor", floor, kind=mujoco.mjtGeom.mjGEOM_PLANE)
-    body = spec.worldbody.add_body(name="arena", pos=[0.0, 0.0, arena.floor], mocap=True)
-    for i, shape in enumerate(arena.shapes):
-        _add_geom(body, f"arena/{i}", shape)
-    for loose in arena.loose:
-        _add_loose(spec, loose, arena.floor)
+    add_arena(spec, arena)
     return spec
-
-
-def _add_loose(spec: mujoco.MjSpec, loose: Loose, floor: float) -> None:
-    x, y, z = loose.at
-    name = f"{LOOSE}{loose.name}"
-    body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
-    body.add_freejoint(name=name)
-    for i, shape in enumerate(loose.shapes):
-        _add_geom(body, f"{name}/{i}", shape)
 
 
 def cap_contacts(
@@ -127,42 +98,12 @@ def _touching(shapes: tuple[Shape, ...]) -> int:
     return sum(bool(SURFACES[shape.surface].contype) for shape in shapes)
 
 
-def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
-    """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
-
-    For engines that look for contacts by bounding spheres, to which a long wall is near everything. In an
-    arena so large that this would give more than `MOST_PIECES`, the pieces are longer.
-    """
-    spec = spec.copy()
-    arena = spec.body("arena")
-    if arena is None:
-        return spec.compile()
-    boxes = np.array([geom.size for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX])
-    while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MOST_PIECES:
-        longest *= 1.25
-    for geom in list(arena.geoms):
-        parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
-        if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1:
-            continue
-        mat = np.zeros(9)
-        mujoco.mju_quat2Mat(mat, geom.quat)
-        kept = ("type", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim", "mass")
-        shared = {name: getattr(geom, name) for name in kept}
-        for piece in np.ndindex(*parts):
-            offset = (2 * (np.array(piece) + 0.5) / parts - 1) * geom.size
-            name = f"{geom.name}/{'.'.join(map(str, piece))}"
-            pos = geom.pos + mat.reshape(3, 3) @ offset
-            arena.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
-        spec.delete(geom)
-    return spec.compile()
-
-
 def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:
     """Add a robot of that class whose chassis origin starts at `pos`, with names starting with `prefix`."""
     chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
     chassis.add_freejoint(name=f"{prefix}root")
     for i, shape in enumerate(chassis_shapes(robot)):
-        _add_geom(chassis, f"{prefix}chassis/{i}", _flip(shape))
+        add_geom(spec, chassis, f"{prefix}chassis/{i}", _flip(shape))
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
@@ -195,26 +136,6 @@ def _flip(shape: Shape) -> Shape:
     return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
 
 
-def _add_geom(body: mujoco.MjsBody, name: str, shape: Shape, kind: mujoco.mjtGeom | None = None) -> None:
-    surface = SURFACES[shape.surface]
-    body.add_geom(
-        name=name,
-        type=GEOM_TYPES[shape.kind] if kind is None else kind,
-        size=[*shape.size, 0.0, 0.0][:3],
-        pos=shape.at,
-        quat=quat_from_angles(*shape.rotation),
-        mass=shape.mass,
-        rgba=shape.rgba,
-        friction=[surface.friction, 0.005, 0.0001],
-        priority=surface.priority,
-        solref=surface.solref,
-        solimp=(*surface.solimp, 0.5, 2.0),
-        contype=surface.contype,
-        conaffinity=surface.conaffinity,
-        condim=3,
-    )
-
-
 def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: str) -> mujoco.MjsBody:
     name = prefix + part.name
     turn = quat_from_angles(*flip_angles(part.rotation))
@@ -222,7 +143,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
     joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
     for i, shape in enumerate(part.shapes):
-        _add_geom(body, f"{name}/{i}", _flip(shape))
+        add_geom(spec, body, f"{name}/{i}", _flip(shape))
     if part.motor is not None:
         joint.armature = part.motor.armature
         _add_servo(spec, joint, part.motor)

@@ -18,6 +18,7 @@ from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.parts import joint_names, parts_of
+from usarmjx.models.pieces import pieces_of
 from usarmjx.models.spec import CHASSIS, RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.rotations import mat_from_quat
@@ -49,7 +50,7 @@ class BodyPlan:
         axis: Joint axis in the body (bodies, 3); zero for the chassis.
         slides: Whether the joint is prismatic (bodies,).
         rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
-        geom_type: MuJoCo geom types (geoms,).
+        geom_type: MuJoCo geom types (geoms,); meshes come as their triangles, see `pieces`.
         geom_body: The body each geom belongs to (geoms,).
         geom_size: MuJoCo sizes (geoms, 3).
         geom_pos: Geom centres in their body (geoms, 3).
@@ -94,10 +95,12 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
     index = index_robot(model, robot, "")
     body = list(index.body)
     local = {b: i for i, b in enumerate(body)}
-    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in local]
+    geoms = np.array([g for g in range(model.ngeom) if model.geom_bodyid[g] in local], int)
     mats = np.zeros((len(geoms), 9))
     for mat, g in zip(mats, geoms, strict=True):
         mujoco.mju_quat2Mat(mat, model.geom_quat[g])
+    pieces = pieces_of(model, geoms)
+    piece_pos, piece_mat = pieces.placed(model.geom_pos[geoms], mats.reshape(-1, 3, 3))
     turns = np.zeros((len(body), 9))
     for mat, b in zip(turns, body, strict=True):
         mujoco.mju_quat2Mat(mat, model.body_quat[b])
@@ -111,11 +114,11 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
         axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
         slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
         rest_pos=data.xpos[body].astype(np.float32),
-        geom_type=model.geom_type[geoms],
-        geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms]),
-        geom_size=model.geom_size[geoms].astype(np.float32),
-        geom_pos=model.geom_pos[geoms].astype(np.float32),
-        geom_mat=mats.reshape(-1, 3, 3).astype(np.float32),
+        geom_type=pieces.kind,
+        geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms[pieces.geom]]),
+        geom_size=pieces.size,
+        geom_pos=piece_pos.astype(np.float32),
+        geom_mat=piece_mat.astype(np.float32),
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),
         clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena

@@ -14,10 +14,11 @@ from flax import struct
 
 from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies, BodyPlan
-from usarmjx.models.spec import Mount
+from usarmjx.models.spec import SKY, Mount
 from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
 from usarmjx.sensors.raycast import Hits
+from usarmjx.sensors.surroundings import NOTHING, Surroundings
 from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles
 
 
@@ -29,12 +30,19 @@ class Sight(struct.PyTreeNode, kw_only=True):
         state: The robot's own state.
         bodies: Poses of its bodies.
         hits: What the rays of the sensors met (rays,).
+        surroundings: Victims and tags of its world; None: there are none.
     """
 
     time: Array
     state: RobotState
     bodies: Bodies
     hits: Hits
+    surroundings: Surroundings | None = None
+
+    @property
+    def around(self) -> Surroundings:
+        """The surroundings, `NOTHING` where none were given."""
+        return NOTHING if self.surroundings is None else self.surroundings
 
 
 class Reading(struct.PyTreeNode, kw_only=True):
@@ -74,6 +82,7 @@ class Sensor(ABC):
         kind: Type as on the wire.
         grouped: Whether all of the type share one message (bUseGroup).
         needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
+        passes: Materials that its rays go through.
         plan: The robot class.
         mounts: Where the sensors sit.
         settings: Their settings, one each.
@@ -82,6 +91,7 @@ class Sensor(ABC):
     kind: ClassVar[str]
     grouped: ClassVar[bool] = False
     needs_incidence: ClassVar[bool] = False
+    passes: ClassVar[frozenset[str]] = frozenset({SKY})
     defaults: ClassVar[type] = Common
 
     plan: BodyPlan
@@ -92,6 +102,14 @@ class Sensor(ABC):
         """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
         del bodies
         return jnp.zeros((0, 3)), jnp.zeros((0, 3))
+
+    def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
+        """Return the rays as `rays` does, of a sensor that aims some of them at what is around.
+
+        There are as many in every world, whatever there is.
+        """
+        del around
+        return self.rays(bodies)
 
     def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
         """Return the sensor's memory at the start of an episode, before any ray is cast; most have none."""

@@ -14,20 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.errors import SpecError
+from usarmjx.models.geodesy import Place, degrees_of
 from usarmjx.models.plan import Bodies
 from usarmjx.models.spec import Options, options
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.transforms import Array
 
-LATITUDE_SCALE, LONGITUDE_SCALE = 111200.0, 71670.0
-"""Metres of a degree (GPSSensor.uc); the earth is flat (manual 10.5.1)."""
 SATELLITES, FIX = 12, 4
 """Most satellites there are, and fewest that a position takes (manual 10.5.2)."""
 MASK = math.radians(5)
 """Satellites lower than this are not received (GPSSensor.uc) [rad]."""
 
 GAITHERSBURG = options(LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998)
-"""Where the world's origin lies unless told otherwise (GPSSensor.uc)."""
+"""Where the world's origin lies if neither the arena nor an ini file says it (GPSSensor.uc)."""
 
 
 @dataclass(frozen=True)
@@ -94,16 +93,23 @@ def _degrees(degree: float, minute: float) -> float:
     return degree - abs(minute) / 60 if degree < 0 else degree + minute / 60
 
 
-def coordinates(settings: GpsSettings, position: Sequence[float]) -> tuple[float, float]:
+def coordinates(
+    settings: GpsSettings, position: Sequence[float], origin: Place | None = None
+) -> tuple[float, float]:
     """Return latitude in [-90, 90] and longitude in [-180, 180) [degrees] of a position x, y [m].
 
     X is north and the wire's y, to the right of it, east. Past a pole the latitude turns back; the
     longitude stays, so that beyond it the x axis points the other way (manual 10.5.1). Past 180 degrees
     east is west.
+
+    Args:
+        settings: The sensor's.
+        position: Where it is in the world.
+        origin: Where the arena says that its origin lies; that of the settings counts only where it says
+            nothing (manual 10.5.2).
     """
-    latitude, longitude = reference(settings.zero_zero_location)
-    latitude = _wrapped(latitude + position[0] / LATITUDE_SCALE)
-    longitude = _wrapped(longitude - position[1] / LONGITUDE_SCALE)
+    origin = reference(settings.zero_zero_location) if origin is None else origin
+    latitude, longitude = map(_wrapped, degrees_of(origin, (position[0], position[1])))
     if abs(latitude) > 90:
         latitude = math.copysign(180, latitude) - latitude
     return latitude, longitude

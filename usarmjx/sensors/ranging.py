@@ -11,6 +11,7 @@ import numpy as np
 
 from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies
+from usarmjx.models.spec import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
 
@@ -118,14 +119,11 @@ class IrSettings(RangeSettings):
 
 @dataclass(frozen=True, eq=False)
 class Ir(Sensor):
-    """One line each; value: ranges [m] (mounts,).
-
-    The manual lets the line pass through glass (10.2.1). No arena has glass yet, so it meets what any
-    other ray meets.
-    """
+    """One line each, which passes glass (manual 10.2.1); value: ranges [m] (mounts,)."""
 
     kind = "IR"
     grouped = True
+    passes = frozenset({SKY, GLASS})
     defaults = IrSettings
 
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:

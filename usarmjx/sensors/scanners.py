@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from usarmjx.sensors.base import SENSORS, Sight
-from usarmjx.sensors.ranging import RangeScanner, RangeSettings, ScannerSettings, report, steps
+from usarmjx.sensors.ranging import Ir, RangeScanner, RangeSettings, ScannerSettings, report, steps
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,10 @@ class IrScannerSettings(ScannerSettings):
 
 @dataclass(frozen=True, eq=False)
 class IrScanner(RangeScanner):
-    """A range scanner of infrared lines; value: ranges [m] (beams,).
-
-    As for the single line, see `Ir`: no arena has glass yet, through which these would pass.
-    """
+    """A range scanner of infrared lines, which pass glass (manual 10.3); value: ranges [m] (beams,)."""
 
     kind = "IRScanner"
+    passes = Ir.passes
     defaults = IrScannerSettings
 
 

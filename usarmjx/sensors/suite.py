@@ -9,17 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+import usarmjx.sensors.co2
 import usarmjx.sensors.gps
+import usarmjx.sensors.human_motion
 import usarmjx.sensors.motion
 import usarmjx.sensors.ranging
+import usarmjx.sensors.rfid
 import usarmjx.sensors.scanners
-import usarmjx.sensors.touch  # noqa: F401 - these fill SENSORS
+import usarmjx.sensors.sound
+import usarmjx.sensors.touch
+import usarmjx.sensors.victim  # noqa: F401 - these fill SENSORS
 from usarmjx.errors import UnknownNameError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
 from usarmjx.sensors.raycast import NO_HITS, Geoms, Hits, cast, cast_incidence
 from usarmjx.sensors.settings import CameraSettings, resolve
+from usarmjx.sensors.surroundings import NOTHING, Surroundings
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
@@ -55,22 +61,22 @@ class Suite:
         """How many rays each sensor casts."""
         n = len(self.plan.parts)
         bodies = Bodies(pos=jnp.zeros((n, 3)), mat=jnp.zeros((n, 3, 3)))
-        return tuple(jax.eval_shape(sensor.rays, bodies)[0].shape[0] for sensor in self.sensors)
+        return tuple(jax.eval_shape(sensor.aim, bodies, NOTHING)[0].shape[0] for sensor in self.sensors)
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: Bodies, around: Surroundings = NOTHING) -> tuple[jax.Array, jax.Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
-        pairs = [sensor.rays(bodies) for sensor in self.sensors]
+        pairs = [sensor.aim(bodies, around) for sensor in self.sensors]
         return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate(
             [along for _, along in pairs]
         )
 
-    def cast(self, geoms: Geoms, bodies: Bodies, slot: jax.Array) -> Hits:
+    def cast(self, geoms: Geoms, bodies: Bodies, slot: jax.Array, around: Surroundings = NOTHING) -> Hits:
         """Cast all rays of the robot in `slot` (); angles of incidence only where a sensor needs them."""
         hits = []
         for sensor, count in zip(self.sensors, self.ray_counts, strict=True):
             if count:
                 caster = cast_incidence if sensor.needs_incidence else cast
-                hits.append(caster(geoms, *sensor.rays(bodies), slot))
+                hits.append(caster(geoms, *sensor.aim(bodies, around), slot, sensor.passes))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def start(self, sight: Sight, key: jax.Array) -> Memory:

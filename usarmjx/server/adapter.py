@@ -11,10 +11,12 @@ from usarmjx.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import STEER, RobotSpec
 from usarmjx.scene import start_height
+from usarmjx.sensors.rfid import Rfid
 from usarmjx.server import commands as wire
 from usarmjx.server import reports
+from usarmjx.server.found import access
 from usarmjx.server.frames import angles, vector
-from usarmjx.server.grammar import to_vector
+from usarmjx.server.grammar import Message, to_vector
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.server.session import RobotSession
 from usarmjx.server.wording import (
@@ -236,10 +238,13 @@ class Client:
         robot = self._present
         if self.battery_empty:
             return
+        sensor = robot.suite.find(command.type, command.name)
+        if sensor is not None and robot.suite.sensors[sensor].kind == Rfid.kind:
+            self.session.send(self._access_tag(robot, sensor, command))
+            return
         values = self._numbers(command.params)
         status = "Failed"
         if values is not None:
-            sensor = robot.suite.find(command.type, command.name)
             if sensor is not None:
                 status = self._order_sensor(robot, sensor, command.opcode, values)
             else:
@@ -251,6 +256,14 @@ class Client:
         if opcode.upper() == "POSE" and len(values) == 6:
             values = (*vector(values[:3]), *angles(values[3:]))
         return "OK" if self._world.order(robot, sensor, opcode, values) else "Failed"
+
+    def _access_tag(self, robot: Robot, sensor: int, command: wire.Set) -> Message:
+        """Read or write an RFID tag; return the RES."""
+
+        def reaches(number: int) -> bool:
+            return self._world.order(robot, sensor, command.opcode, (float(number),))
+
+        return access(command, self._world.time, self._world.tag_texts, reaches)
 
     def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
@@ -298,6 +311,9 @@ class Client:
             return
         for place, sensor in enumerate(robot.suite.sensors):
             if place in robot.pending:
-                self.session.send(sensor_report(sensor, robot.pending.pop(place), time))
+                reading, origin = robot.pending.pop(place), self._world.arena.gps
+                message = sensor_report(sensor, reading, time, origin, self._world.tag_texts)
+                if message is not None:
+                    self.session.send(message)
         for message in package_report(robot.spec, joints, time):
             self.session.send(message)

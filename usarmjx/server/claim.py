@@ -45,9 +45,10 @@ class ClaimedWorld(HostWorld):
     def __init__(self, batch: Batch, instance: int) -> None:
         if not 0 <= instance < batch.worlds:
             raise UsageError(f"instance {instance} is not among worlds 0 to {batch.worlds - 1}")
-        self.arena, self.period, self.robots = batch.scene.arena, batch.scene.physics.period, {}
+        self.period, self.robots = batch.scene.physics.period, {}
         self._batch, self._instance = batch, instance
         self._state = batch.reset()
+        self.arena = batch.arena_of(self._state, instance)
         self._steps = 0
         self._feel = [jax.jit(partial(feel, batch.scene, team=team)) for team in batch.scene.teams]
         # Compile everything before the first client comes.
@@ -178,6 +179,10 @@ class ClaimedWorld(HostWorld):
         physics = jax.tree.map(lambda x: x[self._instance], self._batch.physics(self._state))
         states = team_states(self._batch.scene.teams[team], physics)
         return jax.tree.map(lambda x: np.asarray(x[place]), states)
+
+    def door_angles(self) -> np.ndarray:
+        """Return how far the arena's doors are open now [rad] (doors,)."""
+        return np.asarray(self._batch.physics(self._state).qpos[self._instance, self._batch.scene.door_qpos])
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""

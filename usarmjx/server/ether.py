@@ -15,9 +15,10 @@ import numpy as np
 
 from usarmjx.comms.antenna import LOWEST, antenna_of
 from usarmjx.comms.attenuation import RadioSettings, received_power
-from usarmjx.comms.walls import arena_solids, count_walls
+from usarmjx.comms.walls import arena_solids, count_walls, with_boxes
+from usarmjx.models.arena_spec import ArenaSpec
+from usarmjx.models.doors import door_boxes
 from usarmjx.models.state import RobotState
-from usarmjx.sensors.raycast import Geoms
 from usarmjx.server.air import Presence
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.transforms import Vec3, flip_vector
@@ -29,7 +30,8 @@ LOT = 16
 class Ether:
     """The radio of one served world; an `air.Air`.
 
-    Antennas and solids are those of the batch's radio: robots and loose objects weaken no link.
+    Antennas and solids are those of the batch's radio: doors count where they stand, robots and loose objects
+    weaken no link.
 
     Args:
         world: The world.
@@ -49,10 +51,10 @@ class Ether:
         self._states: dict[Robot, RobotState] = {}
         self._links: dict[tuple[Robot, Robot], tuple[float, int]] = {}
         with _beside_the_physics():
-            geoms = arena_solids(world.arena)
-            ends = np.zeros((LOT, 3), np.float32)
-            self._run = jax.jit(partial(_links, settings, geoms)).lower(ends, ends).compile()
-        self._run(ends, ends)
+            ends, doors = np.zeros((LOT, 3), np.float32), np.zeros(len(world.arena.doors), np.float32)
+            run = jax.jit(partial(_links, settings, world.arena))
+            self._run = run.lower(ends, ends, doors).compile()
+        self._run(ends, ends, doors)
 
     def present(self) -> list[Presence]:
         """Return all robots in the world, in the order of their slots."""
@@ -123,11 +125,12 @@ class Ether:
     def _work_out(self, ends: Sequence[tuple[Vec3, Vec3]]) -> list[tuple[float, int]]:
         """Return the power [dBm] and the number of solids between pairs of places."""
         out: list[tuple[float, int]] = []
+        doors = self._world.door_angles()
         for first in range(0, len(ends), LOT):
             lot = ends[first : first + LOT]
             places = np.zeros((2, LOT, 3), np.float32)
             places[:, : len(lot)] = np.swapaxes(np.array(lot, np.float32), 0, 1)
-            power, walls = jax.device_get(self._run(*places))
+            power, walls = jax.device_get(self._run(*places, doors))
             out += [(float(p), int(w)) for p, w in zip(power[: len(lot)], walls, strict=False)]
         return out
 
@@ -140,9 +143,10 @@ def _ordered(one: Robot | None, other: Robot | None) -> tuple[Robot, Robot] | No
 
 
 def _links(
-    settings: RadioSettings, geoms: Geoms, start: jax.Array, end: jax.Array
+    settings: RadioSettings, arena: ArenaSpec, start: jax.Array, end: jax.Array, doors: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    walls = count_walls(geoms, start, end)
+    solids = with_boxes(arena_solids(arena), *door_boxes(arena, doors, jnp))
+    walls = count_walls(solids, start, end)
     return received_power(settings, jnp.linalg.norm(end - start, axis=-1), walls), walls
 
 

@@ -8,6 +8,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.operate import OK, Outcome
 from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.server.found import written
 from usarmjx.transforms import Vec3
 
 log = logging.getLogger(__name__)
@@ -87,6 +89,11 @@ class HostWorld(ABC):
     period: float
     robots: dict[int, Robot]
 
+    @cached_property
+    def tag_texts(self) -> dict[int, str]:
+        """What is written on RFID tags, by ID; the others are empty."""
+        return written(self.arena)
+
     @property
     @abstractmethod
     def time(self) -> float:
@@ -127,6 +134,10 @@ class HostWorld(ABC):
     @abstractmethod
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves; numpy arrays."""
+
+    @abstractmethod
+    def door_angles(self) -> np.ndarray:
+        """Return how far the arena's doors are open now [rad] (doors,)."""
 
     @abstractmethod
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:

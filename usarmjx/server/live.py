@@ -7,8 +7,9 @@ compiled in `prepare`, beside the loop.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,19 +18,33 @@ import mujoco
 import numpy as np
 
 from usarmjx.control import Circumstances, Command, Driven, drive, idle
-from usarmjx.engines.c import buffer_warnings
+from usarmjx.engines.c import buffer_warnings, move_geoms
 from usarmjx.errors import UsageError
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, add_robot, new_spec, remove_robot
+from usarmjx.models.compose_arena import BONE
 from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
+from usarmjx.models.materials import materials_of
+from usarmjx.models.pieces import pieces_of
 from usarmjx.models.plan import Bodies, body_plan, body_poses, lowest_point, robot_state
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec import OPAQUE, SKY, RobotSpec
 from usarmjx.models.state import RobotState
+from usarmjx.models.victims import segment_poses, victim_table
 from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of
-from usarmjx.sensors.base import Sight
-from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, NO_HITS, Block, Geoms, Hits, cast_incidence
+from usarmjx.scene_geoms import door_qpos
+from usarmjx.sensors.base import Sensor, Sight
+from usarmjx.sensors.raycast import (
+    FAR_AWAY,
+    NO_HITS,
+    Block,
+    Geoms,
+    Hits,
+    Sort,
+    cast_incidence,
+    sort_places,
+)
 from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.server.host import HostWorld, Robot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
@@ -65,12 +80,19 @@ class LiveWorld(HostWorld):
         self._spec = new_spec(arena, physics)
         # We count and reset worlds that go bad; C MuJoCo would do it without a word.
         self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._victims = victim_table(arena.victims, arena.false_alarms)
+        self._swinging = np.flatnonzero(self._victims.swing > 0)
+        if len(self._swinging):  # see `move_geoms`
+            self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         self._model = self._spec.compile()
+        self._model.geom_sameframe[self._bones()] = 0
         self._data = mujoco.MjData(self._model)
         # What dropped things fall on: the arena without anything loose.
         self._ground = new_spec(replace(arena, loose=()), physics).compile()
         self._ground_data = mujoco.MjData(self._ground)
         mujoco.mj_kinematics(self._ground, self._ground_data)
+        sky = np.array(materials_of(self._ground, arena), object) == SKY
+        self._ground.geom_rgba[sky, 3] = 0.0  # C MuJoCo's rays pass what is invisible
         self._steps = 0
         self._spawned = 0
         self._index: dict[int, RobotIndex] = {}
@@ -78,9 +100,10 @@ class LiveWorld(HostWorld):
         self._stock: dict[int, np.ndarray] = {}
         self._homes: dict[int, np.ndarray] = {}
         self._compiled: dict[str, Compiled] = {}
-        self._room = _room_for(self._model.geom_type)
-        self._cast = jax.jit(cast_incidence)
-        self._compile_cast(self._room)
+        self._sort_pieces()
+        self._room = _room_for(self._places)
+        self._cast = jax.jit(cast_incidence, static_argnames="passes")
+        self._compile_cast(self._room, _passed(Sensor.passes, arena))
 
     @property
     def time(self) -> float:
@@ -91,16 +114,24 @@ class LiveWorld(HostWorld):
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
             self._compiled[robot.name] = Compiled(robot, self.arena, self.period)
-        self._compile_cast(self._roomier(robot))
+        for passes, _ in self._compiled[robot.name].gazes:
+            self._compile_cast(self._roomier(robot), passes)
 
-    def _roomier(self, robot: RobotSpec) -> dict[int, int]:
+    def _roomier(self, robot: RobotSpec) -> dict[Sort, int]:
         """Return the room for what is there and one more robot of that class; never less than now."""
-        wanted = _room_for([*self._model.geom_type, *body_plan(robot).geom_type])
-        return {kind: max(n, wanted.get(kind, 0)) for kind, n in (wanted | self._room).items()}
+        kinds = body_plan(robot).geom_type
+        wanted = _room_for(self._places, sort_places(kinds, [OPAQUE] * len(kinds)))
+        return {sort: max(n, wanted.get(sort, 0)) for sort, n in (wanted | self._room).items()}
 
-    def _compile_cast(self, room: dict[int, int]) -> None:
+    def _compile_cast(self, room: dict[Sort, int], passes: frozenset[str]) -> None:
         rays = np.ones((RAYS, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0))
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0), passes=passes)
+
+    def _sort_pieces(self) -> None:
+        """Find out what rays see of the present model."""
+        everything = np.arange(self._model.ngeom)
+        self._pieces = pieces_of(self._model, everything, materials_of(self._model, self.arena))
+        self._places = sort_places(self._pieces.kind, self._pieces.material.tolist())
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Add a robot to the running model; the states of the others are kept bit for bit."""
@@ -140,8 +171,19 @@ class LiveWorld(HostWorld):
 
     def _recompile(self) -> None:
         self._model, self._data = self._spec.recompile(self._model, self._data)
+        self._model.geom_sameframe[self._bones()] = 0
+        self._sort_pieces()
         for slot, robot in self.robots.items():
             self._index[slot] = index_robot(self._model, robot.spec, prefix_of(slot))
+
+    def _bones(self) -> list[int]:
+        """Return the ids of the victims' boxes that move."""
+        return [self._model.geom(f"{BONE}{i}").id for i in self._swinging]
+
+    def _move_victims(self) -> None:
+        if len(self._swinging):
+            pos, quat = segment_poses(self._victims, np.float32(self.time))
+            move_geoms(self._model, self._bones(), pos[self._swinging], quat[self._swinging])
 
     def tell(self, robot: Robot, command: Command) -> None:
         """Replace what the robot is told to do."""
@@ -163,6 +205,7 @@ class LiveWorld(HostWorld):
             data.ctrl[list(index.actuator)], data.ctrl[list(index.hold)] = driven.ctrl, driven.hold
             data.act[targets] = driven.act
             data.xfrc_applied[index.body[0]] = driven.wrench
+        self._move_victims()
         before = buffer_warnings(data)
         mujoco.mj_step(self._model, data, nstep=self._physics.substeps)
         self._steps += 1
@@ -180,13 +223,17 @@ class LiveWorld(HostWorld):
 
     def observe(self, due: list[Robot]) -> None:
         """Read the sensors of the robots that are about to report."""
+        self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)
         geoms = self._geoms()
         for robot in due:
             compiled = self._compiled[robot.spec.name]
             state = self._state(robot.slot)
             bodies, origin, direction = compiled.stretch(state)
-            hits = self._cast(geoms, origin, direction, np.int32(robot.slot))
+            hits = NO_HITS
+            for passes, mine in compiled.gazes:
+                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), passes=passes)
+                hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
             sight = Sight(time=time, state=state, bodies=bodies, hits=hits)
             key = self._noise(robot, self._steps)
@@ -215,18 +262,23 @@ class LiveWorld(HostWorld):
         owner_of_body = np.full(model.nbody, -1, np.int32)
         for slot, index in self._index.items():
             owner_of_body[list(index.body)] = slot
-        geoms = _blank_geoms(self._room)
-        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
-            members = np.flatnonzero(model.geom_type == kind)
+        pieces, geoms = self._pieces, _blank_geoms(self._room)
+        pos, mat = pieces.placed(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
+        owner = owner_of_body[model.geom_bodyid[pieces.geom]]
+        for kind, material, block in zip(geoms.types, geoms.materials, geoms.blocks, strict=True):
+            members = self._places.get((kind, material), np.zeros(0, int))
             n = len(members)
-            block.pos[:n], block.size[:n] = data.geom_xpos[members], model.geom_size[members]
-            block.mat[:n] = data.geom_xmat[members].reshape(-1, 3, 3)
-            block.owner[:n] = owner_of_body[model.geom_bodyid[members]]
+            block.pos[:n], block.mat[:n] = pos[members], mat[members]
+            block.size[:n], block.owner[:n] = pieces.size[members], owner[members]
         return geoms
 
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves."""
         return self._state(robot.slot)
+
+    def door_angles(self) -> np.ndarray:
+        """Return how far the arena's doors are open now [rad] (doors,)."""
+        return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
@@ -277,6 +329,14 @@ class Compiled:
             pos=zeros, quat=quat, linear=zeros, angular=zeros, joint_pos=joint, joint_vel=joint
         )
         room = RAYS * -(-sum(suite.ray_counts) // RAYS)
+        passed = [_passed(sensor.passes, arena) for sensor in suite.sensors]
+        of_ray = np.pad(
+            np.repeat(np.arange(len(passed)), suite.ray_counts), (0, room - sum(suite.ray_counts))
+        )
+        # What rays pass of what there is, and which of them do; a single one in most arenas.
+        self.gazes = [
+            (some, np.array([p == some for p in passed])[of_ray]) for some in sorted(set(passed), key=sorted)
+        ]
 
         def stretch(state: RobotState) -> tuple[Bodies, jax.Array, jax.Array]:
             bodies = body_poses(plan, state)
@@ -310,13 +370,20 @@ def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:
     return jax.jit(function).lower(*example).compile()
 
 
-def _room_for(kinds: Sequence[int]) -> dict[int, int]:
-    """Return for how many geoms of each type to make room: the next power of two, with some to spare."""
-    counts = {kind: int(np.sum(np.asarray(kinds) == kind)) for kind in sorted(KERNELS)}
-    return {kind: max(SPARE, 1 << (n + SPARE - 1).bit_length()) if n else 0 for kind, n in counts.items()}
+def _passed(passes: frozenset[str], arena: ArenaSpec) -> frozenset[str]:
+    """Return which of some materials there are in an arena."""
+    solids = [*arena.shapes, *(shape for loose in arena.loose for shape in loose.shapes)]
+    return passes & {shape.material for shape in solids}
 
 
-def _blank_geoms(room: dict[int, int]) -> Geoms:
+def _room_for(*places: dict[Sort, np.ndarray]) -> dict[Sort, int]:
+    """Return for how many geoms of each sort to make room: the next power of two, with some to spare."""
+    counts = {sort: sum(len(some.get(sort, ())) for some in places) for sort in set().union(*places)}
+    return {sort: max(SPARE, 1 << (n + SPARE - 1).bit_length()) for sort, n in counts.items()}
+
+
+def _blank_geoms(room: dict[Sort, int]) -> Geoms:
+    sorts = sorted(room)
     blocks = tuple(
         Block(
             pos=np.full((n, 3), FAR_AWAY, np.float32),
@@ -324,7 +391,7 @@ def _blank_geoms(room: dict[int, int]) -> Geoms:
             size=np.zeros((n, 3), np.float32),
             owner=np.full(n, -1, np.int32),
         )
-        for n in room.values()
-        if n
+        for n in map(room.__getitem__, sorts)
     )
-    return Geoms(blocks=blocks, types=tuple(kind for kind, n in room.items() if n))
+    types, materials = (tuple(sort[k] for sort in sorts) for k in (0, 1))
+    return Geoms(blocks=blocks, types=types, materials=materials)  # type: ignore - numbers and words

@@ -1,19 +1,22 @@
 """Which message each kind of sensor speaks, and what GEO and CONF say of it: tables, no state."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from usarmjx.control import Command
 from usarmjx.models.effecters import Effecter, effecters_of
+from usarmjx.models.geodesy import Place
 from usarmjx.models.parts import joint_names, part_name
 from usarmjx.models.plan import BodyPlan
 from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
-from usarmjx.sensors.gps import FIX, coordinates
+from usarmjx.sensors.gps import FIX, Gps, coordinates
+from usarmjx.sensors.rfid import Rfid
 from usarmjx.sensors.settings import CameraSettings, resolve
-from usarmjx.server import reports
+from usarmjx.server import found, reports
 from usarmjx.server.descriptions import (
     Field,
     LinkConfiguration,
@@ -83,13 +86,13 @@ def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_touch(time, touched)
 
 
-def _gps(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: Place | None = None) -> Message:
     *position, satellites = value.tolist()
-    found = coordinates(sensor.settings[0], position) if satellites >= FIX else None
+    found = coordinates(sensor.settings[0], position, origin) if satellites >= FIX else None
     return reports.sen_gps(time, sensor.mounts[0].name, found, int(satellites))
 
 
-REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
+REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]] = {
     "Sonar": _range,
     "IR": _range,
     "RangeScanner": _scanner,
@@ -101,6 +104,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message]] = {
     "Encoder": _encoder,
     "Touch": _touch,
     "GPS": _gps,
+    **found.REPORTS,
 }
 
 _SCANNER_FIELDS = (
@@ -129,12 +133,29 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "GroundTruth": (("ScanInterval", "scan_interval"),),
     "Encoder": (("Resolution", "resolution"),),
     "Touch": (("Diameter", "diameter"),),
+    **found.CONFIGURATION,
 }
 
 
-def sensor_report(sensor: Sensor, value: np.ndarray, time: float) -> Message:
-    """Return the SEN message of a reading, with its time if the sensor is set so."""
-    return REPORTS[sensor.kind](sensor, value, time if sensor.settings[0].with_time_stamp else None)
+def sensor_report(
+    sensor: Sensor,
+    value: np.ndarray,
+    time: float,
+    origin: Place | None = None,
+    texts: found.Texts | None = None,
+) -> Message | None:
+    """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
+
+    Args:
+        sensor: The sensor.
+        value: Its reading.
+        time: Simulated time [s].
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
+        texts: What is written on RFID tags.
+    """
+    known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(found.tags, texts=texts)}
+    report = known.get(sensor.kind, REPORTS[sensor.kind])
+    return report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
 
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:

@@ -8,7 +8,7 @@ import jax
 from usarmjx.batch import Batch
 from usarmjx.engines import choose_engine
 from usarmjx.errors import UsageError
-from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arena_files import find_arena
 from usarmjx.models.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.scene import Entry, build_scene
@@ -56,7 +56,7 @@ def make_world(
     if choose_engine(engine, "serve") == "c":
         key = jax.random.key(seed)
         batch = [
-            LiveWorld(ARENAS.get(arena), Physics(), jax.random.fold_in(key, number), seats)
+            LiveWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), seats)
             for number in range(worlds)
         ]
         served = batch[instance]

@@ -4,16 +4,30 @@ The manual (3.2.1.1): the simplest arena, a large flat floor with perpendicular 
 difficult obstacles. The plan is ours, on the 1.2 m grid of the NIST arenas. The floor lies 2.08 m below
 the wire's origin, so that the manual's start position (Table 2: 4.5,1.9,1.8, z down) puts a P2AT, whose
 origin is 0.26 m above the ground (5.3.6), 2 cm above the floor.
+
+What the manual says of all arenas (3.2.1.1) is in the upper rows, where no start is, and blocks no loop:
+victims, glass, a mirror, a grid fender, and few loose things, as each costs the solver time.
 """
 
 import math
 
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.arena_spec import (
+    ArenaSpec,
+    FalseAlarm,
+    HelpSound,
+    Light,
+    Segment,
+    StartPose,
+    Tag,
+    Victim,
+)
+from usarmjx.models.arenas.elements import CELL, WOOD, block, ramp
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.spec import Shape
+from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span
+from usarmjx.models.spec import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.victims import rest_height
 
 FLOOR = -2.08
-CELL = 1.2
 ORIGIN = (-2.4, -4.8)
 START_HEIGHT = 0.188  # manual 5.3.5: where the Unreal editor puts every PlayerStart
 
@@ -37,10 +51,6 @@ PLAN = """
 +--+--+--+--+--+--+--+--+--+--+--+--+
 """
 
-WOOD = (0.7, 0.55, 0.35, 1.0)
-STONE = (0.6, 0.6, 0.6, 1.0)
-RAMP_ANGLE = math.radians(15)  # the NIST arenas' ramps
-
 
 def _cell(column: int, row: int) -> tuple[float, float]:
     """Return the centre of a grid cell, row 0 being the last line of the plan [m]."""
@@ -52,27 +62,12 @@ def _block(
 ) -> Shape:
     """A box of full lengths `size` standing on the floor, in reach of wheels."""
     x, y = _cell(column, row)
-    half = (size[0] / 2, size[1] / 2, size[2] / 2)
-    return Shape(
-        kind="box", size=half, at=(x + offset[0], y + offset[1], half[2]), surface="ground", rgba=STONE
-    )
+    return block((x + offset[0], y + offset[1]), size)
 
 
-def _ramp(column: int, row: int, uphill: float, width: float = 1.1, run: float = 1.1) -> Shape:
+def _ramp(column: int, row: int, uphill: float) -> Shape:
     """A 15 degree slope that rises out of the floor; `uphill` is the direction of climb [rad]."""
-    x, y = _cell(column, row)
-    length, thickness = run / math.cos(RAMP_ANGLE), 0.2
-    # The upper face meets the floor at its low edge, so the centre lies half a length up the slope and
-    # half a thickness below it; what lies under the floor meets nothing.
-    rise = math.sin(RAMP_ANGLE) * length / 2 - math.cos(RAMP_ANGLE) * thickness / 2
-    return Shape(
-        kind="box",
-        size=(length / 2, width / 2, thickness / 2),
-        at=(x, y, rise),
-        rotation=(0.0, -RAMP_ANGLE, uphill),
-        surface="ground",
-        rgba=WOOD,
-    )
+    return ramp(_cell(column, row), uphill)
 
 
 OBSTACLES = (
@@ -103,11 +98,58 @@ START_CELLS = (
     (0, 5), (2, 5), (4, 5), (5, 5), (6, 5), (9, 5), (10, 5), (11, 5),
 )  # fmt: skip
 
+EFFECTS = (
+    span((7.19, 2.43, 0.0), (7.21, 3.57, 1.2), PANE, material=GLASS),  # between cells 7, 6 and 8, 6
+    span((8.365, 3.7, 0.05), (8.375, 4.7, 1.1), SILVER, material=MIRROR),  # at the end of row 7
+    span((10.83, 3.59, 0.0), (11.97, 3.61, 1.0), MESHWORK, material=FENDER),  # before cell 11, 6
+    span((7.70, 1.40, 0.0), (7.74, 2.35, 0.7), WOOD),  # a board that hides a victim in cell 8, 5
+)
+
+WAVING = (Segment(name="RightArm", initial=(-2.7, 0.0, -0.5), final=(-2.7, 0.0, 0.4), rates=(0.0, 0.0, 2.0)),)
+TREMBLING = (
+    Segment(name="LeftHand", initial=(0.0, 0.0, -0.1), final=(0.0, 0.0, 0.1), rates=(0.0, 0.0, 0.5)),
+)
+
+VICTIMS = (
+    Victim(
+        name="Waving",
+        at=(11.75, 2.68, rest_height("sitting")),
+        rotation=(0.0, 0.0, math.pi),
+        posture="sitting",
+        segments=WAVING,
+        help_sound=HelpSound(),
+        state="sits behind a grid fender and waves",
+    ),
+    Victim(
+        name="Hidden",
+        at=(8.12, 2.2, rest_height("sitting")),
+        rotation=(0.0, 0.0, -math.pi / 2),
+        posture="sitting",
+        segments=TREMBLING,
+        help_sound=HelpSound(loudness=0.5, duration=1.0, pause=4.0),
+        state="sits behind a board, one hand trembles",
+    ),
+    Victim(name="Still", at=(0.55, 2.7, rest_height("lying")), state="lies on the floor, still"),
+)
+
+LOOSE_GAP = 0.001
+"""Above the floor where loose things start [m]: as robots, they start out of contact."""
+LOOSE = (
+    brick("Brick1", (9.0, 4.5), z=LOOSE_GAP, yaw=0.4),
+    brick("Brick2", (-0.9, 4.6), z=LOOSE_GAP, yaw=-0.2),
+    loose_box("Carton", (-2.1, 4.5), (0.4, 0.3, 0.3), 4.0, z=LOOSE_GAP, yaw=0.2),
+    loose_box("Plank", (10.3, 4.62), (1.0, 0.12, 0.03), 2.0, z=LOOSE_GAP, rgba=WOOD),
+)
+
 YELLOW = ArenaSpec(
     name="DM-USAR_yellow",
     aliases=("yellow",),
+    about=(
+        "The simplest of the arenas for search and rescue: a maze on one level with blocks, posts, boards and "
+        "three ramps. 4 loose objects."
+    ),
     floor=FLOOR,
-    shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES),
+    shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES, *EFFECTS),
     starts=(
         StartPose(tag="PlayerStart", at=(4.5, -1.9, START_HEIGHT)),
         *(
@@ -116,4 +158,20 @@ YELLOW = ArenaSpec(
         ),
     ),
     extent=((ORIGIN[0], ORIGIN[0] + 12 * CELL), (ORIGIN[1], ORIGIN[1] + 8 * CELL)),
+    loose=LOOSE,
+    victims=VICTIMS,
+    false_alarms=(FalseAlarm(part="LeftArm", at=(10.5, -3.4, 0.07), rotation=(0.0, math.pi / 2, 0.5)),),
+    tags=tuple(
+        Tag(at=(*_cell(*cell), 0.01), memory=memory)
+        for cell, memory in (
+            ((0, 0), "Cell 0 0"),
+            ((11, 0), "Cell 11 0"),
+            ((6, 3), "Cell 6 3"),
+            ((0, 7), "Cell 0 7"),
+            ((8, 4), "Cell 8 4"),
+            ((11, 7), "Cell 11 7"),
+        )
+    ),
+    lights=tuple(Light(at=(*_cell(*cell), 2.4), brightness=4.0) for cell in ((2, 1), (9, 1), (2, 6), (9, 6))),
+    robots=("P2AT", "P2DX", "Zerg", "Kurt2D"),
 )

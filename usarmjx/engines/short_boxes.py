@@ -1,0 +1,65 @@
+"""Boxes whose sizes differ between worlds, in pieces: for an engine to which a long one is near everything.
+
+Where all worlds share an arena, `compose_arena.with_short_boxes` cuts it once; here the cuts are data too.
+"""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.engines.base import Places
+from usarmjx.models.moved import MovedGeoms
+from usarmjx.rotations import mat_from_quat
+
+
+class ShortBoxes:
+    """Each box as a fixed number of pieces along its longest axis, which may be another in each world.
+
+    Args:
+        moved: The boxes.
+        longest: A box that is longer in no world than this [m] stays whole.
+
+    Attributes:
+        moved: The pieces.
+    """
+
+    def __init__(self, moved: MovedGeoms, longest: float) -> None:
+        counts = np.maximum(1, np.ceil(2 * moved.longest / longest - 1e-6)).astype(int)
+        self._whole = moved.names
+        self._counts = counts
+        self._owner = np.repeat(np.arange(len(counts)), counts)
+        self._place = np.concatenate([np.arange(count) for count in counts])
+        names = [f"{moved.names[o]}/{k}" if counts[o] > 1 else moved.names[o] for o, k in self._pairs()]
+        self.moved = MovedGeoms(
+            names=tuple(names), longest=(moved.longest / counts)[self._owner], resized=True
+        )
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        return list(zip(self._owner.tolist(), self._place.tolist(), strict=True))
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model with the pieces in place of the boxes."""
+        spec = spec.copy()
+        arena = spec.body("arena")
+        kept = (
+            "type", "size", "pos", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim",
+            "mass", "solref", "solimp",
+        )  # fmt: skip
+        for name, count in zip(self._whole, self._counts.tolist(), strict=True):
+            if count > 1:
+                geom = spec.geom(name)
+                shared = {key: getattr(geom, key) for key in kept}
+                for k in range(count):
+                    arena.add_geom(name=f"{name}/{k}", **shared)
+                spec.delete(geom)
+        return spec.compile()
+
+    def cut(self, places: Places) -> Places:
+        """Return the places and sizes of the pieces."""
+        assert places.size is not None
+        size, quat = places.size[:, self._owner], places.quat[:, self._owner]
+        count = self._counts[self._owner, None]
+        along = jnp.arange(3) == jnp.argmax(size, -1, keepdims=True)
+        shift = (2 * (self._place[:, None] + 0.5) / count - 1) * size * along
+        pos = places.pos[:, self._owner] + jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)
+        return Places(pos=pos, quat=quat, size=jnp.where(along, size / count, size))

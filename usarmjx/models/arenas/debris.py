@@ -1,0 +1,101 @@
+"""What lies about in the orange and red arenas (manual 3.2.1.1): cement blocks, paper, slabs, rubble.
+
+Fixed pieces are shapes; loose ones, which robots push about, are `Loose` and have the masses of real ones.
+"""
+
+import math
+import random
+
+from usarmjx.models.arena_spec import Loose
+from usarmjx.models.arenas.elements import STONE, WOOD, Rgba, block
+from usarmjx.models.arenas.pieces import CONCRETE, loose_box
+from usarmjx.models.spec import Shape
+from usarmjx.transforms import Vec3
+
+Place = tuple[float, float]
+
+CINDER: Vec3 = (0.39, 0.19, 0.19)
+"""A cement block [m]: 16 x 8 x 8 inches less the mortar."""
+CINDER_MASS = 13.0
+PLYWOOD = 600.0
+"""Density [kg/m3]."""
+PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
+
+
+def cinder_block(at: Place, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+    """Return a fixed cement block."""
+    return block(at, CINDER, z=z, yaw=yaw, rgba=STONE)
+
+
+def loose_cinder_block(name: str, at: Place, *, z: float = 0.0, yaw: float = 0.0) -> Loose:
+    """Return a loose cement block."""
+    return loose_box(name, at, CINDER, CINDER_MASS, z=z, yaw=yaw, rgba=STONE)
+
+
+def loose_board(name: str, at: Place, size: Vec3, *, z: float = 0.0, yaw: float = 0.0) -> Loose:
+    """Return a loose board of plywood of full lengths `size` [m]."""
+    return loose_box(name, at, size, PLYWOOD * math.prod(size), z=z, yaw=yaw, rgba=WOOD)
+
+
+def plank(at: Place, length: float, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+    """Return a fixed plank of 38 x 89 mm, a 2 by 4."""
+    return block(at, (length, 0.089, 0.038), z=z, yaw=yaw, rgba=WOOD)
+
+
+def paper(at: Place, *, yaw: float = 0.0) -> Shape:
+    """Return a stack of paper, 60 x 42 cm and 5 mm thick (chosen)."""
+    return block(at, (0.6, 0.42, 0.005), yaw=yaw, rgba=PAPER)
+
+
+def pallet(at: Place, *, z: float = 0.0, yaw: float = 0.0) -> tuple[Shape, ...]:
+    """Return a pallet of 1200 x 800 x 144 mm (EN 13698-1) with a closed deck on three runners."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    runners = (
+        block(
+            (at[0] - side * 0.35 * sin, at[1] + side * 0.35 * cos), (1.2, 0.1, 0.1), z=z, yaw=yaw, rgba=WOOD
+        )
+        for side in (-1, 0, 1)
+    )
+    return (block(at, (1.2, 0.8, 0.044), z=z + 0.1, yaw=yaw, rgba=WOOD), *runners)
+
+
+def slab(at: Vec3, size: Vec3, rotation: Vec3 = (0.0, 0.0, 0.0)) -> Shape:
+    """Return a plate of concrete of full lengths `size` [m], tilted by roll, pitch and yaw [rad]."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(kind="box", size=half, at=at, rotation=rotation, surface="ground", rgba=CONCRETE)
+
+
+GOLDEN = math.pi * (3 - math.sqrt(5))
+
+
+def rubble(at: Place, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
+    """Return a pile of tilted chunks, cone-shaped and without voids; the same for the same seed.
+
+    Args:
+        at: Its middle [m].
+        radius: Of the ring of the outermost chunks' middles [m].
+        height: About how high it is [m].
+        count: Number of chunks.
+        seed: Of their sizes and tilts.
+    """
+    draw = random.Random(seed)
+    chunks = []
+    for i in range(count):
+        out = math.sqrt(i / count)
+        x, y = (radius * out * turn(i * GOLDEN) for turn in (math.cos, math.sin))
+        top, below = height * (1 - 0.85 * out), 0.15
+        half = (draw.uniform(0.15, 0.3), draw.uniform(0.1, 0.2), (top + below) / 2)
+        tilt = (draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3), draw.uniform(-math.pi, math.pi))
+        place = (at[0] + x, at[1] + y, (top - below) / 2)
+        grey = draw.uniform(0.45, 0.7)
+        chunks.append(
+            Shape(
+                kind="box",
+                size=half,
+                at=place,
+                rotation=tilt,
+                surface="ground",
+                rgba=(grey, grey, 0.95 * grey, 1.0),
+            )
+        )
+    return tuple(chunks)

@@ -1,0 +1,184 @@
+"""Endless arenas on the NIST arenas' grid: same kind, size, difficulty and seed, same arena, everywhere."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from usarmjx.errors import SpecError
+from usarmjx.models.arena_spec import ArenaSpec
+from usarmjx.models.generate import contents
+from usarmjx.models.generate.contents import Site, add_victim
+from usarmjx.models.generate.difficulty import Difficulty
+from usarmjx.models.generate.kinds import KINDS, Kind, budget
+from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, Plan, doubled, edge, middle
+from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
+from usarmjx.models.reach import Size, reach_map, size_of, victims_reached
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import Shape
+
+SMALLEST, LARGEST = 3, 64
+"""Cells along a side."""
+DIGITS = 6
+"""Decimals of all numbers of an arena; further ones differ between machines."""
+SQUARE = 0.05
+"""Side of the squares in which ways are looked for [m]."""
+TRIES = 8
+"""How many arenas are made, at most, until victims are reached as they should be."""
+
+
+def generate(
+    kind: str,
+    size: tuple[int, int] = (8, 6),
+    seed: int = 0,
+    difficulty: Difficulty | None = None,
+    robot: str | Size = "P2AT",
+    reachable: float = 1.0,
+    victims: int | None = None,
+) -> ArenaSpec:
+    """Return an arena, as DM-maze-8x6-0.
+
+    All start poses hang together for the robot, and the stated share of victims: it gets within 1 m of a part
+    of their bodies. The other victims sit in cells of four walls.
+
+    Args:
+        kind: A name of `KINDS`.
+        size: Columns and rows of cells of 1.2 m.
+        seed: Any integer that is not negative.
+        difficulty: How difficult; None: `Difficulty()`.
+        robot: The robot that passes: a class, or what it needs.
+        reachable: Share of the victims that it reaches.
+        victims: How many; None: one for 12 cells. There are fewer if they find no room.
+
+    Raises:
+        UnknownNameError: No such kind or robot.
+        SpecError: A size, seed, share or number of victims out of range; a robot too wide for the corridors.
+    """
+    made, difficulty = KINDS.get(kind), difficulty or Difficulty()
+    name = robot if isinstance(robot, str) else ""
+    needs = size_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
+    _check(size, seed, needs, reachable)
+    most = budget(kind, size).victims
+    count = max(1, size[0] * size[1] // 12) if victims is None else victims
+    if not 0 <= count <= most:
+        raise SpecError(f"{count} victims, expected 0 to {most} in {size[0]}x{size[1]} cells")
+    for attempt in range(TRIES):
+        # Of one stream of draws per attempt; 2**64 seeds do not meet those of the next attempt.
+        site = Site(plan=Plan(size), kind=made, difficulty=difficulty, robot=needs, seed=seed + (attempt << 64))
+        goal = min(count, round(reachable * count))
+        _fill(site, count, count - goal)
+        arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
+        if _as_stated(arena, needs):
+            return arena
+    raise SpecError(f"no {kind} of {size[0]}x{size[1]} cells in {TRIES} tries that a robot of {needs} passes")
+
+
+def generate_many(
+    kind: str,
+    count: int,
+    seed: int = 0,
+    *,
+    size: tuple[int, int] = (8, 6),
+    difficulty: Difficulty | None = None,
+    robot: str | Size = "P2AT",
+    reachable: float = 1.0,
+) -> list[ArenaSpec]:
+    """Return arenas of seeds that follow from one; see `generate`."""
+    seeds = np.random.SeedSequence(seed).generate_state(count, np.uint32).tolist()
+    return [generate(kind, size, each, difficulty, robot, reachable) for each in seeds]
+
+
+def _check(size: tuple[int, int], seed: int, needs: Size, reachable: float) -> None:
+    if not all(SMALLEST <= n <= LARGEST for n in size):
+        raise SpecError(f"size {size[0]}x{size[1]}, expected {SMALLEST} to {LARGEST} cells along each side")
+    if seed < 0:
+        raise SpecError(f"seed {seed}, expected 0 or more")
+    if not 0.0 <= reachable <= 1.0:
+        raise SpecError(f"reachable {reachable}, expected from 0 to 1")
+    widest = (CELL - THICKNESS - 3 * SQUARE) / 2
+    if not needs.radius <= widest:
+        raise SpecError(
+            f"the robot turns in a circle of radius {needs.radius:.2f} m; the arenas' corridors take "
+            f"{widest:.2f} m (give robot=Size(...) for one that need not turn)"
+        )
+
+
+def _spelt(kind: str) -> str:
+    return next(name for name in KINDS.names() if name.lower() == kind.lower())
+
+
+def _fill(site: Site, count: int, walled_in: int) -> None:
+    """Lay out the walls and put everything in its place."""
+    plan, kind = site.plan, site.kind
+    if kind.second_floor and plan.size[0] >= STOREY_CELLS + 2:
+        _upstairs(site, count > walled_in)
+    else:
+        kind.layout(plan, site.draw("plan"), site.difficulty)
+    contents.place_victims(site, count, walled_in)
+    contents.place_structures(site, kind.structures(plan.size))
+    boards = contents.place_boards(site)
+    free = [cell for cell in plan.ways if cell not in boards]
+    if 2 * site.robot.radius + 3 * SQUARE + contents.STRIP <= CELL - THICKNESS:
+        draw = site.draw("corner")
+        site.corner = (draw.pick((-1, 1)), draw.pick((-1, 1)))
+        contents.place_clutter(site, free)
+    contents.place_tags(site, free)
+    contents.place_starts(site, free)
+
+
+def _upstairs(site: Site, victim: bool) -> None:
+    """Lay out an arena with a second floor along its last row."""
+    columns, rows = site.plan.size
+    step = site.draw("floor").pick((-1, 1))
+    landing = (0 if step > 0 else columns - 1, rows - 1)
+    landings = [landing]
+    if columns >= FERRY:
+        landings.append((columns - 1 - landing[0], rows - 1))
+    barred = tuple((column, rows - 1) for column in range(columns) if (column, rows - 1) not in landings)
+    site.kind.layout(site.plan, site.draw("plan"), site.difficulty, barred=barred)
+    site.plan.kept.update(landings)
+    for k, cell in enumerate(landings):
+        foot: Cell = (cell[0] + (step if k == 0 else -step), cell[1])
+        site.plan.walls.discard(edge(cell, foot))
+    slabs = second_floor(landing, step, columns)
+    site.shapes += slabs
+    if victim:
+        deck = slabs[-1].at
+        add_victim(site, (deck[0], deck[1]), 0 if step < 0 else 2, "sitting", "on the second floor", STOREY)
+
+
+def _arena(site: Site, name: str, robot: str) -> ArenaSpec:
+    """Return what was made, with all numbers rounded."""
+    outer, inner = site.plan.pieces()
+    inner = site.draw("shadow").shuffled(inner)
+    twice = round(site.difficulty.radio_shadow * len(inner))
+    sheets = [sheet for wall in inner[:twice] for sheet in doubled(wall)]
+    columns, rows = site.plan.size
+    return ArenaSpec(
+        name=name,
+        about=site.kind.about,
+        shapes=tuple(_rounded(s) for s in (*outer, *sheets, *inner[twice:], *site.shapes)),
+        starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DIGITS)) for s in site.starts),
+        extent=((0.0, round(columns * CELL, DIGITS)), (0.0, round(rows * CELL, DIGITS))),
+        loose=tuple(replace(o, at=_round(o.at), rotation=_round(o.rotation)) for o in site.loose),
+        victims=tuple(replace(v, at=_round(v.at), rotation=_round(v.rotation)) for v in site.victims),
+        tags=tuple(replace(t, at=_round(t.at)) for t in site.tags),
+        robots=(robot,) if robot else (),
+    )
+
+
+def _round(values: tuple[float, ...]) -> tuple:
+    return tuple(round(float(value), DIGITS) + 0.0 for value in values)  # no -0.0
+
+
+def _rounded(shape: Shape) -> Shape:
+    return replace(shape, at=_round(shape.at), size=_round(shape.size), rotation=_round(shape.rotation))
+
+
+def _as_stated(arena: ArenaSpec, needs: Size) -> bool:
+    """Return whether all starts, and the victims that should be, are reached, and no others."""
+    there = reach_map(arena, needs.radius, needs.step, height=needs.height, cell=SQUARE)
+    meant = ["walled in" not in victim.state for victim in arena.victims]
+    if victims_reached(arena, there) != meant:
+        return False
+    return all(there.reachable(start.at[0], start.at[1]) for start in arena.starts)

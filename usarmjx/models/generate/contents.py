@@ -1,0 +1,233 @@
+"""What lies and stands in a generated arena: victims, boards, blocks, loose objects, tags, start poses.
+
+What is beside the ways lies in a strip along one side of the cells, the same side in all of them, so that
+robots pass by keeping to the other one.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from usarmjx.models.arena_spec import HelpSound, Loose, Segment, StartPose, Tag, Victim
+from usarmjx.models.generate.difficulty import Difficulty
+from usarmjx.models.generate.draw import Draw
+from usarmjx.models.generate.kinds import MOST_STARTS, Kind, counts
+from usarmjx.models.generate.plan import BASE, CELL, SIDES, THICKNESS, Cell, Plan, middle
+from usarmjx.models.generate.structures import ROOM, Place, block, mixed, void
+from usarmjx.models.raster import half_lengths
+from usarmjx.models.reach import START_ELEVATION, Size, placed
+from usarmjx.models.spec import Shape
+from usarmjx.models.victims import rest_height
+from usarmjx.transforms import mat_from_angles
+
+INNER = (CELL - THICKNESS) / 2
+"""From the middle of a cell to its walls [m]."""
+STRIP = 0.205
+"""Width of the strip beside the ways [m]."""
+ASIDE = 0.1
+"""How far robots start from the middle of a cell, away from the strips [m]."""
+GAP = 0.005
+"""Left between a wall and what lies beside it, and below what lies loose [m]."""
+FEWEST = 4
+"""Cells that are always left to drive in."""
+ENOUGH = 17
+"""Cells without boards, so that 16 robots can start, if there are as many."""
+ROOF, LOW_ROOF = 1.0, 0.5
+"""Height of the slabs over sitting and over lying victims [m]."""
+
+
+def _loose_form(half: tuple[float, float, float], mass: float, *rgb: float) -> tuple[Shape, ...]:
+    return (Shape(kind="box", size=half, mass=mass, surface="loose", rgba=(*rgb, 1.0)),)
+
+
+FORMS = {
+    "Brick": _loose_form((0.1, 0.05, 0.03), 2.5, 0.6, 0.3, 0.2),
+    "CinderBlock": _loose_form((0.195, 0.095, 0.095), 13.0, 0.55, 0.55, 0.55),
+    "Plank": _loose_form((0.5, 0.045, 0.02), 1.8, 0.7, 0.55, 0.35),
+}
+"""Loose objects; their masses are those of clay, hollow concrete and spruce of that size."""
+
+
+@dataclass
+class Site:
+    """An arena while it is made.
+
+    Attributes:
+        plan: Walls and ways.
+        kind: What is made.
+        difficulty: How difficult.
+        robot: What the robot needs to pass.
+        seed: Of the draws.
+        shapes: Solids other than walls.
+        corner: The sides of cells along which things lie, along x and y; 0: none do.
+    """
+
+    plan: Plan
+    kind: Kind
+    difficulty: Difficulty
+    robot: Size
+    seed: int
+    shapes: list[Shape] = field(default_factory=list)
+    corner: Cell = (0, 0)
+    victims: list[Victim] = field(default_factory=list)
+    loose: list[Loose] = field(default_factory=list)
+    tags: list[Tag] = field(default_factory=list)
+    starts: list[StartPose] = field(default_factory=list)
+
+    def draw(self, purpose: str) -> Draw:
+        """Return the draws for a purpose."""
+        return Draw(self.seed, purpose)
+
+    def most(self, what: str) -> int:
+        """Return the most of something for this size."""
+        return counts(self.plan.size)[what]
+
+
+@cache
+def outline(posture: str) -> tuple[float, float]:
+    """Return from where to where a victim reaches along the x axis of its pelvis [m]."""
+    ends = []
+    for part in placed(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
+        mat = mat_from_angles(*np.array(part.rotation))
+        reach = float(np.abs(mat[0]) @ half_lengths(part))
+        ends += [part.at[0] - reach, part.at[0] + reach]
+    return min(ends), max(ends)
+
+
+def add_victim(site: Site, at: Place, facing: int, posture: str, where: str, ground: float = 0.0) -> None:
+    """Add a victim whose body's middle is at a place; `facing` in quarter turns from x."""
+    number = len(site.victims) + 1
+    ahead, (back, front) = SIDES[facing], outline(posture)
+    shift = -(back + front) / 2
+    waves = posture == "sitting" and number % 2 == 0
+    segments = (
+        Segment(name="LeftArm", initial=(-0.8, 0.0, 0.1), final=(-2.6, 0.0, 0.1), rates=(1.5, 0.0, 0.0)),
+    )
+    site.victims.append(
+        Victim(
+            name=f"Victim{number}",
+            at=(at[0] + shift * ahead[0], at[1] + shift * ahead[1], ground + rest_height(posture)),
+            rotation=(0.0, 0.0, facing * math.pi / 2),
+            posture=posture,
+            segments=segments if waves else (),
+            help_sound=HelpSound() if number % 3 == 1 else None,
+            state=f"{'waving' if waves else 'still'}, {where}",
+        )
+    )
+
+
+def place_victims(site: Site, count: int, walled_in: int) -> None:
+    """Place victims at tips of the ways, which they bar; the first ones in cells of four walls."""
+    plan, draw = site.plan, site.draw("victims")
+    while len(site.victims) < count and len(plan.ways) > FEWEST:
+        tips = plan.tips()
+        if not tips:
+            break
+        cell, lies, facing = draw.pick(tips), draw.below(2), draw.below(4)
+        before = plan.take(cell)
+        if len(site.victims) < walled_in:
+            plan.seal(cell)
+            add_victim(site, middle(cell), facing, "sitting", "walled in")
+            continue
+        toward = SIDES.index((before[0] - cell[0], before[1] - cell[1]))
+        low = site.kind.voids and site.robot.height < LOW_ROOF
+        if lies and before in plan.tips() and len(plan.ways) > FEWEST:
+            plan.take(before)
+            (x0, y0), (x1, y1) = middle(cell), middle(before)
+            at, posture, length, roof = ((x0 + x1) / 2, (y0 + y1) / 2), "lying", ROOM + CELL, LOW_ROOF
+        else:
+            at, posture, length, roof = middle(cell), "sitting", ROOM, ROOF
+            low = site.kind.voids
+            facing = toward if low else facing
+        if low:
+            site.shapes += void(at, toward, length, roof)
+        facing = facing if posture == "sitting" else (toward + 2 * (facing % 2)) % 4
+        add_victim(site, at, facing, posture, "in a void" if low else "in the open")
+
+
+def place_structures(site: Site, count: int) -> None:
+    """Put what bars the way at tips of the ways."""
+    maker, draw = site.kind.structure, site.draw("structures")
+    for _ in range(count if maker else 0):
+        tips = site.plan.tips()
+        if not tips or len(site.plan.ways) <= FEWEST:
+            return
+        cell = draw.pick(tips)
+        site.plan.take(cell)
+        site.shapes += maker(draw, middle(cell), site.difficulty.roughness) if maker else []
+
+
+def place_boards(site: Site) -> set[Cell]:
+    """Put boards across the ways, which the robot can drive over; return their cells."""
+    draw = site.draw("boards")
+    cells = [cell for cell in site.plan.ways if cell not in site.plan.kept]
+    count = max(0, min(site.most("boards"), len(site.plan.ways) - ENOUGH))
+    height = mixed(0.25, 0.95, site.difficulty.roughness) * site.robot.step
+    taken = draw.shuffled(cells)[:count]
+    for cell in taken:
+        size = (0.09, 1.0, height) if draw.below(2) else (1.0, 0.09, height)
+        site.shapes.append(block(middle(cell), size))
+    return set(taken)
+
+
+def place_clutter(site: Site, free: list[Cell]) -> None:
+    """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first."""
+    draw, clutter, corner = site.draw("clutter"), site.difficulty.clutter, site.corner
+    cells = draw.shuffled([cell for cell in free if cell == BASE or cell not in site.plan.kept])
+    height = mixed(0.1, 0.3, site.difficulty.roughness)
+    loose = min(round(clutter * site.most("loose")), len(cells))
+    blocks = min(round(clutter * site.most("blocks")), len(cells) - loose)
+    for rank, cell in enumerate(cells):
+        form, along = draw.pick(tuple(FORMS)), draw.below(101) / 100
+        # A strip is where no way leads across it; elsewhere only a corner is.
+        sides = [k for k, d in enumerate(((0, corner[1]), (corner[0], 0))) if _closed(site.plan, cell, d)]
+        turned = draw.pick(sides) if sides else 0
+        if rank < loose:
+            form = form if sides else "Brick"
+            half = FORMS[form][0].size
+            x, y = _beside(cell, corner, half, turned, along if sides else 1.0)
+            z, yaw = half[2] + GAP / 5, turned * math.pi / 2
+            name = f"{form}{rank + 1}"
+            site.loose.append(Loose(name=name, at=(x, y, z), rotation=(0.0, 0.0, yaw), shapes=FORMS[form]))
+        elif rank >= len(cells) - blocks:
+            half = (0.15, 0.095, height / 2) if sides else (0.1, 0.05, height / 2)
+            at = _beside(cell, corner, half, turned, along if sides else 1.0)
+            size = (2 * half[0], 2 * half[1], height)
+            site.shapes.append(block(at, size, yaw=turned * math.pi / 2))
+
+
+def _closed(plan: Plan, cell: Cell, side: Cell) -> bool:
+    return (cell[0] + side[0], cell[1] + side[1]) not in plan.ways[cell]
+
+
+def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Place:
+    """Return where something lies in a strip: `along` is 1 in the corner, 0 as far from it as it may be."""
+    x, y = middle(cell)
+    far = INNER - GAP - half[0]
+    offset = (corner[0] * (2 * along - 1) * far, corner[1] * (INNER - GAP - half[1]))
+    if turned:
+        offset = (corner[0] * (INNER - GAP - half[1]), corner[1] * (2 * along - 1) * far)
+    site_x, site_y = offset
+    return x + site_x, y + site_y
+
+
+def place_tags(site: Site, free: list[Cell]) -> None:
+    """Lay tags on the floor beside the middles of cells."""
+    draw = site.draw("tags")
+    for cell in draw.shuffled(free)[: site.most("tags")]:
+        x, y = middle(cell)
+        site.tags.append(Tag(at=(x + 0.3 * draw.pick((-1, 1)), y + 0.3 * draw.pick((-1, 1)), 0.0)))
+
+
+def place_starts(site: Site, free: list[Cell]) -> None:
+    """Put the first start pose into the base, others into free cells, all looking along a way."""
+    others = site.draw("starts").shuffled([cell for cell in free if cell != BASE])
+    for number, cell in enumerate([BASE, *others][:MOST_STARTS]):
+        x, y = middle(cell)
+        x, y = x - ASIDE * site.corner[0], y - ASIDE * site.corner[1]
+        toward = site.plan.ways[cell][0] if site.plan.ways[cell] else (cell[0] + 1, cell[1])
+        yaw = (SIDES.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
+        tag = f"Start{number}" if number else "PlayerStart"
+        site.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))

@@ -1,0 +1,51 @@
+"""Draws that are the same on every machine and with every version of numpy.
+
+NumPy promises that of the bits of its bit generators, not of what its `Generator` makes of them; so these
+are integers made of the bits here.
+"""
+
+from collections.abc import Sequence
+from typing import TypeVar
+from zlib import crc32
+
+import numpy as np
+
+T = TypeVar("T")
+
+POOL = 512
+"""So many draws are made at once."""
+
+
+class Draw:
+    """A stream of draws.
+
+    Args:
+        seed: The arena's seed, not negative.
+        purpose: What the draws are for: streams of different purposes do not disturb each other.
+    """
+
+    def __init__(self, seed: int, purpose: str) -> None:
+        self._bits = np.random.PCG64(np.random.SeedSequence([seed, crc32(purpose.encode())]))
+        self._pool: list[int] = []
+
+    def below(self, count: int) -> int:
+        """Return an integer from 0 to below `count`."""
+        if not self._pool:
+            self._pool = self._bits.random_raw(POOL).tolist()
+        return self._pool.pop() % count  # 2**64 is so much more that no rest is favoured noticeably
+
+    def between(self, low: int, high: int) -> int:
+        """Return an integer from `low` to `high`, both included."""
+        return low + self.below(high - low + 1)
+
+    def pick(self, options: Sequence[T]) -> T:
+        """Return one of the options."""
+        return options[self.below(len(options))]
+
+    def shuffled(self, items: Sequence[T]) -> list[T]:
+        """Return the items in a random order."""
+        mixed = list(items)
+        for i in range(len(mixed) - 1, 0, -1):
+            j = self.below(i + 1)
+            mixed[i], mixed[j] = mixed[j], mixed[i]
+        return mixed

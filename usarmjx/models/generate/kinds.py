@@ -1,0 +1,134 @@
+"""The kinds of generated arenas, and the most that each makes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from usarmjx.models.generate import layouts, structures
+from usarmjx.models.generate.difficulty import Difficulty
+from usarmjx.models.generate.draw import Draw
+from usarmjx.models.generate.plan import LONGEST, Plan
+from usarmjx.models.generate.structures import Maker
+from usarmjx.registry import Registry
+
+MOST_LOOSE, MOST_VICTIMS, MOST_STARTS, MOST_TAGS = 12, 16, 24, 16
+"""In arenas of any size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of generated arena.
+
+    Attributes:
+        about: What it is, in a sentence.
+        layout: Lays out walls and ways.
+        structure: Makes what bars the way in some cells; None: nothing does.
+        share: Of cells with that [%].
+        most: Solids of one of them.
+        voids: Whether victims lie under slabs.
+        second_floor: Whether there is one, along the last row.
+    """
+
+    about: str
+    layout: Callable[..., None]
+    structure: Maker | None = None
+    share: int = 0
+    most: int = 0
+    voids: bool = False
+    second_floor: bool = False
+
+    def structures(self, size: tuple[int, int]) -> int:
+        """Return in how many cells something bars the way."""
+        return size[0] * size[1] * self.share // 100
+
+
+KINDS: Registry[Kind] = Registry("kind of arena")
+KINDS.add("maze", Kind(about="Corridors one cell wide.", layout=layouts.maze))
+KINDS.add("building", Kind(about="Rooms with doorways, and a corridor.", layout=layouts.building))
+KINDS.add(
+    "rubble",
+    Kind(
+        about="An open field with heaps of slabs and blocks.",
+        layout=layouts.field,
+        structure=structures.rubble,
+        share=25,
+        most=4,
+    ),
+)
+KINDS.add(
+    "steps",
+    Kind(
+        about="Step fields of posts between some walls.",
+        layout=layouts.field,
+        structure=structures.steps,
+        share=12,
+        most=structures.POSTS**2,
+    ),
+)
+KINDS.add(
+    "ramps",
+    Kind(
+        about="Ramps of 15 degrees, and a second floor along one side.",
+        layout=layouts.field,
+        structure=structures.ramps,
+        share=20,
+        most=1,
+        second_floor=True,
+    ),
+)
+KINDS.add(
+    "collapsed",
+    Kind(
+        about="A building whose ceiling has come down in places; victims in voids.",
+        layout=layouts.building,
+        structure=structures.collapsed,
+        share=20,
+        most=3,
+        voids=True,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The most of everything that a kind makes for a size."""
+
+    shapes: int
+    loose: int
+    victims: int
+    starts: int
+    tags: int
+
+
+def counts(size: tuple[int, int]) -> dict[str, int]:
+    """Return the most loose objects, fixed blocks, boards, victims and tags for a size."""
+    cells = size[0] * size[1]
+    return {
+        "loose": min(MOST_LOOSE, cells // 4),
+        "blocks": cells // 8,
+        "boards": cells // 10,
+        "victims": min(MOST_VICTIMS, max(1, cells // 8)),
+        "tags": min(MOST_TAGS, cells // 8),
+    }
+
+
+def budget(kind: str, size: tuple[int, int]) -> Budget:
+    """Return the most of everything that a kind makes for a size in cells, at any difficulty.
+
+    Raises:
+        UnknownNameError: No such kind.
+    """
+    made, most, (columns, rows) = KINDS.get(kind), counts(size), size
+    outer = 2 * (-(-columns // LONGEST) - (-rows // LONGEST))
+    inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))  # every wall of two sheets
+    shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.most
+    shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor
+    return Budget(
+        shapes=shapes,
+        loose=most["loose"],
+        victims=most["victims"],
+        starts=min(MOST_STARTS, columns * rows),
+        tags=most["tags"],
+    )
+
+
+Layout = Callable[[Plan, Draw, Difficulty], None]

@@ -1,0 +1,167 @@
+"""The plan of a generated arena: walls between the cells of a grid, and the ways that are kept free.
+
+The ways are a tree over the cells. Where the plan needs a place for something that bars the way, it takes a
+cell at a tip of the tree away: what is left still hangs together. Walls never cut the tree, so that
+everything left is reached by every robot that fits between two walls.
+"""
+
+from collections.abc import Iterable, Iterator
+
+from usarmjx.models.generate.draw import Draw
+from usarmjx.models.spec import Shape
+
+CELL = 1.2
+"""Side of a cell of the NIST arenas' grid [m]."""
+HEIGHT, THICKNESS = 1.2, 0.05
+"""Of walls [m]."""
+LONGEST = 4
+"""Cells along the longest piece of wall."""
+BASE = (0, 0)
+"""The cell of the first start pose."""
+WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
+DOUBLE_RGBA = (0.6, 0.6, 0.62, 1.0)
+
+Cell = tuple[int, int]
+Edge = tuple[Cell, Cell]
+"""Two neighbouring cells, the one with the lower column or row first."""
+SIDES: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+def edge(a: Cell, b: Cell) -> Edge:
+    """Return what lies between two neighbouring cells."""
+    return (a, b) if a < b else (b, a)
+
+
+def middle(cell: Cell) -> tuple[float, float]:
+    """Return the middle of a cell [m]; the grid's corner is the arena's origin."""
+    return (cell[0] + 0.5) * CELL, (cell[1] + 0.5) * CELL
+
+
+class Plan:
+    """Walls and ways of an arena.
+
+    Args:
+        size: Columns and rows.
+
+    Attributes:
+        walls: Where there are inner walls.
+        ways: The tree: which cells hang together with which.
+        kept: Cells that are not taken away.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = size
+        self.walls: set[Edge] = set()
+        self.ways: dict[Cell, list[Cell]] = {}
+        self.kept: set[Cell] = {BASE}
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield all cells, column by column."""
+        columns, rows = self.size
+        return ((column, row) for column in range(columns) for row in range(rows))
+
+    def around(self, cell: Cell) -> list[Cell]:
+        """Return the neighbours of a cell."""
+        columns, rows = self.size
+        places = [(cell[0] + dx, cell[1] + dy) for dx, dy in SIDES]
+        return [(c, r) for c, r in places if 0 <= c < columns and 0 <= r < rows]
+
+    def edges(self) -> list[Edge]:
+        """Return all places for inner walls."""
+        columns, rows = self.size
+        return [
+            ((c, r), (c + dx, r + dy))
+            for c, r in self.cells()
+            for dx, dy in SIDES[:2]
+            if c + dx < columns and r + dy < rows
+        ]
+
+    def grow(self, draw: Draw, *, bushy: bool, barred: Iterable[Cell] = ()) -> None:
+        """Grow the tree over all cells that walls do not part from the base.
+
+        Args:
+            draw: Draws.
+            bushy: Whether it has many short branches rather than few long ones.
+            barred: Cells that do not belong to it.
+        """
+        taken = {BASE, *barred}
+        self.ways = {BASE: []}
+        tips = [BASE]
+        while tips:
+            at = draw.below(len(tips)) if bushy else -1
+            cell = tips[at]
+            free = [n for n in self.around(cell) if n not in taken and edge(cell, n) not in self.walls]
+            if not free:
+                tips.pop(at)
+                continue
+            new = draw.pick(free)
+            taken.add(new)
+            tips.append(new)
+            self.ways[cell].append(new)
+            self.ways[new] = [cell]
+
+    def tips(self) -> list[Cell]:
+        """Return the cells that can be taken away."""
+        return [cell for cell, next_to in self.ways.items() if len(next_to) == 1 and cell not in self.kept]
+
+    def take(self, cell: Cell) -> Cell:
+        """Take a tip away and return the cell that it hung on."""
+        (neighbour,) = self.ways.pop(cell)
+        self.ways[neighbour].remove(cell)
+        return neighbour
+
+    def seal(self, cell: Cell) -> None:
+        """Wall a cell in."""
+        self.walls.update(edge(cell, neighbour) for neighbour in self.around(cell))
+
+    def pieces(self) -> tuple[list[Shape], list[Shape]]:
+        """Return outer and inner walls, straight runs as one box each."""
+        columns, rows = self.size
+        outer, inner = [], []
+        for line in range(columns + 1):
+            for a, b in _runs([self._wall((line - 1, r), (line, r)) for r in range(rows)]):
+                (inner if 0 < line < columns else outer).append(_wall(line, line, a, b))
+        for line in range(rows + 1):
+            for a, b in _runs([self._wall((c, line - 1), (c, line)) for c in range(columns)]):
+                (inner if 0 < line < rows else outer).append(_wall(a, b, line, line))
+        return outer, inner
+
+    def _wall(self, a: Cell, b: Cell) -> bool:
+        columns, rows = self.size
+        return not (a[0] >= 0 and a[1] >= 0 and b[0] < columns and b[1] < rows) or (a, b) in self.walls
+
+
+def _runs(filled: list[bool]) -> Iterator[tuple[int, int]]:
+    """Yield (start, stop) of runs of true cells, none longer than `LONGEST`."""
+    start = None
+    for i, wall in enumerate([*filled, False]):
+        if start is not None and (not wall or i - start == LONGEST):
+            yield start, i
+            start = None
+        if start is None and wall:
+            start = i
+
+
+def _wall(x0: int, x1: int, y0: int, y1: int) -> Shape:
+    """Return a wall along a grid line; its ends reach into the corners by half its thickness."""
+    return Shape(
+        kind="box",
+        size=((x1 - x0) * CELL / 2 + THICKNESS / 2, (y1 - y0) * CELL / 2 + THICKNESS / 2, HEIGHT / 2),
+        at=((x0 + x1) * CELL / 2, (y0 + y1) * CELL / 2, HEIGHT / 2),
+        surface="wall",
+        rgba=WALL_RGBA,
+    )
+
+
+def doubled(wall: Shape) -> list[Shape]:
+    """Return a wall as two sheets of half its thickness, one at the other: the radio counts both."""
+    x, y, z = wall.at
+    along, across, up = wall.size
+    half = THICKNESS / 4
+    sheets = []
+    for side in (-half, half):
+        upright = along < across
+        at = (x + side, y, z) if upright else (x, y + side, z)
+        size = (half, across, up) if upright else (along, half, up)
+        sheets.append(Shape(kind="box", size=size, at=at, surface="wall", rgba=DOUBLE_RGBA))
+    return sheets

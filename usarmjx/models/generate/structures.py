@@ -1,0 +1,181 @@
+"""What stands in cells that bar the way: rubble, step fields, ramps, slabs; and a second floor.
+
+Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within `ROOM` about
+the middle, so that it never meets a wall. Which solids there are, and how they lie, does not depend on the
+roughness; how high they are, does.
+"""
+
+import math
+from collections.abc import Callable
+
+from usarmjx.models.generate.draw import Draw
+from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
+from usarmjx.models.spec import Shape
+
+ROOM = 1.1
+"""Side of the square that a structure stays within [m]."""
+RAMP = math.radians(15)
+"""Slope of ramps, as in the NIST arenas."""
+STOREY_CELLS = 2
+"""Length of the ramp to the second floor, in cells."""
+STOREY = STOREY_CELLS * CELL * math.tan(RAMP)
+"""Height of the second floor [m]: 64 cm."""
+DECK = 0.1
+"""Thickness of decks and slabs [m]."""
+POSTS = 4
+"""Posts of a step field along each side."""
+
+WOOD = (0.7, 0.55, 0.35, 1.0)
+STONE = (0.6, 0.6, 0.6, 1.0)
+CONCRETE = (0.55, 0.53, 0.5, 1.0)
+
+Place = tuple[float, float]
+Rgba = tuple[float, float, float, float]
+Maker = Callable[[Draw, Place, float], list[Shape]]
+
+
+def mixed(low: float, high: float, roughness: float) -> float:
+    """Return what lies between `low` at roughness 0 and `high` at 1."""
+    return low + (high - low) * roughness
+
+
+def block(
+    at: Place, size: tuple[float, float, float], *, z: float = 0.0, yaw: float = 0.0, rgba: Rgba = STONE
+) -> Shape:
+    """Return a box of full lengths `size` that stands at height `z` [m]."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(
+        kind="box", size=half, at=(*at, z + half[2]), rotation=(0.0, 0.0, yaw), surface="ground", rgba=rgba
+    )
+
+
+def slope(at: Place, run: float, width: float, angle: float, uphill: int, rgba: Rgba = WOOD) -> Shape:
+    """Return a slab whose upper face rises out of the floor.
+
+    Args:
+        at: Middle of what it covers [m].
+        run: Length of that [m].
+        width: Its width [m].
+        angle: Of its upper face [rad].
+        uphill: Direction of climb, in quarter turns from x.
+        rgba: Colour.
+    """
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    back = DECK / 2 * math.sin(angle)
+    z = run / 2 * math.tan(angle) - DECK / 2 * math.cos(angle)
+    return Shape(
+        kind="box",
+        size=(run / math.cos(angle) / 2, width / 2, DECK / 2),
+        at=(at[0] + back * ahead[0], at[1] + back * ahead[1], z),
+        rotation=(0.0, -angle, uphill * math.pi / 2),
+        surface="ground",
+        rgba=rgba,
+    )
+
+
+def rubble(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+    """A slab that leans, and three blocks around it, all turned at random."""
+    shapes = []
+    for i, (sx, sy) in enumerate(draw.shuffled(((1, 1), (1, -1), (-1, 1), (-1, -1)))):
+        spot = (at[0] + 0.27 * sx, at[1] + 0.27 * sy)
+        yaw = math.radians(draw.below(180))
+        # Within a circle of 0.28 m about the middle of a quarter.
+        length, width = draw.between(25, 45) / 100, draw.between(15, 30) / 100
+        height = mixed(0.06, 0.4, roughness) * draw.between(50, 100) / 100
+        if i == 0:
+            tilt = mixed(0.1, 0.6, roughness) * draw.between(60, 100) / 100
+            shapes.append(_slab(spot, (0.44, 0.3, 0.06), tilt, yaw))
+        else:
+            shapes.append(block(spot, (length, width, height), yaw=yaw))
+    return shapes
+
+
+def _slab(at: Place, size: tuple[float, float, float], tilt: float, yaw: float) -> Shape:
+    """A slab that lies on one of its lower edges."""
+    lift = size[0] / 2 * math.sin(tilt) + size[2] / 2 * math.cos(tilt)
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(
+        kind="box", size=half, at=(*at, lift), rotation=(0.0, -tilt, yaw), surface="ground", rgba=CONCRETE
+    )
+
+
+def steps(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+    """A field of square posts of four heights, higher towards one side, one corner or the middle."""
+    pitch, unit = ROOM / POSTS, mixed(0.03, 0.08, roughness)
+    sx, sy = draw.pick(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
+    shapes = []
+    for i in range(POSTS):
+        for j in range(POSTS):
+            x, y = i - (POSTS - 1) / 2, j - (POSTS - 1) / 2
+            trend = 1.5 + (sx * x + sy * y) / 2 if sx or sy else 2.5 - max(abs(x), abs(y))
+            level = 1 + max(0, min(3, round(trend) + draw.below(2)))
+            spot = (at[0] + x * pitch, at[1] + y * pitch)
+            shapes.append(block(spot, (pitch - 0.005, pitch - 0.005, level * unit), rgba=WOOD))
+    return shapes
+
+
+def ramps(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+    """A ramp of 15 degrees, the longer the rougher, up to a drop."""
+    run = mixed(0.45, 1.0, roughness)
+    return [slope(at, run, ROOM, RAMP, draw.below(4))]
+
+
+def collapsed(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+    """A floor slab fallen down on one side, propped up by a block, and another block on the floor."""
+    uphill = draw.below(4)
+    angle = mixed(math.radians(8), math.radians(30), roughness)
+    slab = slope(at, 0.8, 1.0, angle, uphill, CONCRETE)
+    # The block stands where the slab's lower face is just above it.
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    prop = max(0.02, 0.7 * math.tan(angle) - DECK / math.cos(angle))
+    spots = [(at[0] + d * ahead[0], at[1] + d * ahead[1]) for d in (0.35, -0.47)]
+    flat = [(0.1, 0.6, prop), (0.1, 0.4, mixed(0.05, 0.25, roughness) * draw.between(50, 100) / 100)]
+    return [slab, *(block(s, size, yaw=uphill * math.pi / 2) for s, size in zip(spots, flat, strict=True))]
+
+
+def void(at: Place, facing: int, length: float, roof: float) -> list[Shape]:
+    """A slab over a victim, on two walls beside it.
+
+    Args:
+        at: Middle of the slab [m].
+        facing: Direction of its length, in quarter turns from x: the walls are at the end that lies behind.
+        length: Length of the slab [m].
+        roof: Height of its lower face [m].
+    """
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[facing]
+    yaw = facing * math.pi / 2
+    shapes = [block(at, (length, ROOM, DECK), z=roof, yaw=yaw, rgba=CONCRETE)]
+    back = length / 2 - 0.4
+    for side in (-1, 1):
+        x = at[0] - back * ahead[0] - side * 0.52 * ahead[1]
+        y = at[1] - back * ahead[1] + side * 0.52 * ahead[0]
+        shapes.append(block((x, y), (0.8, 0.06, roof), yaw=yaw))
+    return shapes
+
+
+def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
+    """A ramp up from beside a landing, a deck behind it, and a ramp down where there is room for one.
+
+    Args:
+        landing: Where the ramp begins.
+        step: 1 if it leads towards larger columns, -1 if towards smaller ones.
+        columns: Columns of the arena.
+    """
+    width = CELL - THICKNESS
+    uphill = 0 if step > 0 else 2
+    run = STOREY_CELLS * CELL
+    y = middle(landing)[1]
+    edge = middle(landing)[0] + step * CELL / 2
+    end = CELL * (columns if step > 0 else 0) - step * THICKNESS / 2
+    shapes = [slope((edge + step * run / 2, y), run, width, RAMP, uphill)]
+    if columns >= FERRY:
+        end -= step * (run + CELL - THICKNESS / 2)
+        shapes.append(slope((end + step * run / 2, y), run, width, RAMP, (uphill + 2) % 4))
+    start = edge + step * run
+    at = ((start + end) / 2, y)
+    shapes.append(block(at, (abs(end - start), width, DECK), z=STOREY - DECK, rgba=WOOD))
+    return shapes
+
+
+FERRY = 2 * (STOREY_CELLS + 1) + 1
+"""Columns of the smallest arena whose second floor has a ramp at both ends."""

@@ -1,0 +1,137 @@
+"""Human motion sensor (manual 10.12): a pyroelectric one, which sees warm things that move."""
+
+import math
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.models.plan import Bodies
+from usarmjx.models.spec import GLASS, SKY
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+from usarmjx.sensors.surroundings import Surroundings
+from usarmjx.transforms import Array
+
+MOST = 8
+"""So many moving body parts, the nearest, are looked at for whether something hides them."""
+STILL = 1e-3
+"""What is slower than this does not move [m/s]."""
+HALF_DISTANCE, HALF_SPEED, HALF_SWING = 5.0, 0.2, 0.1
+"""Distance [m], speed [m/s] and amplitude [m] at which each halves the probability (chosen)."""
+
+
+@dataclass(frozen=True)
+class MotionSettings(Common):
+    """Manual 10.12.2.
+
+    Attributes:
+        max_range: Farthest that a victim is noticed [m].
+        fov: Full angle of the cone that it sees. The manual has 60 and says that 65535 is a full turn, which
+            makes no sense of the 60: up to 360 it is in degrees, beyond that in Unreal's units.
+        noise: Relative amplitude of the uniform noise.
+        output_curve: Points of the distortion curve; none: undistorted.
+    """
+
+    max_range: float = 1000.0
+    fov: float = 60.0
+    noise: float = 0.1
+    output_curve: Curve = ()
+
+    @property
+    def cone(self) -> float:
+        """The field of view [rad]."""
+        return math.radians(self.fov) if self.fov <= 360 else self.fov * 2 * math.pi / 65535
+
+
+def probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = jnp) -> Array:
+    """Return how likely a motion is a human's (...,).
+
+    Ours, as the manual only names what it depends on: 1 for a near, fast and wide motion, half of it for
+    each of `HALF_DISTANCE`, `HALF_SPEED` and `HALF_SWING`.
+
+    Args:
+        distance: Distance [m] (...,).
+        speed: Speed [m/s] (...,).
+        swing: How far it gets from where it began [m] (...,).
+        xp: Array module of all three.
+    """
+    near = 1 / (1 + (distance / HALF_DISTANCE) ** 2)
+    return near * speed / (speed + HALF_SPEED) * swing / xp.maximum(swing + HALF_SWING, HALF_SWING)
+
+
+class _Movers(struct.PyTreeNode, kw_only=True):
+    """The nearest moving body parts, nearest first: positions, distances (infinite: none) and rest."""
+
+    pos: jax.Array
+    far: jax.Array
+    owner: jax.Array
+    speed: jax.Array
+    swing: jax.Array
+    reach: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class HumanMotion(Sensor):
+    """Looks at the closest moving victim in its field of view; value: probability of human motion ().
+
+    A victim is in view if the centre of a moving part of it is, and a ray to it ends on the part.
+    """
+
+    kind = "HumanMotion"
+    passes = frozenset({SKY, GLASS})
+    defaults = MotionSettings
+
+    def _movers(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, _Movers]:
+        """Return where the sensor is (3,), and what moves before it."""
+        settings = self.settings[0]
+        pos, mat = self.mount_poses(bodies)
+        boxes = jnp.asarray(around.box_pos)
+        offset = boxes - pos[0]
+        far = jnp.linalg.norm(offset, axis=-1)
+        ahead = (offset * mat[0, :, 0]).sum(-1) >= far * math.cos(settings.cone / 2)
+        moves = (jnp.asarray(around.speed) > STILL) & (jnp.asarray(around.owner) >= 0)
+        shown = jnp.where(moves & ahead & (far <= settings.max_range), far, jnp.inf)
+        shown = jnp.concatenate([shown, jnp.full(MOST, jnp.inf)])
+        _, place = jax.lax.top_k(-shown, MOST)
+
+        def pick(values: Array) -> jax.Array:
+            values = jnp.asarray(values)
+            return jnp.concatenate([values, jnp.zeros((MOST, *values.shape[1:]), values.dtype)])[place]
+
+        return pos[0], _Movers(
+            pos=pick(boxes),
+            far=shown[place],
+            owner=pick(around.owner),
+            speed=pick(around.speed),
+            swing=pick(around.swing),
+            reach=jnp.linalg.norm(pick(around.box_size), axis=-1),
+        )
+
+    def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
+        """One ray to each of the nearest moving parts."""
+        pos, movers = self._movers(bodies, around)
+        way = movers.pos - pos
+        along = way / jnp.maximum(jnp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
+        return jnp.broadcast_to(pos, along.shape), along
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Look once: at the closest part that nothing hides; at the widest motion of its victim."""
+        settings = self.settings[0]
+        _, movers = self._movers(sight.bodies, sight.around)
+        # A ray to the centre of a box ends within half its diagonal of it; what is in front ends it before.
+        seen = jnp.isfinite(movers.far) & (sight.hits.distance >= movers.far - movers.reach)
+        far = jnp.where(seen, movers.far, jnp.inf)
+        first = jnp.argmin(far)
+        same = seen & (movers.owner == movers.owner[first])
+        speed, swing = (jnp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
+        found = jnp.isfinite(far[first])
+        likely = jnp.where(found, probability(jnp.where(found, far[first], 0.0), speed, swing), 0.0)
+        told = output_curve(relative_uniform(key, likely, settings.noise), settings.output_curve)
+        return memory, jnp.clip(told, 0.0, 1.0)
+
+
+SENSORS.add(HumanMotion.kind, HumanMotion)

@@ -1,0 +1,54 @@
+"""Sound sensor (manual 10.11)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+
+CLOSEST = 0.1
+"""Sources sound no louder from nearer than this [m]."""
+
+
+@dataclass(frozen=True)
+class SoundSettings(Common):
+    """Manual 10.11.2.
+
+    Attributes:
+        noise: Relative amplitude of the uniform noise on the loudness.
+        output_curve: Points of the distortion curve of the loudness; none: undistorted.
+    """
+
+    noise: float = 0.05
+    output_curve: Curve = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Sound(Sensor):
+    """Hears the victim that is the loudest here; value: loudness, and how long its cries last [s] (2,).
+
+    Walls do not dampen sound: the manual has the square of the distance and nothing else. In silence both
+    are 0.
+    """
+
+    kind = "Sound"
+    defaults = SoundSettings
+
+    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+        """Listen once."""
+        settings, around = self.settings[0], sight.around
+        if around.mouth.shape[0] == 0:
+            return memory, jnp.zeros(2)
+        pos, _ = self.mount_poses(sight.bodies)
+        far = jnp.maximum(jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1), CLOSEST)
+        loud = jnp.asarray(around.loudness) / far**2
+        best = jnp.argmax(loud)
+        heard = output_curve(relative_uniform(key, loud[best], settings.noise), settings.output_curve)
+        lasts = jnp.where(loud[best] > 0, jnp.asarray(around.duration)[best], 0.0)
+        return memory, jnp.stack([heard, lasts])
+
+
+SENSORS.add(Sound.kind, Sound)
