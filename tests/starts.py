@@ -10,7 +10,7 @@ from usarmjx.scene import build_scene, start_height
 
 
 def deepest(arena, name, starts=None):
-    """Return how deep a robot of that class is in the arena at each start [m], by tag; 0 where it is clear."""
+    """Return how deep a robot of that class is in the arena at each start [m], by tag; 0 where clear."""
     scene = build_scene(arena, [name])
     model, data = scene.model, mujoco.MjData(scene.model)
     ours = np.isin(model.geom_bodyid, scene.teams[0].indices[0].body)

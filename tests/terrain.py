@@ -1,5 +1,7 @@
 """What the ground of an arena is like, by C MuJoCo: its height under points, and robots set down on it."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -21,11 +23,11 @@ def arena_of(*shapes, loose=()):
 
 
 def heights(arena, points, high=HIGH):
-    """Return the height of the arena, robots and floor excluded, under points (n, 2) [m] (n,).
+    """Return the height of an arena without its victims under points (n, 2) [m] (n,).
 
-    Rays fall from `high`; where they meet nothing the height is that of the floor.
+    Rays fall from `high`, through what is higher.
     """
-    model = new_spec(arena, Physics()).compile()
+    model = new_spec(replace(arena, victims=(), false_alarms=()), Physics()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     down, found = np.array([0.0, 0.0, -1.0]), []

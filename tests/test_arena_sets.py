@@ -19,7 +19,8 @@ from usarmjx.scene import build_scene
 
 EXACT = Physics(iterations=40, ls_iterations=20)
 """A converged solver: engines and batches differ by rounding only."""
-STEPS = 40
+STEPS = 30
+"""Later a rear wheel lifts by some micrometres, and rounding decides when it touches again."""
 BRICK = (Shape(kind="box", size=(0.1, 0.05, 0.04), mass=2.5, surface="loose"),)
 
 
@@ -137,7 +138,7 @@ def test_a_loose_object_that_an_arena_lacks_waits_out_of_the_way():
     state, _ = drive(batch, 20)
     pos = np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qpos[0, :3]]
     assert pos[0, 2] < 0.1
-    np.testing.assert_array_equal(pos[1:, 2], 30.0)
+    np.testing.assert_allclose(pos[1:, 2], 30.0, atol=0.01)  # it falls within a step, and is put back
 
 
 def test_no_recompilation_when_arenas_change():

@@ -1,5 +1,7 @@
 """The three engines: the same result, and what the batch promises about worlds and randomness."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -10,7 +12,9 @@ from tests.arenas import COURSE, FLAT
 from usarmjx.batch import Batch
 from usarmjx.engines.base import check_features
 from usarmjx.errors import EngineError, UnknownNameError, UnsupportedFeatureError, UsageError
+from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compose import Physics
+from usarmjx.models.spec import HeightField, Mesh, Shape
 from usarmjx.scene import build_scene
 
 PARITY = 5e-3
@@ -209,3 +213,24 @@ def test_worlds_draw_different_noise():
     _, readings = batch.observe(batch.reset())
     sonar = np.asarray(readings[0][0].value)
     assert (sonar[0] != sonar[1]).any()
+
+
+WEDGE = Mesh(vertices=np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0.3), (1, 1, 0.3)], float))
+HILL = HeightField(heights=np.array([(0.0, 0.1), (0.0, 0.0)]))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape(kind="mesh", mesh=WEDGE, surface="ground"),
+        Shape(kind="hfield", size=(2, 2, 0.1), heights=HILL, surface="ground"),
+    ],
+    ids=lambda shape: shape.kind,
+)
+def test_wheels_on_meshes_and_terrain_are_refused_by_jax_alone(shape):
+    arena = replace(ARENAS.get("field"), name="uneven", shapes=(shape,))
+    model = build_scene(arena, ["P2AT"]).model
+    with pytest.raises(UnsupportedFeatureError, match="Wheel.*refused"):
+        check_features(model, "jax")
+    for engine in ("c", "warp"):
+        check_features(model, engine)

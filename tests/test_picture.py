@@ -123,9 +123,10 @@ def test_styles_of_solids():
     for style, given in (
         ("ground", {}),
         ("wall", {"surface": "wall"}),
+        ("paint", {"surface": "fixture"}),
         ("glass", {"surface": "wall", "material": "glass"}),
         ("overhead", {"surface": "wall", "at": (0.0, 0.0, 2.31)}),
         ("wall", {"surface": "wall", "at": (0.0, 0.0, 2.29)}),
         ("sky", {"material": "sky", "at": (0.0, 0.0, 9.0)}),
     ):
-        assert picture._sort(Shape(**box, **{"surface": "ground", **given})) == style
+        assert picture._sort(Shape(**box, **{"surface": "ground", **given}), 2.2) == style

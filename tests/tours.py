@@ -25,7 +25,7 @@ class Tour:
         self._root = rig.indices[0].root_qpos
         robot = np.isin(rig.model.geom_bodyid, rig.indices[0].body)
         self._robot = robot
-        self._wall = ~robot & np.array(["floor" != rig.model.geom(g).name for g in range(rig.model.ngeom)])
+        self._wall = ~robot & np.array([rig.model.geom(g).name != "floor" for g in range(rig.model.ngeom)])
 
     def ignore(self, geoms):
         """Do not count touching those geoms."""
@@ -43,9 +43,7 @@ class Tour:
             way = place - pos
             if np.hypot(*way) < NEAR:
                 return True
-            error = math.remainder(
-                math.atan2(way[1], way[0]) - math.atan2(mat[1, 0], mat[0, 0]), 2 * math.pi
-            )
+            error = math.remainder(math.atan2(way[1], way[0]) - math.atan2(mat[1, 0], mat[0, 0]), 2 * math.pi)
             ahead = speed / drive.radius if abs(error) < AIM else 0.0
             turn = float(np.clip(TURN * error, -3.0, 3.0))
             self.rig.tell(Left=ahead - turn, Right=ahead + turn)

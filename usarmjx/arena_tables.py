@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from usarmjx.errors import UsageError
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.spec import MATERIALS, OPAQUE
@@ -44,3 +45,31 @@ def _solids(arena: ArenaSpec) -> str:
     ]
     special = ", ".join(f"{count} {name}" for name, count in kinds if count)
     return f"{len(arena.shapes)}" + (f" ({special})" if special else "")
+
+
+def summary(arena: ArenaSpec) -> str:
+    """Return in a line what is in an arena."""
+    (x0, x1), (y0, y1) = arena.extent
+    counts = ", ".join(
+        f"{len(things)} {name}"
+        for name, things in (
+            ("loose objects", arena.loose),
+            ("doors", arena.doors),
+            ("victims", arena.victims),
+            ("tags", arena.tags),
+            ("start poses", arena.starts),
+        )
+    )
+    return f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m, {_solids(arena)} solids, {counts}"
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a size given as 12x8.
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
+    return int(columns), int(rows)

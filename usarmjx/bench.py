@@ -24,7 +24,9 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.control import Order, idle, steer
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
+from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics
+from usarmjx.models.generate import generate_many
 from usarmjx.scene import Scene, Team, build_scene, start_height
 from usarmjx.server.worlds import parse_roster
 
@@ -35,11 +37,15 @@ BASELINE_STEPS = 400
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times."""
+    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
+
+    With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them.
+    """
 
     worlds: int
     roster: str = "P2AT"
     arena: str = "yellow"
+    generated: int = 0
     engine: str = "auto"
     radio: bool = False
     substeps: int = 10
@@ -134,6 +140,14 @@ def _baseline(scene: Scene, speeds: np.ndarray) -> float:
     return BASELINE_STEPS * scene.robots / (time.perf_counter() - began)
 
 
+def _arena(case: Case) -> str | ArenaSpec | list[ArenaSpec]:
+    """Return the arena of a case, or all its arenas; a single generated one is shared by all worlds."""
+    if not case.generated:
+        return case.arena
+    arenas = generate_many(case.arena, case.generated, seed=case.seed)
+    return arenas if len(arenas) > 1 else arenas[0]
+
+
 def measure(case: Case, file: Path | None = None) -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
 
@@ -142,7 +156,7 @@ def measure(case: Case, file: Path | None = None) -> str:
     """
     engine = choose_engine(case.engine, "train")
     kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
-    scene = build_scene(case.arena, parse_roster(case.roster), Physics(substeps=case.substeps), **kept)
+    scene = build_scene(_arena(case), parse_roster(case.roster), Physics(substeps=case.substeps), **kept)
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
@@ -158,6 +172,8 @@ def measure(case: Case, file: Path | None = None) -> str:
         **heading("step", host=engine == "c"),
         "case": {**asdict(case), "engine": engine},
         "robots_per_world": scene.robots,
+        "arena_geoms": len(scene.fixed_look.kind) + len(scene.moved_look.kind),
+        "loose_objects": len(scene.arena.loose),
         "timestep": scene.physics.timestep,
         "in_the_step": "contacts, random commands, control, all sensors of the robots every control step, "
         f"resets of {RESET_SHARE:.0%} of worlds every control step; "

@@ -199,7 +199,10 @@ def bench_radio(
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
     roster: Annotated[str, typer.Option(help="Robots of each world, as P2AT:4,Zerg:2.")] = "P2AT:4",
-    arena: ArenaOption = "yellow",
+    arena: Annotated[str, typer.Option(help="Arena name, or with --generated the kind.")] = "yellow",
+    generated: Annotated[
+        int, typer.Option(min=0, help="So many generated arenas, which the worlds have in turn.")
+    ] = 0,
     engine: EngineOption = "auto",
     radio: Annotated[bool, typer.Option("--radio", help="Evaluate all radio links too.")] = False,
     substeps: Annotated[int, typer.Option(min=1, help="Physics steps per control step.")] = 10,
@@ -216,6 +219,7 @@ def bench_step(
             worlds=worlds,
             roster=roster,
             arena=arena,
+            generated=generated,
             engine=engine,
             radio=radio,
             substeps=substeps,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli_tools import Failure
+from usarmjx.cli_tools import Failure, SeedOption
 
 if TYPE_CHECKING:
     from usarmjx.models.arena_spec import ArenaSpec
@@ -16,6 +16,7 @@ PngOption = Annotated[Path | None, typer.Option(help="Write the floor plan to th
 ViewOption = Annotated[
     Path | None, typer.Option("--perspective", help="Write a picture from a corner above to this PNG file.")
 ]
+LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, from 0 to 1.")]
 
 
 @app.command("list")
@@ -66,18 +67,68 @@ def check(
 
 
 @app.command()
-def gallery(
-    out: Annotated[Path, typer.Argument(help="Folder for the pictures.")],
-    count: Annotated[int, typer.Option(min=1, help="Generated arenas of each kind.")] = 1,
+def generate(
+    kind: Annotated[str, typer.Option(help="maze, building, rubble, steps, ramps or collapsed.")] = "maze",
+    size: Annotated[str, typer.Option(help="Columns and rows of cells of 1.2 m, as 12x8.")] = "8x6",
+    seed: SeedOption = 0,
+    difficulty: Annotated[float, typer.Option(help="How difficult in all, from 0 to 1.")] = 0.5,
+    wall_density: LevelOption = None,
+    roughness: LevelOption = None,
+    clutter: LevelOption = None,
+    dead_ends: LevelOption = None,
+    radio_shadow: LevelOption = None,
+    robot: Annotated[str, typer.Option(help="Robot class that can pass.")] = "P2AT",
+    reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
+    victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
+    png: PngOption = None,
+    perspective: ViewOption = None,
+    yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
+    xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
 ) -> None:
-    """Draw the pictures of docs/arenas.md: all arenas, and generated ones of each kind."""
+    """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with Failure():
-        from usarmjx.gallery import plan_sheet, view_sheet
+        from usarmjx.arena_tables import read_size, summary
+        from usarmjx.models.arena_files import save_arena
+        from usarmjx.models.compose import Physics, new_spec
+        from usarmjx.models.generate import Difficulty
+        from usarmjx.models.generate import generate as make
+
+        levels = {
+            "wall_density": wall_density,
+            "roughness": roughness,
+            "clutter": clutter,
+            "dead_ends": dead_ends,
+            "radio_shadow": radio_shadow,
+        }
+        level = Difficulty(**{name: difficulty if own is None else own for name, own in levels.items()})
+        arena = make(kind, read_size(size), seed, level, robot, reachable, victims)
+        typer.echo(summary(arena))
+        _draw(arena, png, perspective)
+        if yaml is not None:
+            typer.echo(f"wrote {save_arena(arena, yaml)}")
+        if xml is not None:
+            spec = new_spec(arena, Physics())
+            spec.compile()
+            xml.write_text(spec.to_xml(), encoding="utf-8")
+            typer.echo(f"wrote {xml}")
+
+
+@app.command()
+def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")]) -> None:
+    """Draw the pictures of docs/arenas.md: all arenas, and a generated one of each kind."""
+    with Failure():
+        from usarmjx.gallery import both_sheet, plan_sheet, view_sheet
         from usarmjx.models.arenas import ARENAS
+        from usarmjx.models.generate import KINDS
+        from usarmjx.models.generate import generate as make
 
         arenas = [arena for _, arena in ARENAS]
-        for write, name in ((plan_sheet, "arenas-plan.png"), (view_sheet, "arenas-view.png")):
-            write(arenas, out / name)
+        for write, name, shown in (
+            (plan_sheet, "arenas-plan.png", arenas),
+            (view_sheet, "arenas-view.png", arenas),
+            (both_sheet, "generated.png", [make(kind, seed=7) for kind in KINDS.names()]),
+        ):
+            write(shown, out / name)
             typer.echo(f"wrote {out / name}")
 
 

@@ -70,8 +70,8 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True) -> list[Any]:
         low, high = water.low, water.high
         size = (high[0] - low[0], high[1] - low[1])
         axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor=WATER, edgecolor="none", zorder=1))
-    draw_shapes(axes, arena.shapes)
-    _draw_loose(axes, arena)
+    draw_shapes(axes, arena)
+    _draw_loose(axes, arena, 1.4 if words else 0.7)
     _draw_bones(axes, arena)
     _draw_marks(axes, arena, words)
     _draw_starts(axes, arena, words)
@@ -79,18 +79,18 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True) -> list[Any]:
     return _keys(arena)
 
 
-def _draw_loose(axes: Axes, arena: ArenaSpec) -> None:
+def _draw_loose(axes: Axes, arena: ArenaSpec, line: float) -> None:
     """Draw loose objects and doors; an arc shows where a door swings."""
     for loose in arena.loose:
         turn = mat_from_angles(*np.array(loose.rotation))
         for shape in loose.shapes:
             placed = _placed(shape, np.array(loose.at), turn)
-            axes.add_patch(Polygon(outline(placed), fc=shape.rgba, ec=LOOSE, lw=1.4, zorder=3))
+            axes.add_patch(Polygon(outline(placed), fc=shape.rgba, ec=LOOSE, lw=line, zorder=3))
     for door in arena.doors:
         width, x, y = door.size[0], door.at[0], door.at[1]
         cos, sin = math.cos(door.yaw), math.sin(door.yaw)
         way = np.array([(0.0, 0.0), (width, 0.0)]) @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-        axes.plot(*way.T, color=DOOR, lw=3.0, solid_capstyle="butt", zorder=3)
+        axes.plot(*way.T, color=DOOR, lw=2 * line, solid_capstyle="butt", zorder=3)
         low, high = (math.degrees(door.yaw + limit) for limit in door.limits)
         swing = Arc((x, y), 2 * width, 2 * width, theta1=low, theta2=high, color=DOOR, lw=0.7, ls=":")
         axes.add_patch(swing)
@@ -129,10 +129,10 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
 def _draw_marks(axes: Axes, arena: ArenaSpec, words: bool) -> None:
     """Draw lamps and tags, the latter with their numbers."""
     for light in arena.lights:
-        axes.plot(*light.at[:2], "*", color=LAMP, mec="#7a6000", mew=0.6, ms=12, zorder=5)
+        axes.plot(*light.at[:2], "*", color=LAMP, mec="#7a6000", mew=0.6, ms=12 if words else 7, zorder=5)
     style = {"textcoords": "offset points", "fontsize": 7, "color": TAG, "zorder": 6}
     for tag, number in zip(arena.tags, tag_ids(arena.tags), strict=True):
-        axes.plot(*tag.at[:2], "D", color=TAG, mec="white", mew=0.5, ms=5, zorder=5)
+        axes.plot(*tag.at[:2], "D", color=TAG, mec="white", mew=0.5, ms=5 if words else 3.5, zorder=5)
         if words:
             axes.annotate(f"{number}", tag.at[:2], (4, 3), **style)
 
@@ -142,7 +142,7 @@ def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
     for start in arena.starts:
         cos, sin = math.cos(start.yaw), math.sin(start.yaw)
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
-        axes.plot(*start.at[:2], marker=marker, color=START, ms=10, ls="", zorder=5)
+        axes.plot(*start.at[:2], marker=marker, color=START, ms=10 if words else 6, ls="", zorder=5)
         if words and start in named:
             style = {"fontsize": 7, "color": START, "ha": "center"}
             axes.annotate(start.tag, start.at[:2], (0, -13), textcoords="offset points", zorder=6, **style)
@@ -168,7 +168,7 @@ def _keys(arena: ArenaSpec) -> list[Any]:
 
     keys = [
         ("wall" in surfaces, Patch(fc=WALL, label="wall")),
-        (bool(surfaces - {"wall"}), Patch(fc=GROUND(0.5), label="ground (darker: higher)")),
+        (bool(surfaces - {"wall", "fixture"}), Patch(fc=GROUND(0.5), label="ground (darker: higher)")),
         (terrain, Patch(fc=GROUND(0.2), ec=GROUND(1.0), label="terrain")),
         *((name in materials, Patch(**STYLES[name], label=name)) for name in (GLASS, MIRROR, FENDER)),
         (bool(arena.waters), Patch(fc=WATER, label="water")),

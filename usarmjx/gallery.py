@@ -1,6 +1,5 @@
 """Pictures of arenas from a corner above, drawn with the sensors' ray kernels, and sheets of many."""
 
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
-from PIL import Image
 
 from usarmjx.floor_plan import draw_plan
 from usarmjx.models.arena_spec import ArenaSpec
@@ -21,7 +19,7 @@ from usarmjx.models.compose import Physics, new_spec
 from usarmjx.models.materials import materials_of
 from usarmjx.models.spec import SKY, Shape
 from usarmjx.outlines import area, heights, outline
-from usarmjx.picture import OVERHEAD
+from usarmjx.picture import overhead
 from usarmjx.render import FIELD, Setting, axes_of, draw, halved
 from usarmjx.scenery import Solids, boxes, solids_of
 
@@ -35,8 +33,8 @@ COVER = 0.5
 TILES = (0.5, 1.0, 5.0, 10.0, 50.0)
 """Sides of the floor's checkers [m]: the first that gives at most `MOST_TILES` along an arena."""
 MOST_TILES = 45
-COLOURS = 200
-"""Of the sheets, so that their files stay small."""
+GRAIN = 4
+"""Colours of sheets are multiples of this, of 255: no one sees it, and files are a third smaller."""
 FRAME = 1.03
 """How much farther away the eye is than where the arena fills the picture."""
 
@@ -72,7 +70,7 @@ def perspective(
 def without_roof(arena: ArenaSpec) -> tuple[Shape, ...]:
     """Return an arena's solids without the roof, if it has one."""
     (x0, x1), (y0, y1) = arena.extent
-    above = [heights(shape)[0] > OVERHEAD for shape in arena.shapes]
+    above = [heights(shape)[0] > overhead(arena) for shape in arena.shapes]
     roof = sum(area(outline(shape)) for shape, high in zip(arena.shapes, above, strict=True) if high)
     if roof <= COVER * (x1 - x0) * (y1 - y0):
         return arena.shapes
@@ -151,13 +149,13 @@ def _small_view(arena: ArenaSpec, axes: Axes) -> None:
 def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, columns: int) -> None:
     rows = -(-len(cells) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.1 * rows), dpi=100, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     for i, (title, fill) in enumerate(cells):
         axes = figure.add_subplot(rows, columns, i + 1)
         fill(axes)
         axes.set_title(title, fontsize=9, loc="left")
-    full = io.BytesIO()
-    figure.savefig(full, format="png")
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
     path.parent.mkdir(parents=True, exist_ok=True)
-    few = Image.open(full).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    few.save(path, optimize=True)
+    few = np.minimum(255, (pixels + GRAIN // 2) // GRAIN * GRAIN).astype(np.uint8)
+    imsave(path, few, pil_kwargs={"optimize": True})

@@ -35,9 +35,10 @@ HIGHEST = 1.2
 """Ground that is higher is not drawn darker [m]."""
 CONTOURS = 12
 OVERHEAD = 2.2
-"""Whose underside is above this height is over robots' heads [m]."""
+"""Solids whose undersides are this much above the highest start pose are over robots' heads [m]."""
 STYLES: dict[str, dict[str, Any]] = {
     "ground": {"edgecolor": GROUND_EDGE, "lw": 0.8, "zorder": 2},
+    "paint": {"edgecolor": GROUND_EDGE, "lw": 0.3, "zorder": 2.05},
     "wall": {"facecolor": WALL, "edgecolor": WALL, "lw": 0.8, "zorder": 2.1},
     "overhead": {"facecolor": "none", "edgecolor": "#9a958a", "lw": 0.6, "ls": "--", "zorder": 2.3},
     GLASS: {"facecolor": "#c4e6f3", "edgecolor": "#3d9cc4", "lw": 1.0, "zorder": 2.2},
@@ -110,7 +111,7 @@ def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
         ylabel="y [m]",
     )
     axes.set_title(_title(arena, log["track"]), loc="left", fontsize=11)
-    draw_shapes(axes, arena.shapes)
+    draw_shapes(axes, arena)
     _draw_run(axes, log)
     axes.spines[:].set_visible(False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
@@ -122,34 +123,43 @@ def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
     return f"{arena.name}: {lasted:.1f} simulated seconds"
 
 
-def draw_shapes(axes: Axes, shapes: Sequence[Shape]) -> None:
-    """Draw solids as their outlines on the floor: walls dark, ground the darker the higher it is.
+def overhead(arena: ArenaSpec) -> float:
+    """Return the height from which on solids are over the heads of robots, wherever they start [m]."""
+    return OVERHEAD + max([0.0, *(start.at[2] for start in arena.starts)])
 
-    Glass, mirrors and fenders have their own styles, terrain is drawn as contours, the sky not at all; of
-    roofs and whatever else is above all robots there is only a dashed line.
+
+def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
+    """Draw fixed solids as their outlines on the floor: walls dark, ground the darker the higher it is.
+
+    Glass, mirrors and fenders have their own styles, what is never touched (paint on a road) has its own
+    colour, terrain is drawn as contours, the sky not at all; of roofs and whatever else is above all robots
+    there is only a dashed line.
     """
     sorts: dict[str, list[Shape]] = {}
-    for shape in shapes:
+    above = overhead(arena)
+    for shape in arena.shapes:
         if shape.heights is not None:
             _draw_terrain(axes, shape)
         else:
-            sorts.setdefault(_sort(shape), []).append(shape)
+            sorts.setdefault(_sort(shape, above), []).append(shape)
     tops = {id(shape): heights(shape)[1] for shape in sorts.get("ground", ())}
     for sort, members in sorts.items():
         style = dict(STYLES[sort])
         if sort == "ground":
             members = sorted(members, key=lambda shape: tops[id(shape)])
             style["facecolor"] = [GROUND(tops[id(shape)] / HIGHEST) for shape in members]
+        elif sort == "paint":
+            style["facecolor"] = [shape.rgba for shape in members]
         axes.add_collection(PatchCollection([Polygon(outline(shape)) for shape in members], **style))
 
 
-def _sort(shape: Shape) -> str:
-    """Return the style in which a solid is drawn."""
-    if shape.material == SKY or heights(shape)[0] > OVERHEAD:
+def _sort(shape: Shape, above: float) -> str:
+    """Return the style in which a solid is drawn; `above` is the height of what is overhead."""
+    if shape.material == SKY or heights(shape)[0] > above:
         return shape.material if shape.material == SKY else "overhead"
     if shape.material != OPAQUE:
         return shape.material
-    return "wall" if shape.surface == "wall" else "ground"
+    return {"wall": "wall", "fixture": "paint"}.get(shape.surface, "ground")
 
 
 def _draw_terrain(axes: Axes, shape: Shape) -> None:

@@ -141,7 +141,7 @@ def radio_picture(
     )
     figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)
     _draw_cutoff(axes, drawn, settings.cutoff)
-    draw_shapes(axes, arena.shapes)
+    draw_shapes(axes, arena)
     axes.plot(*source[:2], "*", color="white", mec="black", ms=16, zorder=6)
     axes.spines[:].set_visible(False)
     figure.savefig(path, format="png")

@@ -175,16 +175,15 @@ def _normals(
     """Return unit normals (rays, 3): of round things from where slightly turned rays meet them."""
     side = jnp.cross(along, jnp.array([0.0, 0.0, 1.0]))
     side /= jnp.maximum(jnp.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
-    edges = []
-    for turn in (side, jnp.cross(side, along)):
-        edge = jnp.zeros_like(point)
-        for sign in (-1.0, 1.0):  # at an outline one of the two misses
-            turned = along + sign * TURN * turn
-            turned /= jnp.linalg.norm(turned, axis=-1, keepdims=True)
-            reach = _again(group, which, start, turned)
-            there = sign * (start + jnp.where(jnp.isfinite(reach), reach, 0.0)[:, None] * turned - point)
-            edge = jnp.where(jnp.isfinite(reach)[:, None], there, edge)
-        edges.append(edge)
+    turns = jnp.stack([side, -side, jnp.cross(side, along), jnp.cross(along, side)])
+    turned = along + TURN * turns
+    turned /= jnp.linalg.norm(turned, axis=-1, keepdims=True)
+    reach = _again(group, jnp.tile(which, 4), jnp.tile(start, (4, 1)), turned.reshape(-1, 3))
+    reach = reach.reshape(4, -1, 1)
+    met = jnp.isfinite(reach)
+    away = jnp.where(met, start + jnp.where(met, reach, 0.0) * turned - point, 0.0)
+    # At an outline one of two opposite rays misses.
+    edges = jnp.where(met[::2], away[::2], -away[1::2])
     facing = group.facing[which]
     normal = jnp.where((facing != 0).any(-1, keepdims=True), facing, jnp.cross(edges[0], edges[1]))
     normal /= jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)

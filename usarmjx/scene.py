@@ -23,6 +23,7 @@ from usarmjx.models.moved import MovedGeoms
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
+from usarmjx.models.tags import TagTable, tag_table
 from usarmjx.models.victims import VictimTable, victim_table
 from usarmjx.scene_geoms import Look, LooseGeoms, door_qpos, fixed_look, loose_geoms, moved_look
 from usarmjx.sensors.raycast import check_types
@@ -156,6 +157,11 @@ class Scene:
     def victims(self) -> VictimTable:
         """The victims, where all worlds have the same arena."""
         return victim_table(self.arena.victims, self.arena.false_alarms)
+
+    @cached_property
+    def tags(self) -> TagTable:
+        """The arena's RFID tags, where all worlds have the same arena."""
+        return tag_table(self.arena.tags)
 
     @property
     def robots(self) -> int:

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 
 from usarmjx.engines.base import Places
 from usarmjx.models.arena_set import Site, turn_of
+from usarmjx.models.effecters import Tags
 from usarmjx.models.victims import VictimTable, segment_poses
 from usarmjx.scene import Scene
+from usarmjx.sensors.surroundings import Surroundings, survey
 
 
 def site_at(library: Site | None, number: jax.Array, episode: jax.Array) -> Site | None:
@@ -24,6 +26,14 @@ def site_at(library: Site | None, number: jax.Array, episode: jax.Array) -> Site
 def victims_of(scene: Scene, site: Site | None) -> VictimTable:
     """Return the victims of a world."""
     return jax.tree.map(jnp.asarray, scene.victims) if site is None else site.victims
+
+
+def surroundings(scene: Scene, site: Site | None, dropped: Tags, time: jax.Array) -> Surroundings | None:
+    """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them."""
+    if not any(team.suite.looks_around for team in scene.teams):
+        return None
+    tags = jax.tree.map(jnp.asarray, scene.tags if site is None else site.tags)
+    return survey(victims_of(scene, site), tags, dropped, time, jnp.asarray(scene.arena.floor, jnp.float32))
 
 
 def start_poses(scene: Scene, site: Site | None) -> jax.Array:

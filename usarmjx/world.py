@@ -26,7 +26,7 @@ from usarmjx.scene import Scene, Team, origin_height, parking_place
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.raycast import NO_HITS
 from usarmjx.sensors.suite import NO_MEMORY, Memory
-from usarmjx.site import places, site_at, start_poses
+from usarmjx.site import places, site_at, start_poses, surroundings
 from usarmjx.visible import arena_rows, collect, door_rows, loose_rows, robot_rows
 
 RUNAWAY_SPEED = 5.0
@@ -216,7 +216,9 @@ def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight
     states = team_states(team, physics)
     bodies = jax.vmap(partial(body_poses, team.plan))(states)
     blind = jax.tree.map(lambda x: jnp.zeros((len(team.slots), *x.shape)), NO_HITS)
-    return Sight(time=time_of(scene, world), state=states, bodies=bodies, hits=blind)
+    time = time_of(scene, world)
+    around = surroundings(scene, world.site, world.tags, time)
+    return Sight(time=time, state=states, bodies=bodies, hits=blind, surroundings=around)
 
 
 def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:

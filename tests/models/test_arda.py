@@ -336,6 +336,5 @@ def test_a_car_keeps_its_lane_all_the_way_round_the_loop(car, lane, start, top):
         turned, yaw = turned + math.remainder(pose[2] - yaw, math.tau), pose[2]
         offs.append(off)
         assert rig.data.time < 120
-    print(car, way.length, rig.data.time, np.abs(offs).max(), np.std(offs), spare)
     assert abs(turned) == pytest.approx(math.tau, abs=0.1), "once round"
     assert np.abs(offs).max() < spare / 2

@@ -10,6 +10,8 @@ from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
 from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TREES, ground
+from usarmjx.models.reach import reach_map, size_of, victims_reached
+from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import SKY
 from usarmjx.scene import START_ELEVATION, build_scene
 
@@ -75,7 +77,7 @@ def test_starts_lie_on_the_flat_ground(built):
     for start in OUTDOOR.starts:
         x, y, z = start.at
         assert z == pytest.approx(BASE + START_ELEVATION)
-        for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 1), (0, -1)):
+        for dx, dy in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
             assert below(built, x + dx, y + dy)[0] == pytest.approx(BASE, abs=GRID), start.tag
 
 
@@ -144,6 +146,13 @@ def test_victims_lie_in_voids_with_something_above_them(built):
         assert over == covered, (name, found)
         if covered:
             assert 0.02 < up < 2.0, name
+
+
+def test_p2ats_reach_every_start_and_every_victim_over_the_hills():
+    size = size_of(ROBOTS.get("P2AT"))
+    reach = reach_map(OUTDOOR, size.radius, size.step)
+    assert all(reach.reachable(*start.at[:2]) for start in OUTDOOR.starts)
+    assert victims_reached(OUTDOOR, reach) == [True] * len(OUTDOOR.victims)
 
 
 def test_loose_things_stay_where_they_lie():

@@ -15,6 +15,7 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.pool import DECK, DEPTH, KEEL, POOL
 from usarmjx.models.drives import DRY
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.victims import rest_height
 from usarmjx.scene import START_ELEVATION, START_GAP, build_scene, start_height
 from usarmjx.world import depth_in_water
 
@@ -124,6 +125,38 @@ def test_water_empties_the_battery_of_all_but_submarines():
     assert flyer[0] > 2.0
     assert abs(flyer[2]) < 0.01
     assert boat[0] > 0.01
+
+
+def test_a_submarine_crosses_the_pool_at_its_depth():
+    """From rest at its start: 0.9 of its propeller's 0.305 m/s are reached slowly; neither weight nor
+    lift change its depth with the stern plane at zero."""
+    start = starts("Water")[0]
+    boat = ROBOTS.get("Submarine")
+    height = start_height(POOL, start, boat)
+    rig = Rig("Submarine", arena=POOL, places=((*start.at[:2], 0.0),), height=height)
+    rig.tell(Propeller=boat.drive.full["Propeller"])
+    log = rig.run(150.0)
+    assert log[-1, 0] - log[0, 0] > 30.0
+    assert np.abs(log[:, 1] - start.at[1]).max() < 0.3
+    assert np.abs(log[:, 2] - height).max() < 0.3
+    assert np.diff(log[:, 0]).min() > -1e-6, "it meets nothing"
+    assert rig.up[0] > 0.999
+
+
+def test_who_sits_on_the_quay_is_not_in_the_water():
+    for victim in POOL.victims:
+        assert depth_in_water(POOL, np.add(victim.at, (0.0, 0.0, POOL.floor))) == DRY
+        assert victim.at[2] - rest_height(victim.posture) == pytest.approx(DECK)
+    for tag in POOL.tags:
+        assert tag.at[2] > DECK
+
+
+@pytest.mark.parametrize("name", ROOM)
+def test_recommended_robots_exist(name):
+    arena = ARENAS.get(name)
+    assert [ROBOTS.get(robot).name for robot in arena.robots] == list(arena.robots)
+    assert arena.about
+    assert arena.gps is None
 
 
 def test_the_submarine_hears_the_floor_below_it():

@@ -86,7 +86,7 @@ def test_goals_are_open_to_the_field_and_lines_are_flat():
     ]
     assert not mouth
     lines = [shape for shape in SOCCER.shapes if shape.surface == "fixture"]
-    assert len(lines) == 23
+    assert len(lines) == 24
     assert max(shape.at[2] + shape.size[2] for shape in lines) <= 0.002
 
 
@@ -170,5 +170,3 @@ def test_fast_balls_do_not_pass_the_boards(field):
     kick(field, (0.0, -1.2), (6.0, 0.0))
     field.run(1.5)
     assert ball(field)[0] < CARPET[0] / 2
-
-

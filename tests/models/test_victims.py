@@ -28,11 +28,12 @@ from usarmjx.models.victims import (
     rest_height,
     segment_angles,
     segment_poses,
-    segment_velocities,
+    segment_speeds,
     victim_table,
 )
 
 FLOAT32_ATOL = 2e-6  # m: some ten roundings of lengths of 3 m
+SIGNS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
 quick = settings(max_examples=60, deadline=None, derandomize=True)
 WAVING = Victim(
     name="waving",
@@ -149,35 +150,49 @@ def test_angles_go_to_and_fro_between_their_ends_at_their_rate(first, last, rate
 
 
 @pytest.mark.parametrize("time", [0.21, 1.03, 3.3])
-def test_velocities_are_the_derivative_of_positions(time):
+def test_speeds_are_those_of_the_fastest_corners(time):
     """Between the turning points; central differences of the scalar chain in double precision."""
     table, step = victim_table([WAVING]), 1e-4
-    velocity = segment_velocities(table, time)
+    speed = segment_speeds(table, time)
+
+    def corners(bone, moment):
+        pos, turn, half = by_hand(WAVING, bone, moment)
+        return np.array([pos + turn.apply(half * signs) for signs in SIGNS])
+
     for row, bone in enumerate(rows(WAVING)):
-        (ahead, *_), (behind, *_) = (by_hand(WAVING, bone, t) for t in (time + step, time - step))
-        expected = (ahead - behind) / (2 * step)
+        moved = corners(bone, time + step) - corners(bone, time - step)
+        expected = np.linalg.norm(moved, axis=-1).max() / (2 * step)
         # a step of 0.01 s at 3 rad/s: 2e-4 of the speed; float32's 2e-7 m over 0.02 s
-        np.testing.assert_allclose(velocity[row], expected, atol=1e-3)
-    assert np.linalg.norm(velocity, axis=-1).max() > 0.5
+        assert speed[row] == pytest.approx(expected, abs=1e-3)
+    assert speed.max() > 0.5
 
 
 def test_who_does_not_move_has_neither_speed_nor_swing():
     table = victim_table([PLAIN], [ALARM])
-    assert np.all(segment_velocities(table, 3.0) == 0)
+    assert np.all(segment_speeds(table, 3.0) == 0)
     assert np.all(table.swing == 0)
     frozen = victim_table([Victim(**{**vars(WAVING), "anim_timer": 0.0})])
-    assert np.all(segment_velocities(frozen, 3.0) == 0)
+    assert np.all(segment_speeds(frozen, 3.0) == 0)
     assert np.all(frozen.swing == 0)
 
 
 def test_swing_is_how_far_a_box_gets():
-    """An arm of 0.332 H raised by half a turn: its middle goes from hanging to straight up."""
+    """An arm of 0.332 H raised by half a turn: its end goes from hanging to straight up."""
     up = Segment(name="LeftArm", initial=(0, 0, 0), final=(-math.pi, 0, 0), rates=(1, 0, 0))
     victim = Victim(name="v", at=(0, 0, 0), posture="standing", segments=(up,))
     swing = dict(zip(rows(victim), victim_table([victim]).swing, strict=True))
-    assert swing["LeftArm"] == pytest.approx(0.332 * HEIGHT, rel=1e-5)
-    assert swing["LeftHand"] == pytest.approx(2 * (0.332 + 0.054) * HEIGHT, rel=1e-5)
+    assert swing["LeftArm"] == pytest.approx(2 * math.hypot(0.332, 0.026) * HEIGHT, rel=1e-5)
+    assert swing["LeftHand"] == pytest.approx(2 * math.hypot(0.332 + 0.108, 0.024) * HEIGHT, rel=1e-5)
     assert swing["RightArm"] == swing["Chest"] == 0
+
+
+def test_a_shaken_head_moves_though_its_centre_stays():
+    shake = Segment(name="Head", initial=(0, -0.5, 0), final=(0, 0.5, 0), rates=(0, 2, 0))
+    victim = Victim(name="v", at=(0, 0, 0), posture="standing", segments=(shake,))
+    table, corner = victim_table([victim]), math.hypot(0.055, 0.044) * HEIGHT
+    head = rows(victim).index("Head")
+    assert table.swing[head] == pytest.approx(2 * corner * math.sin(0.5), rel=1e-5)
+    assert segment_speeds(table, 0.1)[head] == pytest.approx(2 * corner, rel=1e-3)
 
 
 # --- the body -----------------------------------------------------------------------------------
@@ -293,12 +308,12 @@ def test_false_alarms_are_single_boxes_of_their_own():
 def test_jax_and_numpy_agree_also_over_several_times():
     table = victim_table([WAVING, PLAIN], [ALARM])
     times = np.array([[0.0, 0.4], [5.5, 60.0]], np.float32)
-    for function in (segment_poses, segment_angles, segment_velocities, loudness):
+    for function in (segment_poses, segment_angles, segment_speeds, loudness):
         mine = function(table, times)
         theirs = jax.jit(partial(function, xp=jnp))(jax.tree.map(jnp.asarray, table), times)
         for a, b in zip(jax.tree.leaves(mine), jax.tree.leaves(theirs), strict=True):
             # 60 s at 3 rad/s: float32 rounds the phase to 1e-5 rad; velocities divide it by 0.02 s
-            np.testing.assert_allclose(a, b, atol=1e-3 if function is segment_velocities else 1e-4)
+            np.testing.assert_allclose(a, b, atol=1e-3 if function is segment_speeds else 1e-4)
         assert jax.tree.leaves(mine)[0].shape[:2] == (2, 2)
 
 

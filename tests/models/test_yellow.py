@@ -8,10 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.rig import Rig
+from tests.starts import deepest
+from tests.tours import Tour
 from usarmjx.control import servos_of
 from usarmjx.engines.c import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
+from usarmjx.models.reach import reach_map, size_of, victims_reached
 from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.spec import FENDER, GLASS, MIRROR
 from usarmjx.scene import build_scene, start_height
 from usarmjx.transforms import flip_vector
 
@@ -20,6 +25,11 @@ HEADINGS = 24
 GRID = 0.05  # m, a seventh of the robot's radius
 RADIUS = math.hypot(P2AT.dimensions[0] / 2, P2AT.dimensions[1] / 2)  # turns on the spot within it
 LOW = 0.06  # m: boards and platform; test_a_p2at_drives_over_the_boards shows the P2AT's reach
+LOOP = (
+    (3, 1), (4, 1), (5, 1), (6, 1), (6, 2), (6, 3), (7, 3), (7, 4), (6, 4), (6, 5), (6, 6), (7, 6),
+    (7, 7), (6, 7), (5, 7), (4, 7), (4, 6), (5, 6), (5, 5), (5, 4), (4, 4), (4, 3), (3, 3), (3, 2),
+)  # fmt: skip
+"""Cells around a block of walls, each beside the next."""
 OVER_BOARDS = {(7, 0), (8, 0), (8, 1), (7, 2), (8, 2), (9, 3)}
 """Cells that can only be reached over a board or the platform."""
 
@@ -169,3 +179,77 @@ def test_ramps_rise_out_of_the_floor_at_15_degrees(scene):
     edge = 0.55 + 0.1 * math.sin(math.radians(15))
     expected = [(edge + along) * math.tan(math.radians(15)) for along in (-0.5, 0.0, 0.5)]
     np.testing.assert_allclose(heights, expected, atol=1e-6)
+
+
+def centre(cell):
+    return tuple(o + (c + 0.5) * CELL for o, c in zip(ORIGIN, cell, strict=True))
+
+
+def test_a_p2at_drives_around_a_loop_of_24_cells_and_touches_nothing():
+    """28.8 m by way points, past the pane and the mirror; walls leave it 0.3 m on each side."""
+    rig = Rig("P2AT", arena=YELLOW, places=((*centre(LOOP[0]), 0.0),))
+    tour = Tour(rig)
+    assert tour.to([centre(cell) for cell in (*LOOP[1:], LOOP[0])], speed=0.5, limit=15.0)
+    driven = np.hypot(*np.diff(tour.path[:, :2], axis=0).T).sum()
+    assert driven > 0.9 * CELL * len(LOOP), "it cuts corners by the 0.12 m that is near enough"
+    assert tour.touched == 0.0
+    assert tour.path[:, 3].min() > 0.99
+
+
+def test_the_tour_above_would_notice_a_wall():
+    rig = Rig("P2AT", arena=YELLOW, places=((*centre((6, 6)), math.pi),))
+    tour = Tour(rig)
+    assert not tour.to([centre((5, 6))], limit=5.0), "there is a wall between"
+    assert tour.touched > 1.0
+
+
+@pytest.mark.parametrize("name", YELLOW.robots)
+def test_starts_are_clear_of_contents_too(name):
+    assert max(deepest(YELLOW, name).values()) == 0.0
+
+
+def test_there_is_what_the_manual_names():
+    """Manual 3.2.1.1 and 14.1: glass, mirrors, grid fenders; victims that wave, or lie still; obstacles."""
+    assert {GLASS, MIRROR, FENDER} <= {shape.material for shape in YELLOW.shapes}
+    assert len(YELLOW.victims) == 3
+    assert any(segment.rates[2] > 0 for segment in YELLOW.victims[0].segments)
+    assert 1 <= len(YELLOW.loose) <= 6
+    assert YELLOW.false_alarms
+    assert YELLOW.tags
+
+
+def test_p2ats_get_near_every_victim_and_tag_with_all_loose_things_in_place():
+    size = size_of(P2AT)
+    reach = reach_map(YELLOW, size.radius, size.step)
+    assert victims_reached(YELLOW, reach) == [True] * len(YELLOW.victims), "within a metre of a part"
+    for tag in YELLOW.tags:
+        assert reach.near(*tag.at[:2], 0.5), tag
+    assert all(reach.reachable(*start.at[:2]) for start in YELLOW.starts)
+
+
+def test_the_board_hides_the_victim_from_the_side_but_not_from_below():
+    model = build_scene(YELLOW, ["P2AT"]).model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    bone = {model.geom(g).name for g in range(model.ngeom) if model.geom(g).name.startswith("victim/")}
+
+    def seen(x, y):
+        victim = next(victim for victim in YELLOW.victims if victim.name == "Hidden")
+        start = np.array([x, y, YELLOW.floor + 0.3])
+        way = np.array([*victim.at[:2], YELLOW.floor + 0.25]) - start
+        geom = np.zeros(1, np.int32)
+        robot = model.body("r0/chassis").id
+        mujoco.mj_ray(model, data, start, way, None, 1, robot, geom)
+        return model.geom(geom[0]).name in bone
+
+    assert not seen(7.3, 1.9)
+    assert seen(8.0, 0.8)
+
+
+def test_loose_things_lie_still():
+    rig = Rig("P2AT", arena=YELLOW, places=((*centre((0, 0)), 0.0),))
+    before = {loose.name: rig.data.joint(f"loose/{loose.name}").qpos.copy() for loose in YELLOW.loose}
+    rig.run(3.0)
+    for name, pose in before.items():
+        now = rig.data.joint(f"loose/{name}").qpos
+        assert np.linalg.norm(now[:3] - pose[:3]) < 0.005, name

@@ -196,6 +196,15 @@ def test_a_wrong_location_is_refused_when_the_scene_is_built(make_bench, locatio
         make_bench(replace(P2AT, name="Lost", sensors=(mount,)))
 
 
+def test_the_arenas_reference_comes_before_that_of_the_settings():
+    """Manual 10.5.2: an object in the map, else the ini file, else the default."""
+    settings = located((1, 0), (2, 0))
+    assert coordinates(settings, (0.0, 0.0), (34.5, -117.25)) == (34.5, -117.25)
+    assert coordinates(settings, (0.0, 0.0)) == (1.0, 2.0)
+    north, east = coordinates(GpsSettings(), (0.0, 0.0))  # GPSSensor.uc: 39,8.0273,N and 77,12.9980,W
+    assert (north, east) == pytest.approx((39 + 8.0273 / 60, -77 - 12.998 / 60), abs=DEGREE_ATOL)
+
+
 # --- the wire ---------------------------------------------------------------------------------
 
 
@@ -216,6 +225,12 @@ def test_a_captured_line_comes_from_12_6_m_north_and_2_5_m_west(bench):
     assert line(bench, "GPS", [north, west, 11.0]) == (
         "SEN {Type GPS} {Name GPS} {Latitude 39,8.0341,N} {Longitude 77,13.0001,W} {Fix 1} {Satellites 11}"
     )
+
+
+def test_an_arena_that_says_where_it_is_is_believed(bench):
+    sensor = next(s for s in bench.suite.sensors if s.mounts[0].name == "GPS")
+    report = sensor_report(sensor, np.array([0.0, 0.0, 12.0], np.float32), 1.0, (34.587, -117.367))
+    assert "{Latitude 34,35.2200,N} {Longitude 117,22.0200,W}" in format(report)
 
 
 def test_with_fewer_than_four_satellites_there_is_no_fix(bench):

@@ -74,7 +74,7 @@ def test_the_strength_of_the_signal_is_the_manuals():
 )
 @pytest.mark.parametrize("single", [False, True])
 def test_each_mode_has_its_range(watch, name, free, through, single):
-    """Obstacles end Obstacle, cost Attenuation 3.5 dB; single shots reach twice as far, but not in Attenuation."""
+    """Obstacles end Obstacle, cost Attenuation 3.5 dB; single shots reach farther in the other two."""
     if single and name in ("Radius", "Obstacle"):
         free, through = 2 * free, 2 * through
     for walls, reach in (((), free), ((WALL,), through)):

@@ -100,11 +100,11 @@ def waving(name, x, y, rate=2.0, swing=1.0, **keys):
 
 
 def expected(victim, time, swing=1.0, rate=2.0):
-    """By hand: the hand is 0.332 + 0.054 of the height from the shoulder, and swings about it."""
+    """By hand: the fingertips are 0.332 + 0.108 of the height from the shoulder, and swing about it."""
     names = [name.split("/")[1] for name in box_names([victim])]
     pos = segment_poses(Room(victims=(victim,)).people, time)[0]
     near = min(np.linalg.norm(pos[names.index(bone)] - (0, 0, HEIGHT)) for bone in ("LeftArm", "LeftHand"))
-    reach = (0.332 + 0.054) * 1.75
+    reach = math.hypot(0.332 + 0.108, 0.024) * 1.75
     speed, far = rate * reach, 2 * reach * math.sin(swing / 2)
     return 1 / (1 + (near / 5) ** 2) * speed / (speed + 0.2) * far / (far + 0.1)
 
@@ -150,8 +150,12 @@ def test_motion_outside_of_the_cone_beyond_the_range_or_behind_a_wall_is_not_see
         value = watch.once(Room(victims=(waving("v", 4.0, 0.0),)), at=(0, 0, tall), angles=turn)
         assert (value["Motion"] > 0) == seen
         assert value["Narrow"] == 0  # 10 degrees
-    for x, seen in ((3.5, True), (4.8, False)):  # 4 m; the hand is ahead of the body
-        assert (watch.once(Room(victims=(waving("v", x, 0.0),)), at=(0, 0, tall))["Narrow"] > 0) == seen
+    victim = waving("v", 0.0, 0.0)
+    names = [name.split("/")[1] for name in box_names([victim])]
+    hand = segment_poses(Room(victims=(victim,)).people, 0.0)[0][names.index("LeftHand")]
+    for away, seen in ((3.9, True), (4.1, False)):  # of 4 m; the arm is farther away and out of the cone
+        at = (hand[0] - away, hand[1], hand[2])
+        assert (watch.once(Room(victims=(victim,)), at=at)["Narrow"] > 0) == seen
     wall = ((1.5, 0.0, 1.5), (0.1, 3.0, 1.5), 0.0)
     room = Room(victims=(waving("v", 3.0, 0.0),), walls=(wall,))
     assert watch.once(room, at=(0, 0, HEIGHT))["Motion"] == 0
@@ -160,7 +164,7 @@ def test_motion_outside_of_the_cone_beyond_the_range_or_behind_a_wall_is_not_see
 
 
 def test_a_probability_stays_one_with_noise(watch):
-    sight = watch.sight(Room(victims=(waving("v", 0.8, 0.0, rate=20.0, swing=2.0),)), at=(0, 0, HEIGHT))
+    sight = watch.sight(Room(victims=(waving("v", 2.0, 0.0, rate=20.0, swing=2.0),)), at=(0, 0, 1.6))
     memory = watch.start(sight)
     draws = np.array([watch.read(sight, memory, seed)[1]["Trembling"] for seed in range(100)])
     assert draws.max() == 1.0
@@ -194,7 +198,7 @@ def test_defaults_are_the_manuals():
     assert (sound.noise, sound.weight, sound.output_curve) == (0.05, 0.4, ())
     assert (motion.max_range, motion.fov, motion.noise, motion.weight) == (1000.0, 60.0, 0.1, 0.4)
     assert resolve(Co2Settings, (), "C").weight == 0.4
-    assert not (sound.with_time_stamp or motion.with_time_stamp)
+    assert (sound.with_time_stamp, motion.with_time_stamp) == (False, False)
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,27 @@
-"""Which part of a segment lies inside a convex solid: it is cut at one plane after the other.
+"""Walls that come in pieces, meshes and terrain: which part of a segment lies inside of them.
 
 Segments are seen by their middle and half vector, as in `walls`: the place at share t, from -1 to 1, is
 middle + t half. Parts are given as the first and the last share, and are empty if these are not in order.
+A convex mesh is what lies behind all its triangles; a terrain is all of its columns.
 """
 
 from functools import reduce
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.models.pieces import COLUMN_KIND, TRIANGLE_KIND
+from usarmjx.sensors.raycast import Block
 
 Triple = tuple[jax.Array, jax.Array, jax.Array]
 """Components x, y, z; apart, so that no array of segments times geoms is stored."""
 Part = tuple[jax.Array, jax.Array]
 
+PIECES = (TRIANGLE_KIND, COLUMN_KIND)
+"""Kinds of pieces that solids come in."""
+CHUNK = 16
+"""Pieces that one pass over all segments looks at."""
 SEAM = 1e-5
 """By this share of its width a column reaches over its sides: no segment slips through where two meet."""
 
@@ -43,3 +52,52 @@ def crosses_column(middle: Triple, half: Triple, size: Triple) -> jax.Array:
     sides = (positive(x + SEAM, dx), positive(y + SEAM, dy), positive(1 + SEAM - x - y, -dx - dy))
     low, high = reduce(both, (*sides, positive(-z, -dz), above_bottom))
     return low < high
+
+
+def filled(block: Block) -> Block:
+    """Return pieces of solids, those of each followed by copies of its last one up to whole chunks.
+
+    Args:
+        block: Pieces; those of one solid follow one another and have the same owner. Numpy arrays.
+    """
+    owner = np.asarray(block.owner)
+    ends = np.append(np.flatnonzero(np.diff(owner)) + 1, len(owner))
+    runs = np.split(np.arange(len(owner)), ends[:-1])
+    rows = np.concatenate([np.append(run, np.repeat(run[-1], -len(run) % CHUNK)) for run in runs])
+    return jax.tree.map(lambda x: x[rows], block)
+
+
+def count_in_pieces(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
+    """Return how many solids of one kind each segment crosses (segments,).
+
+    Args:
+        kind: One of `PIECES`.
+        block: Pieces as `filled` returns them.
+        middle: Middles of the segments [m] (segments,) each.
+        half: Half vectors from there to their ends [m] (segments,) each.
+    """
+    arrays = map(jnp.asarray, (block.pos, block.mat, block.size, block.owner))
+    pos, mat, size, owner = (x.reshape(-1, CHUNK, *x.shape[1:]) for x in arrays)
+    last = jnp.append(owner[1:, 0] != owner[:-1, 0], True)
+    mesh = kind == TRIANGLE_KIND
+    fresh = (-jnp.ones_like(half[0]), jnp.ones_like(half[0])) if mesh else (jnp.zeros(half[0].shape, bool),)
+
+    def chunk(c: jax.Array, tally: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        count, *so_far = tally
+        # Pieces by rows, segments by columns; sums of products, not matrix products, as in `walls`.
+        offset = [middle[j] - pos[c, :, j, None] for j in range(3)]
+        local = tuple(sum(mat[c, :, j, i, None] * offset[j] for j in range(3)) for i in range(3))
+        along = tuple(sum(mat[c, :, j, i, None] * half[j] for j in range(3)) for i in range(3))
+        if mesh:
+            low, high = behind_face(local, along)  # type: ignore - three components each
+            now = both((so_far[0], so_far[1]), (low.max(0), high.min(0)))
+            crossed = now[0] < now[1]
+        else:
+            sizes = tuple(size[c, :, i, None] for i in range(3))
+            crossed = so_far[0] | crosses_column(local, along, sizes).any(0)  # type: ignore - as above
+            now = (crossed,)
+        kept = (jnp.where(last[c], new, old) for new, old in zip(fresh, now, strict=True))
+        return (count + (crossed & last[c]), *kept)
+
+    start = (jnp.zeros(half[0].shape, jnp.int32), *fresh)
+    return jax.lax.fori_loop(0, len(owner), chunk, start)[0]

@@ -25,12 +25,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.comms.clipping import Triple, behind_face, both, crosses_column
+from usarmjx.comms.clipping import PIECES, Triple, count_in_pieces, filled
 from usarmjx.errors import UnsupportedGeomError
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, new_spec
 from usarmjx.models.materials import materials_of
-from usarmjx.models.pieces import COLUMN_KIND, HFIELD, MESH, TRIANGLE_KIND, pieces_of
+from usarmjx.models.pieces import HFIELD, MESH, pieces_of
 from usarmjx.models.spec import OPAQUE, SKY
 from usarmjx.sensors.raycast import Block, Geoms, gather
 from usarmjx.transforms import Array
@@ -137,7 +137,7 @@ def check_types(geom_types: Sequence[int]) -> None:
 def arena_solids(arena: ArenaSpec) -> Geoms:
     """Return what weakens radio links in an arena: its floor and its fixed solids, not what lies loose.
 
-    Owners tell apart the solids that come in pieces, meshes and terrain: those of a solid follow one another.
+    Meshes and terrain come in pieces, in the form that `clipping.count_in_pieces` takes.
 
     Raises:
         UnsupportedGeomError: A solid that cannot be counted.
@@ -151,7 +151,13 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     pieces = pieces_of(model, walls, columns=True)
     pos, mat = pieces.placed(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
     # Numpy throughout: jax arrays made while tracing could not be kept.
-    return gather(pieces.kind, pos.astype(np.float32), mat.astype(np.float32), pieces.size, pieces.geom)
+    placed = pos.astype(np.float32), mat.astype(np.float32)
+    geoms = gather(pieces.kind, *placed, pieces.size, pieces.geom)
+    blocks = [
+        filled(block) if kind in PIECES else block
+        for kind, block in zip(geoms.types, geoms.blocks, strict=True)
+    ]
+    return geoms.replace(blocks=tuple(blocks))
 
 
 @cache
@@ -175,11 +181,6 @@ def with_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
     )
 
 
-Tally = tuple[jax.Array, ...]
-"""How many solids each segment crosses so far, and what is known of a solid that comes in pieces: of terrain,
-whether it is crossed already; of a mesh, the part of the segment behind all faces so far."""
-FRESH = {COLUMN_KIND: (False,), TRIANGLE_KIND: (-1.0, 1.0)}
-"""What is known of a solid before its first piece."""
 CHUNK = 16
 """Solids that one pass over all segments looks at: their numbers are read once for all segments of a world,
 and the passes are few."""
@@ -198,47 +199,25 @@ def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Tripl
     return split[0], turned, split[1]  # type: ignore - three of each
 
 
-def _last(block: Block) -> jax.Array:
-    """Return which pieces are the last of their solids (geoms,), filled up to whole chunks with none."""
-    following = jnp.append(block.owner[1:], -1)
-    return jnp.pad(block.owner != following, (0, -len(block.owner) % CHUNK))
-
-
-def _add(kind: int, tally: Tally, local: Triple, along: Triple, size: Triple, last: jax.Array) -> Tally:
-    """Return the tally of segments after one more solid, or piece of a solid."""
-    if kind in KERNELS:
-        return (tally[0] + KERNELS[kind](local, along, size),)
-    if kind == COLUMN_KIND:
-        now = (tally[1] | crosses_column(local, along, size),)
-        crossed = now[0]
-    else:
-        now = both((tally[1], tally[2]), behind_face(local, along))
-        crossed = now[0] < now[1]
-    kept = (jnp.where(last, fresh, value) for fresh, value in zip(FRESH[kind], now, strict=True))
-    return (tally[0] + (crossed & last), *kept)
-
-
 def _count(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
     """Return how many solids of one type each segment crosses (segments,)."""
-    columns = (*_columns(block), None if kind in KERNELS else _last(block))
+    if kind in PIECES:
+        return count_in_pieces(kind, block, middle, half)
+    columns = _columns(block)
 
-    def chunk(c: jax.Array, tally: Tally) -> Tally:
+    def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
         for k in range(CHUNK):
             here = c * CHUNK + k
-            pos, mat, size, last = jax.tree.map(
-                lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns
-            )
+            pos, mat, size = jax.tree.map(lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns)
             # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
             along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
-            tally = _add(kind, tally, local, along, size, last)  # type: ignore - three components each
-        return tally
+            count = count + KERNELS[kind](local, along, size)  # type: ignore - three components each
+        return count
 
     passes = -(-len(block.owner) // CHUNK)
-    start = [jnp.zeros(middle[0].shape, jnp.int32)]
-    start += [jnp.full(middle[0].shape, value) for value in FRESH.get(kind, ())]
-    return jax.lax.fori_loop(0, passes, chunk, tuple(start))[0]
+    return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
 
 
 @jax.jit

@@ -94,7 +94,8 @@ class Engine(ABC):
         self.model = self.compile(spec)
         check_features(self.model, self.name)
         # A geom that lies in its body's frame would be taken for one that always does.
-        self.moved_ids = [] if moved is None else [self.model.geom(name).id for name in moved.names]
+        names = () if self.moved is None else self.moved.names
+        self.moved_ids = [self.model.geom(name).id for name in names]
         self.model.geom_sameframe[self.moved_ids] = 0
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -147,6 +148,8 @@ ROUND = (int(GeomType.mjGEOM_CYLINDER), int(GeomType.mjGEOM_ELLIPSOID))
 ALMOST_ROUND = (int(GeomType.mjGEOM_SPHERE), int(GeomType.mjGEOM_CAPSULE), *ROUND)
 """A round geom against one of these is a pair that MJX-JAX solves by a few steps of gradient descent; drops
 came out 0.3 to 0.7 m wrong."""
+UNEVEN = (int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD))
+"""MJX-JAX has no contact of a round geom, such as a wheel, with these."""
 
 
 def check_features(model: mujoco.MjModel, engine: str) -> None:
@@ -165,13 +168,18 @@ def check_features(model: mujoco.MjModel, engine: str) -> None:
             faults.append("noslip_iterations (ignored)")
         faults += [
             f"contact of {model.geom(a).name!r} with {model.geom(b).name!r} (unreliable)"
-            for a, b in _round_pairs(model)[:4]
+            for a, b in _pairs(model, ALMOST_ROUND)[:4]
+        ]
+        faults += [
+            f"contact of {model.geom(a).name!r} with {model.geom(b).name!r} (refused)"
+            for a, b in _pairs(model, UNEVEN)[:4]
         ]
     if faults:
         raise UnsupportedFeatureError(f"engine {engine!r} cannot run this scene: {'; '.join(faults)}")
 
 
-def _round_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return which round geoms may touch geoms of some types."""
     collides = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     round_geoms = [g for g in collides if model.geom_type[g] in ROUND]
     pairs = []
@@ -181,6 +189,6 @@ def _round_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
         )
         other_body = model.geom_bodyid[collides] != model.geom_bodyid[a]
         for b in collides[(meets != 0) & other_body]:
-            if model.geom_type[b] in ALMOST_ROUND:
+            if model.geom_type[b] in others:
                 pairs.append((int(a), int(b)))
     return pairs

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from usarmjx.errors import SpecError
 from usarmjx.models.arena_content import corners_of
 from usarmjx.models.arena_site import Site, in_water, said, solid_name
-from usarmjx.models.arena_spec import AUTOMATIC, ArenaSpec
+from usarmjx.models.arena_spec import AUTOMATIC, ArenaSpec, StartPose
 from usarmjx.models.compose_arena import ARENA
 from usarmjx.models.reach import reach_map, size_of, victims_reached
 from usarmjx.models.robots import ROBOTS
@@ -38,7 +38,11 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
         site = Site(arena, spec)
     except (SpecError, ValueError) as error:
         return [*found, f"it cannot be built: {error}"]
-    return [*found, *site.starts(), *site.loose(), *site.waters(), *_reach(arena, spec)]
+    found += [*site.starts(), *site.loose(), *site.waters()]
+    dry = [start for start in arena.starts if not in_water(arena, start)]
+    if not dry or any(fault.startswith(f"start {dry[0].tag!r}") for fault in found):
+        return found  # from there nobody gets anywhere
+    return [*found, *_reach(arena, spec, dry)]
 
 
 def _plan(arena: ArenaSpec) -> Iterator[str]:
@@ -81,18 +85,17 @@ def _tags(arena: ArenaSpec) -> Iterator[str]:
             yield f"a tag has the ID {number}; up to {RELEASED} they belong to releasers"
 
 
-def _reach(arena: ArenaSpec, robot: RobotSpec) -> Iterator[str]:
-    """Yield what a robot cannot reach from the first start pose that is not in water."""
-    dry = [start for start in arena.starts if not in_water(arena, start)]
-    if not dry:
-        return
+def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator[str]:
+    """Yield what a robot cannot reach from the first of the start poses that are not in water."""
     size = size_of(robot)
     found = reach_map(arena, size.radius, size.step, height=size.height, start=dry[0])
     if found.home < 0:
         yield f"start {dry[0].tag!r}: a {robot.name} has no room to turn there"
         return
     near = [found.near(*start.at, distance=BESIDE) for start in dry[1:]]
-    far = [(f"start {s.tag!r}", s.at, BESIDE) for s, reached in zip(dry[1:], near, strict=True) if not reached]
+    far = [
+        (f"start {s.tag!r}", s.at, BESIDE) for s, reached in zip(dry[1:], near, strict=True) if not reached
+    ]
     touched = victims_reached(arena, found, ARM)
     far += [(f"victim {v.name!r}", v.at, ARM) for v, ok in zip(arena.victims, touched, strict=True) if not ok]
     for name, (x, y, _), least in far:

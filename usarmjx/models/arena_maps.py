@@ -72,8 +72,9 @@ def read_plan(value: Value, unknown: Unknown = "free") -> Plan:
     if low > high:
         raise value.error(f"free_thresh {low} is above occupied_thresh {high}")
     mode = option(Literal["trinary", "scale", "raw"], value, "mode", "trinary")
+    negate = _truth(value)
     mean, opaque = read_grey(image)
-    if _truth(value):
+    if negate:
         mean = 255 - mean
     if mode == "raw":
         wall, free = (mean >= 100 * high) & (mean <= LAST_RAW), mean < 100 * low

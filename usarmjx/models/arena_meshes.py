@@ -102,7 +102,9 @@ def pieces(vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = F
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices()
-    parts = list(mesh.split(only_watertight=False))
+    every = np.arange(len(mesh.faces))
+    groups = trimesh.graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
+    parts: Any = mesh.submesh(groups, append=False, repair=False)
     if len(parts) > MOST_PIECES:
         raise ArenaFileError(f"{name}: {len(parts)} pieces; at most {MOST_PIECES}")
     names = (
@@ -119,7 +121,7 @@ def _piece(part: Any, name: str, hull: bool) -> Piece:  # noqa: ANN401 - trimesh
                 f"{name} is not closed, so nobody knows what is inside: close it; or {ADVICE}"
             )
         if not part.is_winding_consistent:
-            part.fix_normals()
+            raise ArenaFileError(f"{name} has faces that turn either way round: recalculate its normals")
         own = abs(float(part.volume))
         if volume > CONVEX * own:
             filled = f"its hull has {volume:.4g} m3, itself {own:.4g}"
@@ -136,8 +138,6 @@ def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
     """Return the corners of the convex hull, in their order, and its volume."""
     from scipy.spatial import ConvexHull, QhullError
 
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
-        raise ArenaFileError(f"{name}: vertices are three finite numbers each")
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):
@@ -159,13 +159,15 @@ def _objects(path: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         with path.open("rb") as file:
             kind = path.suffix[1:].lower()
             scene: Any = trimesh.load_scene(file, file_type=kind, **LOADING[kind])
-        meshes = {name: scene.geometry[name] for name in scene.geometry}
+        meshes = {name: scene.geometry[name] for name in sorted(scene.geometry)}
         found = [(str(name), np.array(m.vertices, float), np.array(m.faces)) for name, m in meshes.items()]
     except Exception as error:  # trimesh raises whatever its parsers run into
         raise ArenaFileError(f"{path}: does not read as a mesh: {error}") from error
     found = [one for one in found if len(one[2])]
     if not found:
         raise ArenaFileError(f"{path}: does not read as a mesh: it has no faces")
+    if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
+        raise ArenaFileError(f"{path}: does not read as a mesh: vertices are three finite numbers each")
     for name, vertices, faces in found:
         used, places = np.unique(faces, return_inverse=True)
         yield (name if len(found) > 1 else ""), vertices[used], places.reshape(faces.shape)

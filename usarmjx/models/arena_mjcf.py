@@ -48,7 +48,10 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
     for kind, count in (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex)):
         if count:
             raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
-    return _Scene(path, spec, model, surface).content()
+    try:
+        return _Scene(path, spec, model, surface).content()
+    except UnicodeDecodeError as error:
+        raise ArenaFileError(f"{path}: has a name that is no UTF-8: {error}") from error
 
 
 def _one_line(error: Exception) -> str:

@@ -17,6 +17,7 @@ from flax import struct
 from usarmjx.errors import SpecError
 from usarmjx.models.arena_spec import ArenaSpec, Loose, StartPose
 from usarmjx.models.spec import Shape
+from usarmjx.models.tags import TagTable, tag_table
 from usarmjx.models.victims import VictimTable, padded, victim_table
 from usarmjx.transforms import Array, quat_from_angles
 
@@ -36,6 +37,7 @@ class Site(struct.PyTreeNode, kw_only=True):
         quat: Orientations (boxes, 4).
         size: Half lengths [m] (boxes, 3).
         victims: The victims.
+        tags: The RFID tags.
         starts: Start poses: x, y, z [m] and yaw [rad] (starts, 4).
         loose: Where loose objects start, in the world: position [m] and quaternion (objects, 7).
         present: Which of them there are (objects,).
@@ -45,6 +47,7 @@ class Site(struct.PyTreeNode, kw_only=True):
     quat: Array
     size: Array
     victims: VictimTable
+    tags: TagTable
     starts: Array
     loose: Array
     present: Array
@@ -88,6 +91,8 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
     tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
     most = max(table.boxes for table in tables), max(table.victims for table in tables)
     tables = [padded(table, *most) for table in tables]
+    room = max(len(arena.tags) for arena in arenas)
+    tags = [tag_table(arena.tags, room) for arena in arenas]
     parked = np.array([*PARKED, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
     placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
     placed = placed.reshape(len(arenas), len(boxes), 10).astype(np.float32)
@@ -101,6 +106,7 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
             quat=placed[..., 3:7],
             size=placed[..., 7:],
             victims=jax.tree.map(lambda *rows: np.stack(rows), *tables),
+            tags=jax.tree.map(lambda *rows: np.stack(rows), *tags),
             starts=_starts(arenas),
             loose=np.array(lie, np.float32).reshape(len(arenas), len(objects), 7),
             present=np.array([[one is not None for one in row] for row in lying], bool).reshape(

@@ -16,8 +16,8 @@ from usarmjx.transforms import quat_from_angles
 
 ELEVATION_OFF = 0.02
 """How far a start pose may be from its height above the ground [m]; the wire rounds to 1 cm."""
-DEEP = 0.02
-"""How deep a robot may start in a solid, as on a slope [m]."""
+DEEP, DEEP_IN_GROUND = 0.02, 0.08
+"""How deep a robot may start in a solid, and in what it drives on: robots are put level on slopes [m]."""
 LAPPED = 0.005
 """How deep a loose object may lie in another solid [m]."""
 SHALLOW = 0.1
@@ -45,7 +45,7 @@ def solid_name(arena: ArenaSpec, geom: str) -> str:
         return f"door {geom.removeprefix(DOOR)!r}"
     if geom.startswith(BONE):
         names = box_names(arena.victims, arena.false_alarms)
-        return f"{names[int(geom.removeprefix(BONE))]} of a victim"
+        return f"victim {names[int(geom.removeprefix(BONE))].rpartition('/')[0]!r}"
     return f"the {geom}"
 
 
@@ -140,10 +140,17 @@ class Site:
         found: dict[str, float] = {}
         for pair, depth in self._contacts().items():
             others = [name for name in pair if not name.startswith("robot/")]
-            if len(others) == 1 and depth > DEEP:
+            if len(others) == 1 and depth > self._bearable(others[0]):
                 solid = solid_name(self._arena, others[0])
                 found[solid] = max(depth, found.get(solid, 0.0))
         return found
+
+    def _bearable(self, geom: str) -> float:
+        """Return how deep in a solid a robot may start."""
+        if geom.startswith(ARENA):
+            shape = self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])]
+            return DEEP_IN_GROUND if shape.surface == "ground" else DEEP
+        return DEEP
 
     def _contacts(self) -> dict[tuple[str, str], float]:
         """Return the pairs of geoms that touch, and how deep."""

@@ -88,12 +88,14 @@ def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     arena = spec.body("arena")
     if arena is None:
         return spec.compile()
-    boxes = np.array([geom.size for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX])
+    touching = [geom for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.contype]
+    boxes = np.array([geom.size for geom in touching])
     while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MOST_PIECES:
         longest *= 1.25
     for geom in list(arena.geoms):
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
-        if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not geom.name.startswith(ARENA):
+        fixed = geom.name.startswith(ARENA) and geom.contype
+        if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not fixed:
             continue
         mat = np.zeros(9)
         mujoco.mju_quat2Mat(mat, geom.quat)

@@ -16,6 +16,7 @@ ITEM_CLASSES = {
     "VictSensor": "VictSensor",
     "SoundSensor": "Sound",
     "HumanMotionSensor": "HumanMotion",
+    "CO2Sensor": "CO2Sensor",
     "GroundTruth": "GroundTruth",
     "GroundTruthSensor": "GroundTruth",
     "RobotCamera": "Camera",

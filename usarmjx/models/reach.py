@@ -12,7 +12,6 @@ this is a plan, not a drive.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -162,13 +161,17 @@ def reach_map(
     return ReachMap(grid=grid, ground=ground, area=area, home=home, links=links)
 
 
-def placed(thing: Loose | Victim) -> Iterator[Shape]:
-    """Yield the solids of a loose object or a victim where it is at the start, in the arena's axes."""
+def placed(thing: Loose | Victim) -> list[Shape]:
+    """Return the solids of a loose object or a victim where it is at the start, in the arena's axes."""
+    shapes = thing.shapes if isinstance(thing, Loose) else _body(thing)
     mat = mat_from_angles(*np.array(thing.rotation))
-    for shape in thing.shapes if isinstance(thing, Loose) else _body(thing):
-        at = tuple(float(v) for v in mat @ shape.at + thing.at)
-        turned = angles_from_mat(mat @ mat_from_angles(*np.array(shape.rotation)))
-        yield Shape(**{**vars(shape), "at": at, "rotation": tuple(float(v) for v in turned)})
+    at = np.array([shape.at for shape in shapes]) @ mat.T + thing.at
+    angles = np.array([shape.rotation for shape in shapes])
+    turned = angles_from_mat(mat @ mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2]))
+    return [
+        Shape(kind=s.kind, size=s.size, at=tuple(a), rotation=tuple(t), surface=s.surface, mesh=s.mesh)
+        for s, a, t in zip(shapes, at.tolist(), turned.tolist(), strict=True)
+    ]
 
 
 def _body(victim: Victim) -> tuple[Shape, ...]:
@@ -192,7 +195,9 @@ def _boxes(victim: Victim) -> tuple[Shape, ...]:
 
 def victims_reached(arena: ArenaSpec, there: ReachMap, distance: float = 1.0) -> list[bool]:
     """Return for each victim whether the robot gets that close to the middle of a part of its body [m]."""
-    return [any(there.near(*part.at, distance=distance) for part in placed(v)) for v in arena.victims]
+    return [
+        any(there.near(*part.at, distance=distance) for part in placed(victim)) for victim in arena.victims
+    ]
 
 
 def _grid(arena: ArenaSpec, cell: float) -> Grid:

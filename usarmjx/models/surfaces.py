@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,21 +16,24 @@ SIDES = ((1, 0), (0, 1))
 CORNERS = ((1, 1), (1, -1))
 
 
+Squares = tuple[slice, slice]
+
+
 @dataclass(frozen=True, eq=False)
 class Link:
     """Which surfaces are joined to which in the next square, for all squares and one direction.
 
     Attributes:
         corner: Whether the squares touch at a corner only.
-        here: The squares on this side, as an index of surfaces.
+        here: The squares on this side, as an index.
         there: Those on the other side.
-        joined: Which surface here is joined to which there (layers, layers, i, j).
+        joined: For a layer here and one there, which surfaces of them are joined (i, j).
     """
 
     corner: bool
-    here: tuple[slice, slice, slice]
-    there: tuple[slice, slice, slice]
-    joined: np.ndarray
+    here: Squares
+    there: Squares
+    joined: dict[tuple[int, int], np.ndarray]
 
 
 def surfaces(
@@ -47,7 +51,7 @@ def surfaces(
 
     def close(which: np.ndarray) -> None:
         which = which[np.isfinite(firm[which]) & (top[which] <= firm[which] + step)]
-        for layer in np.unique(count[which]):
+        for layer in range(int(count[which].max(initial=-1)) + 1):
             if layer == len(grounds):
                 grounds.append(np.full(squares, np.nan))
                 steeps.append(np.zeros(squares))
@@ -95,11 +99,14 @@ def links_of(ground: np.ndarray, steep: np.ndarray, step: float, cell: float) ->
     """Yield which surfaces of neighbouring squares are joined, for half of the directions."""
     for di, dj in (*SIDES, *CORNERS):
         (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
-        here, there = (slice(None), here_i, here_j), (slice(None), there_i, there_j)
-        slant = np.maximum(steep[here][:, None], steep[there][None])
-        rise = step + TINY + math.hypot(di, dj) * cell * slant
-        joined = np.abs(ground[here][:, None] - ground[there][None]) <= rise  # False beside NaN
-        yield Link(corner=bool(di and dj), here=here, there=there, joined=joined)
+        here, there = (here_i, here_j), (there_i, there_j)
+        length = math.hypot(di, dj) * cell
+        joined = {}
+        for a, b in product(range(len(ground)), repeat=2):
+            rise = step + TINY + length * np.maximum(steep[a][here], steep[b][there])
+            joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
+        some = {pair: which for pair, which in joined.items() if pair == (0, 0) or which.any()}
+        yield Link(corner=bool(di and dj), here=here, there=there, joined=some)
 
 
 def octagon(steps: int) -> Iterator[bool]:
@@ -114,8 +121,9 @@ def grow(which: np.ndarray, links: tuple[Link, ...], corners: bool) -> np.ndarra
     grown = which.copy()
     for link in links:
         if corners or not link.corner:
-            grown[link.there] |= (link.joined & which[link.here][:, None]).any(0)
-            grown[link.here] |= (link.joined & which[link.there][None]).any(1)
+            for (a, b), joined in link.joined.items():
+                grown[b][link.there] |= which[a][link.here] & joined
+                grown[a][link.here] |= which[b][link.there] & joined
     return grown
 
 
@@ -128,24 +136,30 @@ def shrink(which: np.ndarray, links: tuple[Link, ...], steps: int) -> np.ndarray
         kept = which.copy()
         for link in links:
             if corners or not link.corner:
-                kept[link.here] &= (link.joined & which[link.there][None]).any(1)
-                kept[link.there] &= (link.joined & which[link.here][:, None]).any(0)
+                here, there = which[:, *link.here], which[:, *link.there]
+                ahead, behind = np.zeros_like(here), np.zeros_like(there)
+                for (a, b), joined in link.joined.items():
+                    ahead[a] |= there[b] & joined
+                    behind[b] |= here[a] & joined
+                kept[:, *link.here] &= ahead
+                kept[:, *link.there] &= behind
         which = kept
     return which
 
 
 def areas_of(which: np.ndarray, links: tuple[Link, ...]) -> np.ndarray:
     """Number the areas that hang together by the squares' sides; -1 elsewhere (layers, i, j)."""
-    number = np.full(which.shape, -1)
-    number[which] = np.arange(np.count_nonzero(which))
-    ends: list[tuple[np.ndarray, np.ndarray]] = []
+    count = np.count_nonzero(which)
+    number = np.full(which.shape, -1, np.int32)
+    number[which] = np.arange(count, dtype=np.int32)
+    starts, ends = [], []
     for link in links:
         if not link.corner:
-            a, b, i, j = np.nonzero(link.joined & which[link.here][:, None] & which[link.there][None])
-            ends.append((number[link.here][a, i, j], number[link.there][b, i, j]))
-    start, end = (np.concatenate(side) for side in zip(*ends, strict=True))
-    count = np.count_nonzero(which)
-    graph = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
-    area = np.full(which.shape, -1)
-    area[which] = connected_components(graph, directed=False)[1]
-    return area
+            for (a, b), joined in link.joined.items():
+                both = joined & which[a][link.here] & which[b][link.there]
+                starts.append(number[a][link.here][both])
+                ends.append(number[b][link.there][both])
+    pairs = np.concatenate(starts), np.concatenate(ends)
+    graph = coo_array((np.ones(len(pairs[0]), np.int8), pairs), shape=(count, count))
+    number[which] = connected_components(graph, directed=False)[1]
+    return number

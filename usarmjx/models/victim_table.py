@@ -38,7 +38,7 @@ class VictimTable(struct.PyTreeNode, kw_only=True):
         final: Last pitch, yaw and roll [rad] (boxes, 3).
         rate: How fast they change [rad/s] (boxes, 3).
         offset: Centre of the box, seen from its joint [m] (boxes, 3).
-        swing: Farthest that its centre gets from where it began [m] (boxes,).
+        swing: Farthest that a corner of it gets from where it began [m]; 0: it never moves (boxes,).
         at: Where each victim's pelvis is [m] (victims, 3).
         mouth: The box that it cries and breathes from: head, or else pelvis; -1: `at` (victims,).
         loudness: Loudness of its cries at 1 m (victims,).

@@ -33,12 +33,12 @@ __all__ = [
     "rest_height",
     "segment_angles",
     "segment_poses",
-    "segment_velocities",
+    "segment_speeds",
     "victim_table",
 ]
 
-VELOCITY_STEP = 0.01
-"""Half of the time that a velocity is measured over [s]."""
+SPEED_STEP = 0.01
+"""Half of the time that a speed is measured over [s]."""
 SWING_STEPS = 9
 """In how many places a motion is looked at to find how far it goes."""
 
@@ -53,8 +53,8 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
     table = build_table(victims, false_alarms)
     share = np.linspace(0.0, 1.0, SWING_STEPS)[:, None, None]
     moving = np.where(table.rate > 0, table.final - table.initial, 0.0)
-    pos, _ = _poses(table, table.initial + share * moving, np)
-    swing = np.linalg.norm(pos - pos[:1], axis=-1).max(0)
+    corners = _corners(table, table.initial + share * moving, np)
+    swing = np.linalg.norm(corners - corners[:1], axis=-1).max((0, 2), initial=0.0)
     return table.replace(swing=swing.astype(np.float32))
 
 
@@ -95,16 +95,16 @@ def segment_poses(table: VictimTable, time: Array, xp: ModuleType = np) -> tuple
     return _poses(table, angles, xp)
 
 
-def segment_velocities(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
-    """Return the velocities of the boxes' centres at a time (...,) [m/s] (..., boxes, 3).
+def segment_speeds(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
+    """Return how fast the boxes move at a time (...,), each by its fastest corner [m/s] (..., boxes).
 
-    Central differences over `VELOCITY_STEP` either way along the present direction of motion, which do not
+    Central differences over `SPEED_STEP` either way along the present direction of motion, which do not
     suffer from the turning points, nor from the resolution of the time.
     """
     angles, rates = segment_angles(table, time, xp)
-    ahead, _ = _poses(table, angles + VELOCITY_STEP * rates, xp)
-    behind, _ = _poses(table, angles - VELOCITY_STEP * rates, xp)
-    return (ahead - behind) / (2 * VELOCITY_STEP)
+    ahead = _corners(table, angles + SPEED_STEP * rates, xp)
+    behind = _corners(table, angles - SPEED_STEP * rates, xp)
+    return xp.sqrt(((ahead - behind) ** 2).sum(-1).max(-1)) / (2 * SPEED_STEP)
 
 
 def loudness(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
@@ -163,6 +163,16 @@ def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Ar
         quat = xp.where(hangs, _times(turn, quat, xp), quat)
         parent = xp.where(parent >= 0, parent[above], -1)
     return pos + _rotate(quat, table.offset, xp), quat
+
+
+def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
+    """Where the boxes' corners are for joint angles (..., boxes, 3) [m] (..., boxes, 8, 3)."""
+    pos, quat = _poses(table, angles, xp)
+    signs = xp.asarray([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    offsets = signs.astype(table.size.dtype) * table.size[:, None]
+    shape = (*quat.shape[:-1], len(signs), 4)
+    turned = _rotate(xp.broadcast_to(quat[..., None, :], shape), offsets, xp)
+    return pos[..., None, :] + turned
 
 
 def _quat(angles: Array, xp: ModuleType) -> Array:

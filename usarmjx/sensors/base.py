@@ -83,6 +83,7 @@ class Sensor(ABC):
         grouped: Whether all of the type share one message (bUseGroup).
         needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
         passes: Materials that its rays go through.
+        looks_around: Whether it asks for the surroundings.
         plan: The robot class.
         mounts: Where the sensors sit.
         settings: Their settings, one each.
@@ -92,6 +93,7 @@ class Sensor(ABC):
     grouped: ClassVar[bool] = False
     needs_incidence: ClassVar[bool] = False
     passes: ClassVar[frozenset[str]] = frozenset({SKY})
+    looks_around: ClassVar[bool] = False
     defaults: ClassVar[type] = Common
 
     plan: BodyPlan

@@ -35,6 +35,7 @@ class Co2(Sensor):
     """
 
     kind = "CO2Sensor"
+    looks_around = True
     defaults = Co2Settings
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401

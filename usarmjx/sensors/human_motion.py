@@ -82,6 +82,7 @@ class HumanMotion(Sensor):
     """
 
     kind = "HumanMotion"
+    looks_around = True
     passes = frozenset({SKY, GLASS})
     defaults = MotionSettings
 

@@ -128,6 +128,7 @@ class Rfid(Sensor):
     """
 
     kind = "RFID"
+    looks_around = True
     passes = frozenset({SKY, GLASS})
     defaults = RfidSettings
 

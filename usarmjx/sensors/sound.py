@@ -35,6 +35,7 @@ class Sound(Sensor):
     """
 
     kind = "Sound"
+    looks_around = True
     defaults = SoundSettings
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401

@@ -56,6 +56,11 @@ class Suite:
     plan: BodyPlan
     sensors: tuple[Sensor, ...]
 
+    @property
+    def looks_around(self) -> bool:
+        """Whether any sensor asks for the surroundings."""
+        return any(sensor.looks_around for sensor in self.sensors)
+
     @cached_property
     def ray_counts(self) -> tuple[int, ...]:
         """How many rays each sensor casts."""

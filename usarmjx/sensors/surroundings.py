@@ -14,7 +14,7 @@ from usarmjx.models.victims import (
     mouths,
     orientations,
     segment_poses,
-    segment_velocities,
+    segment_speeds,
     victim_table,
 )
 from usarmjx.transforms import Array
@@ -29,8 +29,8 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
         box_size: Their half lengths [m] (boxes, 3).
         part: What they are, as places in `victims.PART_NAMES` (boxes,).
         owner: Whose they are: a victim's place, or less than 0: see `VictimTable.owner` (boxes,).
-        speed: How fast their centres move [m/s] (boxes,).
-        swing: Farthest that each gets from where it began [m] (boxes,).
+        speed: How fast their fastest corners move [m/s] (boxes,).
+        swing: Farthest that a corner of each gets from where it began [m] (boxes,).
         mouth: Where each victim cries and breathes [m] (victims, 3).
         loudness: How loud each cries now, measured at 1 m (victims,).
         duration: How long its cries last [s] (victims,).
@@ -73,7 +73,6 @@ def survey(
     """
     up = xp.stack([0.0 * floor, 0.0 * floor, floor * xp.ones((), xp.float32)])
     pos, quat = segment_poses(people, time, xp)
-    speed = xp.sqrt((segment_velocities(people, time, xp) ** 2).sum(-1))
     room = len(dropped.pos)
     return Surroundings(
         box_pos=pos + up,
@@ -81,14 +80,14 @@ def survey(
         box_size=people.size,
         part=people.part,
         owner=people.owner,
-        speed=speed,
+        speed=segment_speeds(people, time, xp),
         swing=people.swing,
         mouth=mouths(people, pos, xp) + up,
         loudness=loudness(people, time, xp),
         duration=people.duration,
         breathes=people.breathes,
         tag_pos=xp.concatenate([lying.pos + up, dropped.pos]),
-        tag_id=xp.concatenate([lying.id, xp.arange(room)]),
+        tag_id=xp.concatenate([lying.id, xp.arange(room, dtype=xp.int32)]),
         tag_single=xp.concatenate([lying.single, xp.zeros(room, bool)]),
         tag_there=xp.concatenate([lying.id >= 0, xp.arange(room) < dropped.count]),
     )

@@ -95,6 +95,7 @@ class VictSensor(Sensor):
     """
 
     kind = "VictSensor"
+    looks_around = True
     defaults = VictimSettings
 
     def check(self) -> None:

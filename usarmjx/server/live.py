@@ -7,7 +7,6 @@ compiled in `prepare`, beside the loop.
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.control import Circumstances, Command, Driven, drive, idle
+from usarmjx.control import Command, idle
 from usarmjx.engines.c import buffer_warnings, move_geoms
 from usarmjx.errors import UsageError
 from usarmjx.models.arena_spec import ArenaSpec
@@ -27,9 +26,10 @@ from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.materials import materials_of
 from usarmjx.models.pieces import pieces_of
-from usarmjx.models.plan import Bodies, body_plan, body_poses, lowest_point, robot_state
+from usarmjx.models.plan import body_plan, lowest_point, robot_state
 from usarmjx.models.spec import OPAQUE, SKY, RobotSpec
 from usarmjx.models.state import RobotState
+from usarmjx.models.tags import tag_table
 from usarmjx.models.victims import segment_poses, victim_table
 from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of
@@ -40,22 +40,20 @@ from usarmjx.sensors.raycast import (
     NO_HITS,
     Block,
     Geoms,
-    Hits,
     Sort,
     cast_incidence,
     sort_places,
 )
-from usarmjx.sensors.suite import Memory, suite_of
+from usarmjx.sensors.suite import suite_of
+from usarmjx.sensors.surroundings import Surroundings, survey
+from usarmjx.server.compiled import RAYS, Compiled, passed_in
 from usarmjx.server.host import HostWorld, Robot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
-from usarmjx.world import depth_in_water, drowns
 
 log = logging.getLogger(__name__)
 
 SPARE = 8
 """Geoms of each type for which there is always room."""
-RAYS = 512
-"""Robots cast their rays in lots of this size, so that few sizes are ever compiled."""
 
 
 class LiveWorld(HostWorld):
@@ -81,6 +79,7 @@ class LiveWorld(HostWorld):
         # We count and reset worlds that go bad; C MuJoCo would do it without a word.
         self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._victims = victim_table(arena.victims, arena.false_alarms)
+        self._tags = tag_table(arena.tags)
         self._swinging = np.flatnonzero(self._victims.swing > 0)
         if len(self._swinging):  # see `move_geoms`
             self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
@@ -103,7 +102,7 @@ class LiveWorld(HostWorld):
         self._sort_pieces()
         self._room = _room_for(self._places)
         self._cast = jax.jit(cast_incidence, static_argnames="passes")
-        self._compile_cast(self._room, _passed(Sensor.passes, arena))
+        self._compile_cast(self._room, passed_in(Sensor.passes, arena))
 
     @property
     def time(self) -> float:
@@ -113,7 +112,8 @@ class LiveWorld(HostWorld):
     def prepare(self, robot: RobotSpec) -> None:
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
-            self._compiled[robot.name] = Compiled(robot, self.arena, self.period)
+            around = self._around() if suite_of(robot).looks_around else None
+            self._compiled[robot.name] = Compiled(robot, self.arena, self.period, around)
         for passes, _ in self._compiled[robot.name].gazes:
             self._compile_cast(self._roomier(robot), passes)
 
@@ -235,7 +235,8 @@ class LiveWorld(HostWorld):
                 seen = self._cast(geoms, origin, direction, np.int32(robot.slot), passes=passes)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
-            sight = Sight(time=time, state=state, bodies=bodies, hits=hits)
+            around = self._around() if robot.suite.looks_around else None
+            sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=around)
             key = self._noise(robot, self._steps)
             memory, readings = compiled.read(sight, self._memory[robot.slot], key)
             self._memory[robot.slot] = memory
@@ -254,7 +255,14 @@ class LiveWorld(HostWorld):
         state = self._state(robot.slot)
         bodies, _, _ = self._compiled[robot.spec.name].stretch(state)
         time = np.float32(self.time - robot.born)
-        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS)
+        around = self._around() if robot.suite.looks_around else None
+        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
+
+    def _around(self) -> Surroundings:
+        """Return the victims and tags as they are now."""
+        time, floor = np.float32(self.time), np.float32(self.arena.floor)
+        around = survey(self._victims, self._tags, self.tags, time, floor, np)
+        return jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == np.float64 else x, around)
 
     def _geoms(self) -> Geoms:
         """Return what rays can hit now, padded to the room of a full house."""
@@ -313,67 +321,6 @@ class LiveWorld(HostWorld):
         hit = np.zeros(1, np.int32)
         depth = mujoco.mj_ray(self._ground, self._ground_data, point, (0.0, 0.0, -1.0), None, 1, -1, hit)
         return point - (0.0, 0.0, depth if hit[0] >= 0 else np.inf)
-
-
-class Compiled:
-    """The functions of one robot class, compiled here and not at their first call.
-
-    The rays, which take longest to compile, are cast by a function that all classes share.
-    """
-
-    def __init__(self, robot: RobotSpec, arena: ArenaSpec, period: float) -> None:
-        plan, suite = body_plan(robot), suite_of(robot)
-        zeros, joint = np.zeros(3, np.float32), np.zeros(len(plan.parts) - 1, np.float32)
-        quat = np.array([1, 0, 0, 0], np.float32)
-        state = RobotState(
-            pos=zeros, quat=quat, linear=zeros, angular=zeros, joint_pos=joint, joint_vel=joint
-        )
-        room = RAYS * -(-sum(suite.ray_counts) // RAYS)
-        passed = [_passed(sensor.passes, arena) for sensor in suite.sensors]
-        of_ray = np.pad(
-            np.repeat(np.arange(len(passed)), suite.ray_counts), (0, room - sum(suite.ray_counts))
-        )
-        # What rays pass of what there is, and which of them do; a single one in most arenas.
-        self.gazes = [
-            (some, np.array([p == some for p in passed])[of_ray]) for some in sorted(set(passed), key=sorted)
-        ]
-
-        def stretch(state: RobotState) -> tuple[Bodies, jax.Array, jax.Array]:
-            bodies = body_poses(plan, state)
-            origin, direction = suite.rays(bodies)
-            fill = ((0, room - len(origin)), (0, 0))
-            return bodies, jnp.pad(origin, fill), jnp.pad(direction, fill, constant_values=1.0)
-
-        def read(sight: Sight, memory: Memory, key: jax.Array) -> Any:  # noqa: ANN401
-            return suite.read(sight, memory, key)
-
-        self.stretch = _compile(stretch, state)
-        bodies, origin, _ = self.stretch(state)
-        hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
-        sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS)
-        key = jax.random.key(0)
-        self.start = _compile(suite.start, sight, key)
-        self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
-
-        def run(told: Command, state: RobotState, act: Any, time: Any, powered: Any) -> tuple[Driven, Any]:  # noqa: ANN401
-            depth = depth_in_water(arena, state.pos)
-            drowned = drowns(robot, depth)
-            now = Circumstances(time=time, powered=powered & ~drowned, depth=depth)
-            return drive(plan, told, state, act, now, period), drowned
-
-        command, act = jax.tree.map(np.array, idle(robot)), np.zeros(len(plan.actuated), np.float32)
-        compiled = _compile(run, command, state, act, np.float32(0), np.bool_(True))
-        self.drive = lambda *told: jax.device_get(compiled(*told))
-
-
-def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:  # noqa: ANN401
-    return jax.jit(function).lower(*example).compile()
-
-
-def _passed(passes: frozenset[str], arena: ArenaSpec) -> frozenset[str]:
-    """Return which of some materials there are in an arena."""
-    solids = [*arena.shapes, *(shape for loose in arena.loose for shape in loose.shapes)]
-    return passes & {shape.material for shape in solids}
 
 
 def _room_for(*places: dict[Sort, np.ndarray]) -> dict[Sort, int]:

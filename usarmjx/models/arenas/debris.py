@@ -79,7 +79,7 @@ def rubble(at: Place, radius: float, height: float, count: int, *, seed: int) ->
         seed: Of their sizes and tilts.
     """
     draw = random.Random(seed)
-    chunks = []
+    chunks: list[Shape] = []
     for i in range(count):
         out = math.sqrt(i / count)
         x, y = (radius * out * turn(i * GOLDEN) for turn in (math.cos, math.sin))

@@ -121,7 +121,7 @@ def ramps(
         SpecError: The plan has other letters.
     """
     rows = plan.strip("\n").splitlines()
-    slabs = []
+    slabs: list[Shape] = []
     for row, line in enumerate(reversed(rows)):
         for column, letter in enumerate(line):
             if letter in " .":
@@ -155,7 +155,7 @@ def stairs(
         width: Of the flight [m].
     """
     going = rise / math.tan(angle)
-    steps = []
+    steps: list[Shape] = []
     for i in range(1, count):
         back = (count - i - 0.5) * going
         at = (head[0] - back * math.cos(uphill), head[1] - back * math.sin(uphill))

@@ -22,6 +22,7 @@ def _wall(x: float, y: float, along_y: bool) -> Shape:
 FIELD = ArenaSpec(
     name="DM-Field",
     aliases=("field",),
+    about="A flat ground of 400 x 400 m with walls in the middle of each side, for cars and flyers.",
     shapes=(
         _wall(HALF, 0.0, along_y=True),
         _wall(-HALF, 0.0, along_y=True),
@@ -37,4 +38,5 @@ FIELD = ArenaSpec(
         for column in range(5)
     ),
     extent=((-HALF, HALF), (-HALF, HALF)),
+    robots=("Hummer", "SnowStorm", "Sedan", "Cooper", "AirRobot", "Passarola"),
 )

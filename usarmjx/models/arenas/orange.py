@@ -14,7 +14,6 @@ from usarmjx.models.arena_spec import (
     FalseAlarm,
     HelpSound,
     Light,
-    Segment,
     StartPose,
     Tag,
     Victim,
@@ -40,10 +39,11 @@ from usarmjx.models.arenas.elements import (
     stairs,
 )
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import PANE, START_ELEVATION, brick, span
+from usarmjx.models.arenas.pieces import PANE, START_ELEVATION, brick, span, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe
 from usarmjx.models.arenas.step_fields import POST, step_field
 from usarmjx.models.spec import GLASS
+from usarmjx.models.victims import rest_height
 
 FLOOR = -1.44
 ORIGIN = (-4.2, -4.3)
@@ -165,34 +165,34 @@ LOOSE = (
     loose_board("board2", cell(9.0, 2.0), (0.8, 0.3, 0.018), yaw=1.0),
 )
 
-WAVE = Segment(name="RightArm", initial=(-2.6, 0.0, 0.5), final=(-2.6, 0.0, -0.5), rates=(0.0, 0.0, 2.0))
+LYING, SITTING, CROUCHED = (rest_height(posture) for posture in ("lying", "sitting", "crouched"))
+
 VICTIMS = (
     Victim(
         name="Waving",
-        at=(*cell(8.3, 6.2), UPPER + 0.1225),
+        at=(*cell(8.3, 6.2), UPPER + SITTING),
         rotation=(0.0, 0.0, -2.4),
         posture="sitting",
-        segments=(WAVE,),
+        segments=waving(),
         help_sound=HelpSound(loudness=1.0),
         state="moving: waves from the upper floor",
     ),
     Victim(
         name="BehindBoard",
-        at=(ORIGIN[0] + 0.35, ORIGIN[1] + 0.45, 0.1225),
+        at=(ORIGIN[0] + 0.35, ORIGIN[1] + 0.45, SITTING),
         posture="sitting",
         help_sound=HelpSound(loudness=0.5, duration=1.0, pause=6.0),
         state="hidden behind a board",
     ),
     Victim(
         name="UnderRamp",
-        at=(*cell(5.0, 7.0), 0.11),
-        rotation=(0.0, 0.0, math.pi / 2),
+        at=(*cell(5.0, 7.0), LYING),
         state="in a void: lies still under the ramp",
     ),
     Victim(
         name="UnderFloor",
-        at=(*cell(8.0, 4.2), 0.15),
-        rotation=(0.0, 0.0, -math.pi / 2),
+        at=(*cell(8.0, 4.2), CROUCHED),
+        rotation=(0.0, 0.0, math.pi),
         posture="crouched",
         state="still: behind glass, under the upper floor",
     ),
@@ -219,20 +219,20 @@ ORANGE = ArenaSpec(
     ),
     victims=VICTIMS,
     false_alarms=(
-        FalseAlarm(part="LeftHand", at=(*cell(3.7, 2.6), 0.02)),
-        FalseAlarm(part="Head", at=(*cell(9.2, 7.2), 0.1)),
+        FalseAlarm(part="LeftHand", at=(*cell(3.7, 2.75), 0.02), rotation=(math.pi / 2, 0.0, 0.4)),
+        FalseAlarm(part="Head", at=(*cell(9.2, 7.2), 0.16)),
     ),
     tags=tuple(
         Tag(at=(*cell(column, row), height + 0.02), memory=memory)
         for column, row, height, memory in (
-            (4.4, 4.4, 0.0, "stairs"),
+            (4.1, 4.3, 0.0, "stairs"),
             (1.0, 6.7, 0.0, "ramp"),
             (6.3, 7.0, UPPER, "upper floor"),
             (8.6, 5.7, UPPER, ""),
             (8.4, 5.4, 0.0, ""),
             (0.6, 0.4, 0.0, ""),
             (5.0, 6.6, 0.0, "void"),
-            (8.6, 2.6, 0.0, ""),
+            (8.3, 2.75, 0.0, ""),
         )
     ),
     lights=(

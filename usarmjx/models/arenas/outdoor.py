@@ -6,7 +6,8 @@ of 1 m cells over 40 x 40 m in a bowl whose rim is too steep to drive out of. It
 the arena's floor and 2.08 m below the wire's origin, as the floor of the yellow arena does.
 
 Heights are polynomials, rounded to millimetres: the same on every machine. Engine `jax` has no contacts of
-cylinders with height fields; this arena is for `c`, where robots drive on it, and for flying.
+cylinders with height fields; this arena is for `c`. Loose boxes that lie on a height field rock and creep by
+centimetres, as MuJoCo finds one contact for each of its cells; here they lie on the building's foundation.
 """
 
 import math
@@ -17,19 +18,20 @@ from usarmjx.models.arena_spec import (
     ArenaSpec,
     FalseAlarm,
     HelpSound,
-    Segment,
     StartPose,
     Tag,
     Victim,
 )
 from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
-from usarmjx.models.arenas.pieces import CONCRETE, START_ELEVATION, brick, loose_box, span
+from usarmjx.models.arenas.pieces import CONCRETE, START_ELEVATION, brick, loose_box, span, waving
 from usarmjx.models.spec import SKY, HeightField, Shape
 from usarmjx.models.victims import rest_height
 
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""
 FLOOR = -2.08 - BASE
+SITE = BASE + 0.04
+"""Height of the building's foundation above the arena's floor [m]: a step for wheels."""
 HALF, CELLS = 20.0, 40
 """Half the side of the terrain [m] and its cells along a side."""
 RIM, STEEPNESS = 17.0, 0.25
@@ -113,8 +115,8 @@ def _chunk(x: float, y: float, size: float, turn: float) -> Shape:
 
 
 def _beam(foot: tuple[float, float, float], head: tuple[float, float, float]) -> Shape:
-    """Return a beam of 20 cm between two places, given as heights above the flat ground."""
-    low, high = ((x, y, BASE + z) for x, y, z in (foot, head))
+    """Return a beam of 20 cm between two places, given as heights above the foundation."""
+    low, high = ((x, y, SITE + z) for x, y, z in (foot, head))
     return slope(low, high, 0.2, thickness=0.2, rgba=WOOD)
 
 
@@ -131,49 +133,48 @@ STOREY = 2.4
 
 # x from 4 to 14, y from 3 to 11.
 BUILDING = (
+    span((2.6, 1.2, 0.0), (14.3, 11.3, SITE), surface="ground"),
     # What still stands: a corner, the stumps of two walls, two columns.
-    span((8.0, 10.8, 0.0), (14.0, 11.0, BASE + STOREY)),
-    span((13.8, 6.5, 0.0), (14.0, 10.8, BASE + STOREY)),
-    span((4.0, 3.0, 0.0), (4.2, 6.0, BASE + 1.0)),
-    span((4.2, 3.0, 0.0), (7.0, 3.2, BASE + 0.6)),
-    block((8.0, 7.0), (0.3, 0.3, BASE + STOREY), surface="wall"),
-    block((11.0, 7.0), (0.3, 0.3, BASE + 1.3), surface="wall"),
+    span((8.0, 10.8, 0.0), (14.0, 11.0, SITE + STOREY)),
+    span((13.8, 6.5, 0.0), (14.0, 10.8, SITE + STOREY)),
+    span((4.0, 3.0, 0.0), (4.2, 6.0, SITE + 1.0)),
+    span((4.2, 3.0, 0.0), (7.0, 3.2, SITE + 0.6)),
+    block((8.0, 7.0), (0.3, 0.3, SITE + STOREY), surface="wall"),
+    block((11.0, 7.0), (0.3, 0.3, SITE + 1.3), surface="wall"),
     # A floor that leans on the wall behind it, with room below.
-    slope((11.0, 8.2, BASE), (11.0, 10.7, BASE + 1.8), 4.0, thickness=0.2, rgba=CONCRETE),
+    slope((11.0, 8.2, SITE), (11.0, 10.7, SITE + 1.8), 4.0, thickness=0.2, rgba=CONCRETE),
     # A floor with one edge on the ground, to drive up, and one on a block.
-    slope((4.9, 5.0, BASE), (7.6, 5.0, BASE + 0.9), 2.4, thickness=0.2, rgba=CONCRETE),
-    block((7.5, 5.0), (0.4, 2.0, BASE + 0.6), surface="ground", rgba=CONCRETE),
+    slope((4.9, 5.0, SITE), (7.6, 5.0, SITE + 0.9), 2.4, thickness=0.2, rgba=CONCRETE),
+    block((7.5, 5.0), (0.4, 2.0, SITE + 0.6), surface="ground", rgba=CONCRETE),
     # Two floors that came down flat on each other, half a metre apart.
-    *(block((x, 4.4), (0.3, 2.2, BASE + 0.5), surface="ground", rgba=CONCRETE) for x in (10.9, 13.1)),
-    block((12.0, 4.4), (2.8, 2.4, 0.2), z=BASE + 0.5, surface="ground", rgba=CONCRETE),
-    slope((10.9, 4.4, BASE + 0.7), (13.3, 4.4, BASE + 1.2), 2.2, thickness=0.16, rgba=CONCRETE),
+    *(block((x, 4.4), (0.3, 2.2, SITE + 0.5), surface="ground", rgba=CONCRETE) for x in (10.9, 13.1)),
+    block((12.0, 4.4), (2.8, 2.4, 0.2), z=SITE + 0.5, surface="ground", rgba=CONCRETE),
+    slope((10.9, 4.4, SITE + 0.7), (13.3, 4.4, SITE + 1.2), 2.2, thickness=0.16, rgba=CONCRETE),
     _beam((6.2, 7.3, 0.0), (8.6, 9.9, 1.0)),
     _beam((9.0, 6.2, 0.0), (10.9, 6.9, 1.3)),
     _beam((12.6, 6.4, 0.2), (13.6, 8.9, 1.7)),
     *(_chunk(*chunk) for chunk in RUBBLE),
 )
 
-WAVING = (Segment(name="LeftArm", initial=(-2.7, 0.0, 0.5), final=(-2.7, 0.0, -0.4), rates=(0.0, 0.0, 1.5)),)
-
 VICTIMS = (
     Victim(
         name="Leaning",
-        at=(11.6, 10.3, BASE + rest_height("lying")),
+        at=(11.6, 10.3, SITE + rest_height("lying")),
         help_sound=HelpSound(loudness=0.6),
         state="lies in the void below the leaning floor and calls",
     ),
     Victim(
         name="Pancake",
-        at=(12.2, 4.3, BASE + rest_height("lying")),
+        at=(12.2, 4.3, SITE + rest_height("lying")),
         rotation=(0.0, 0.0, math.pi / 2),
         state="lies between two floors, still",
     ),
     Victim(
         name="Wall",
-        at=(3.8, 4.6, BASE + rest_height("sitting")),
+        at=(3.8, 4.6, SITE + rest_height("sitting")),
         rotation=(0.0, 0.0, math.pi),
         posture="sitting",
-        segments=WAVING,
+        segments=waving("LeftArm", 1.5),
         help_sound=HelpSound(),
         state="sits outside at the wall and waves",
     ),
@@ -187,12 +188,12 @@ VICTIMS = (
 )
 
 LOOSE = (
-    brick("Brick1", (3.2, 7.0), z=BASE, yaw=0.4),
-    brick("Brick2", (3.6, 7.6), z=BASE, yaw=-0.7),
-    brick("Brick3", (9.6, 2.4), z=BASE, yaw=1.2),
-    loose_box("Cinder1", (4.6, 7.0), (0.39, 0.19, 0.19), 13.0, z=BASE, yaw=0.2, rgba=CONCRETE),
-    loose_box("Cinder2", (10.4, 2.2), (0.39, 0.19, 0.19), 13.0, z=BASE, yaw=1.0, rgba=CONCRETE),
-    loose_box("Plank", (6.0, 1.8), (1.8, 0.2, 0.04), 6.0, z=BASE, yaw=0.3, rgba=WOOD),
+    brick("Brick1", (3.4, 7.0), z=SITE, yaw=0.4),
+    brick("Brick2", (3.6, 7.6), z=SITE, yaw=-0.7),
+    brick("Brick3", (9.6, 2.4), z=SITE, yaw=1.2),
+    loose_box("Cinder1", (4.6, 7.0), (0.39, 0.19, 0.19), 13.0, z=SITE, yaw=0.2, rgba=CONCRETE),
+    loose_box("Cinder2", (10.4, 2.2), (0.39, 0.19, 0.19), 13.0, z=SITE, yaw=1.0, rgba=CONCRETE),
+    loose_box("Plank", (6.0, 1.8), (1.8, 0.2, 0.04), 6.0, z=SITE, yaw=0.3, rgba=WOOD),
 )
 
 STARTS = (
@@ -201,9 +202,9 @@ STARTS = (
     ("Camp3", -8.0, -1.6, 0.0),
     ("Field1", 0.0, 0.0, 0.0),
     ("Field2", 0.0, 4.0, math.pi),
-    ("Site1", 1.0, 7.0, 0.0),
-    ("Site2", 15.4, 1.0, math.pi / 2),
-    ("Site3", 9.0, 0.0, math.pi / 2),
+    ("Site1", -0.5, 7.0, 0.0),
+    ("Site2", 15.6, 0.0, math.pi / 2),
+    ("Site3", 9.0, -0.6, math.pi),
 )
 
 OUTDOOR = ArenaSpec(
@@ -228,11 +229,11 @@ OUTDOOR = ArenaSpec(
     loose=LOOSE,
     victims=VICTIMS,
     false_alarms=(
-        FalseAlarm(part="LeftLeg", at=(6.2, 8.9, BASE + 0.08), rotation=(0.0, math.pi / 2, 0.4)),
-        FalseAlarm(part="RightHand", at=(9.9, 4.4, BASE + 0.05), rotation=(0.0, math.pi / 2, 0.0)),
+        FalseAlarm(part="LeftLeg", at=(6.2, 8.9, SITE + 0.08), rotation=(0.0, math.pi / 2, 0.4)),
+        FalseAlarm(part="RightHand", at=(9.9, 4.4, SITE + 0.05), rotation=(0.0, math.pi / 2, 0.0)),
     ),
     tags=tuple(
-        Tag(at=(x, y, BASE + z), memory=memory)
+        Tag(at=(x, y, SITE + z), memory=memory)
         for x, y, z, memory in (
             (4.1, 2.98, 0.5, "South-west corner"),
             (13.98, 11.02, 1.0, "North-east corner"),

@@ -2,7 +2,7 @@
 
 import math
 
-from usarmjx.models.arena_spec import Loose
+from usarmjx.models.arena_spec import Loose, Segment
 from usarmjx.models.arenas.elements import WOOD, Rgba, block
 from usarmjx.models.spec import OPAQUE, Shape
 from usarmjx.transforms import Vec3
@@ -32,6 +32,13 @@ def span(
         material=material,
         rgba=rgba,
     )
+
+
+def waving(arm: str = "RightArm", rate: float = 2.0) -> tuple[Segment, ...]:
+    """Return the motion of a victim that waves with a raised arm; `rate` is how fast it turns [rad/s]."""
+    out = 0.5 if arm == "LeftArm" else -0.5
+    move = Segment(name=arm, initial=(-2.7, 0.0, out), final=(-2.7, 0.0, -0.8 * out), rates=(0.0, 0.0, rate))
+    return (move,)
 
 
 def table(at: tuple[float, float], size: Vec3, rgba: Rgba = WOOD) -> tuple[Shape, ...]:

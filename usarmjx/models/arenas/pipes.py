@@ -69,7 +69,8 @@ def pipe_steps(
         rise: Height of each [m].
         width: Of the steps [m].
     """
-    along, shapes = (math.cos(uphill), math.sin(uphill)), []
+    along = (math.cos(uphill), math.sin(uphill))
+    shapes: list[Shape] = []
     for i in range(count):
         top, near, far = (i + 1) * rise, i * CELL / 2, count * CELL / 2
         middle = (near + far) / 2

@@ -4,8 +4,11 @@ The manual's list of files has maps for submarines, but describes none: the plan
 basin is the arena's floor; the quay lies at the wire's origin height.
 """
 
-from usarmjx.models.arena_spec import ArenaSpec, StartPose, Water
-from usarmjx.models.spec import Shape
+import math
+
+from usarmjx.models.arena_spec import ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
+from usarmjx.models.arenas.pieces import CONCRETE, span, waving
+from usarmjx.models.victims import rest_height
 
 LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
 """Of the water [m]: room for the submarine to turn about, which takes it 36 m."""
@@ -18,42 +21,29 @@ KEEL = 1.5
 WATER_X, WATER_ROWS = -20.0, (0.0, -4.0, 4.0, -8.0)
 QUAY_COLUMNS = (-20.0, -10.0, 0.0, 10.0, 20.0)
 
-CONCRETE = (0.65, 0.65, 0.62, 1.0)
 TILES = (0.45, 0.65, 0.75, 1.0)
 RUST = (0.5, 0.3, 0.2, 1.0)
-
-
-def _block(
-    low: tuple[float, float, float],
-    high: tuple[float, float, float],
-    surface: str = "wall",
-    rgba: tuple[float, float, float, float] = TILES,
-) -> Shape:
-    """Return the box between two corners."""
-    x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
-    half_x, half_y, half_z = ((b - a) / 2 for a, b in zip(low, high, strict=True))
-    return Shape(kind="box", size=(half_x, half_y, half_z), at=(x, y, z), surface=surface, rgba=rgba)
-
 
 X, Y = LENGTH / 2, WIDTH / 2
 SHORE = -Y - QUAY  # where the quay ends
 SHAPES = (
     # The basin: far side, both ends, and the quay's side up to the deck.
-    _block((-X - WALL, Y, 0.0), (X + WALL, Y + WALL, DECK + PARAPET)),
-    _block((-X - WALL, SHORE, 0.0), (-X, Y, DECK + PARAPET)),
-    _block((X, SHORE, 0.0), (X + WALL, Y, DECK + PARAPET)),
-    _block((-X, -Y - WALL, 0.0), (X, -Y, DECK - WALL)),
+    span((-X - WALL, Y, 0.0), (X + WALL, Y + WALL, DECK + PARAPET), TILES),
+    span((-X - WALL, SHORE, 0.0), (-X, Y, DECK + PARAPET), TILES),
+    span((X, SHORE, 0.0), (X + WALL, Y, DECK + PARAPET), TILES),
+    span((-X, -Y - WALL, 0.0), (X, -Y, DECK - WALL), TILES),
     # The quay and the wall behind it.
-    _block((-X, SHORE, DECK - WALL), (X, -Y, DECK), "ground", CONCRETE),
-    _block((-X - WALL, SHORE - WALL, 0.0), (X + WALL, SHORE, DECK + PARAPET), rgba=CONCRETE),
+    span((-X, SHORE, DECK - WALL), (X, -Y, DECK), surface="ground"),
+    span((-X - WALL, SHORE - WALL, 0.0), (X + WALL, SHORE, DECK + PARAPET), CONCRETE),
     # On the floor: a step for sonars to hear, and a wreck to look at.
-    _block((15.0, -Y, 0.0), (X, -10.0, 1.0)),
-    _block((12.0, 12.0, 0.0), (16.0, 13.5, 1.2), rgba=RUST),
+    span((15.0, -Y, 0.0), (X, -10.0, 1.0), TILES),
+    span((12.0, 12.0, 0.0), (16.0, 13.5, 1.2), RUST),
 )
 
 POOL = ArenaSpec(
     name="DM-Pool",
     aliases=("pool",),
+    about="A basin of 60 x 44 m, 5 m deep, with a step and a wreck on its floor, and a quay beside it.",
     floor=-DECK,
     shapes=SHAPES,
     waters=(Water(low=(-X, -Y, 0.0), high=(X, Y, DEPTH)),),
@@ -68,4 +58,20 @@ POOL = ArenaSpec(
         ),
     ),
     extent=((-X, X), (SHORE, Y)),
+    victims=(
+        Victim(
+            name="Swimmer",
+            at=(25.0, -Y - 0.5, DECK + rest_height("sitting")),
+            rotation=(0.0, 0.0, math.pi),
+            posture="sitting",
+            segments=waving(),
+            help_sound=HelpSound(),
+            state="sits on the quay beside the water and waves",
+        ),
+    ),
+    tags=(
+        Tag(at=(-25.0, SHORE + 0.02, DECK + 0.4), memory="Quay, west end"),
+        Tag(at=(27.0, SHORE + 0.02, DECK + 0.4), memory="Quay, east end"),
+    ),
+    robots=("Submarine", "P2AT", "Talon", "AirRobot"),
 )

@@ -14,7 +14,6 @@ from usarmjx.models.arena_spec import (
     FalseAlarm,
     HelpSound,
     Light,
-    Segment,
     StartPose,
     Tag,
     Victim,
@@ -22,9 +21,10 @@ from usarmjx.models.arena_spec import (
 from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
 from usarmjx.models.arenas.elements import CELL, deck, slope
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import START_ELEVATION, brick
+from usarmjx.models.arenas.pieces import START_ELEVATION, brick, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
 from usarmjx.models.arenas.step_fields import step_field
+from usarmjx.models.victims import rest_height
 
 FLOOR = -2.08
 ORIGIN = (-3.44, -4.1)
@@ -125,33 +125,34 @@ LOOSE = (
     loose_board("board2", cell(7.0, 3.4), (0.8, 0.3, 0.018), yaw=1.8),
 )
 
-WAVE = Segment(name="LeftArm", initial=(-2.6, 0.0, 0.4), final=(-2.6, 0.0, -0.4), rates=(0.0, 0.0, 2.0))
+LYING, SITTING = rest_height("lying"), rest_height("sitting")
+
 VICTIMS = (
     Victim(
         name="Pancake",
-        at=(*cell(3.5, 6.05), 0.11),
+        at=(*cell(3.5, 6.05), LYING),
         rotation=(0.0, 0.0, 0.2),
         help_sound=HelpSound(loudness=0.7, duration=1.5, pause=5.0),
         state="in a void: lies still under a floor slab",
     ),
     Victim(
         name="LeanTo",
-        at=(*cell(7.0, 6.6), 0.11),
+        at=(*cell(6.78, 6.6), LYING),
         rotation=(0.0, 0.0, math.pi / 2),
         state="in a void: lies still under a slab that leans on another",
     ),
     Victim(
         name="Waving",
-        at=(*cell(8.1, 3.0), PLATFORM + 0.1225),
-        rotation=(0.0, 0.0, -math.pi / 2),
+        at=(*cell(8.3, 3.3), PLATFORM + SITTING),
+        rotation=(0.0, 0.0, math.pi),
         posture="sitting",
-        segments=(WAVE,),
+        segments=waving("LeftArm"),
         help_sound=HelpSound(loudness=1.0),
         state="moving: waves from the platform",
     ),
     Victim(
         name="BehindRubble",
-        at=(*cell(-0.15, 6.9), 0.1225),
+        at=(*cell(-0.15, 6.9), SITTING),
         rotation=(0.0, 0.0, -math.pi / 2),
         posture="sitting",
         state="still: hidden behind a pile of rubble",
@@ -184,7 +185,7 @@ RED = ArenaSpec(
             (6.5, 3.0, 0.0, "step fields"),
             (3.0, 5.1, 0.0, "void"),
             (6.6, 7.3, 0.0, "void"),
-            (8.0, 3.4, PLATFORM, "platform"),
+            (8.0, 2.8, PLATFORM, "platform"),
             (0.3, 4.2, 0.0, ""),
             (0.4, 7.4, 0.0, ""),
         )

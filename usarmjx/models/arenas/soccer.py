@@ -86,8 +86,10 @@ def _beacons() -> tuple[Shape, ...]:
 
 
 def _markings() -> tuple[Shape, ...]:
+    """Return carpet and lines, which nothing touches."""
     depth, width = BOX
-    lines = [_line((0.0, far * WIDTH / 2), LENGTH + LINE) for far in (-1, 1)]
+    lines = [block((0.0, 0.0), (*CARPET, PAINT / 2), surface="fixture", rgba=GREEN)]
+    lines += [_line((0.0, far * WIDTH / 2), LENGTH + LINE) for far in (-1, 1)]
     lines += [_line((x, 0.0), WIDTH, math.pi / 2) for x in (-LENGTH / 2, 0.0, LENGTH / 2)]
     for side in (-1, 1):
         lines.append(_line((side * (LENGTH / 2 - depth), 0.0), width, math.pi / 2))

@@ -82,7 +82,7 @@ def cover(grid: Grid) -> list[tuple[int, int, int, int, int]]:
     A box may reach under higher ones, where no one sees it: a lone post on flat ground is one box more. The
     last row and column are one past the box, as in `range`.
     """
-    boxes = []
+    boxes: list[tuple[int, int, int, int, int]] = []
     for height in range(1, max(map(max, grid)) + 1):
         bare = {(i, j) for i, row in enumerate(grid) for j, post in enumerate(row) if post == height}
         while bare:
@@ -94,7 +94,8 @@ def cover(grid: Grid) -> list[tuple[int, int, int, int, int]]:
 
 def _boxes_at(grid: Grid, post: tuple[int, int], height: int) -> list[tuple[int, int, int, int]]:
     """Return for every length along the rows the widest box from that post on that none is lower than."""
-    (first, column), boxes = post, []
+    boxes: list[tuple[int, int, int, int]] = []
+    first, column = post
     left, right = 0, len(grid[0])
     for last in range(first, len(grid)):
         row = grid[last]
@@ -127,7 +128,7 @@ def step_field(
     grid = heights(STEP_FIELDS.get(pattern, pattern))
     size, yaw = (len(grid) * POST, len(grid[0]) * POST), turns * math.pi / 2
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
-    shapes = []
+    shapes: list[Shape] = []
     for height, x0, x1, y0, y1 in cover(grid):
         x, y = (x0 + x1) / 2 * POST - size[0] / 2, (y0 + y1) / 2 * POST - size[1] / 2
         half = ((x1 - x0) * POST / 2, (y1 - y0) * POST / 2, height * unit / 2)

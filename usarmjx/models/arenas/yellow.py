@@ -23,7 +23,7 @@ from usarmjx.models.arena_spec import (
 )
 from usarmjx.models.arenas.elements import CELL, WOOD, block, ramp
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span
+from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
 from usarmjx.models.spec import FENDER, GLASS, MIRROR, Shape
 from usarmjx.models.victims import rest_height
 
@@ -105,7 +105,6 @@ EFFECTS = (
     span((7.70, 1.40, 0.0), (7.74, 2.35, 0.7), WOOD),  # a board that hides a victim in cell 8, 5
 )
 
-WAVING = (Segment(name="RightArm", initial=(-2.7, 0.0, -0.5), final=(-2.7, 0.0, 0.4), rates=(0.0, 0.0, 2.0)),)
 TREMBLING = (
     Segment(name="LeftHand", initial=(0.0, 0.0, -0.1), final=(0.0, 0.0, 0.1), rates=(0.0, 0.0, 0.5)),
 )
@@ -116,7 +115,7 @@ VICTIMS = (
         at=(11.75, 2.68, rest_height("sitting")),
         rotation=(0.0, 0.0, math.pi),
         posture="sitting",
-        segments=WAVING,
+        segments=waving(),
         help_sound=HelpSound(),
         state="sits behind a grid fender and waves",
     ),
@@ -145,8 +144,8 @@ YELLOW = ArenaSpec(
     name="DM-USAR_yellow",
     aliases=("yellow",),
     about=(
-        "The simplest of the arenas for search and rescue: a maze on one level with blocks, posts, boards and "
-        "three ramps. 4 loose objects."
+        "The simplest of the arenas for search and rescue: a maze on one level with blocks, posts, boards "
+        "and three ramps. 4 loose objects."
     ),
     floor=FLOOR,
     shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES, *EFFECTS),

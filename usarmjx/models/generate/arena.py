@@ -1,6 +1,5 @@
 """Endless arenas on the NIST arenas' grid: same kind, size, difficulty and seed, same arena, everywhere."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +9,8 @@ from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import Site, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import KINDS, Kind, budget
-from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, Plan, doubled, edge, middle
+from usarmjx.models.generate.kinds import KINDS, budget
+from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, Plan, doubled, edge
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.reach import Size, reach_map, size_of, victims_reached
 from usarmjx.models.robots import ROBOTS
@@ -21,8 +20,8 @@ SMALLEST, LARGEST = 3, 64
 """Cells along a side."""
 DIGITS = 6
 """Decimals of all numbers of an arena; further ones differ between machines."""
-SQUARE = 0.05
-"""Side of the squares in which ways are looked for [m]."""
+SQUARES = (CELL / 18, 0.02)
+"""Side of the squares in which ways are looked for [m]: the first, or for wide robots the second."""
 TRIES = 8
 """How many arenas are made, at most, until victims are reached as they should be."""
 
@@ -48,7 +47,7 @@ def generate(
         difficulty: How difficult; None: `Difficulty()`.
         robot: The robot that passes: a class, or what it needs.
         reachable: Share of the victims that it reaches.
-        victims: How many; None: one for 12 cells. There are fewer if they find no room.
+        victims: How many; None: one for 12 cells, at most 16. There are fewer if they find no room.
 
     Raises:
         UnknownNameError: No such kind or robot.
@@ -59,14 +58,15 @@ def generate(
     needs = size_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
     _check(size, seed, needs, reachable)
     most = budget(kind, size).victims
-    count = max(1, size[0] * size[1] // 12) if victims is None else victims
+    count = min(most, max(1, size[0] * size[1] // 12)) if victims is None else victims
     if not 0 <= count <= most:
         raise SpecError(f"{count} victims, expected 0 to {most} in {size[0]}x{size[1]} cells")
     for attempt in range(TRIES):
         # Of one stream of draws per attempt; 2**64 seeds do not meet those of the next attempt.
-        site = Site(plan=Plan(size), kind=made, difficulty=difficulty, robot=needs, seed=seed + (attempt << 64))
-        goal = min(count, round(reachable * count))
-        _fill(site, count, count - goal)
+        site = Site(
+            plan=Plan(size), kind=made, difficulty=difficulty, robot=needs, seed=seed + (attempt << 64)
+        )
+        _fill(site, count, reachable)
         arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
         if _as_stated(arena, needs):
             return arena
@@ -95,30 +95,35 @@ def _check(size: tuple[int, int], seed: int, needs: Size, reachable: float) -> N
         raise SpecError(f"seed {seed}, expected 0 or more")
     if not 0.0 <= reachable <= 1.0:
         raise SpecError(f"reachable {reachable}, expected from 0 to 1")
-    widest = (CELL - THICKNESS - 3 * SQUARE) / 2
-    if not needs.radius <= widest:
+    if not _passes(needs, SQUARES[-1]):
+        widest = (CELL - THICKNESS - 3 * SQUARES[-1]) / 2
         raise SpecError(
             f"the robot turns in a circle of radius {needs.radius:.2f} m; the arenas' corridors take "
             f"{widest:.2f} m (give robot=Size(...) for one that need not turn)"
         )
 
 
+def _passes(needs: Size, square: float, strip: float = 0.0) -> bool:
+    """Return whether a robot passes a corridor seen in squares of that size; see `reach_map`."""
+    return 2 * needs.radius + 3 * square + strip <= CELL - THICKNESS
+
+
 def _spelt(kind: str) -> str:
     return next(name for name in KINDS.names() if name.lower() == kind.lower())
 
 
-def _fill(site: Site, count: int, walled_in: int) -> None:
+def _fill(site: Site, count: int, reachable: float) -> None:
     """Lay out the walls and put everything in its place."""
     plan, kind = site.plan, site.kind
     if kind.second_floor and plan.size[0] >= STOREY_CELLS + 2:
-        _upstairs(site, count > walled_in)
+        _upstairs(site, round(reachable * count) > 0)
     else:
         kind.layout(plan, site.draw("plan"), site.difficulty)
-    contents.place_victims(site, count, walled_in)
+    contents.place_victims(site, count, reachable)
     contents.place_structures(site, kind.structures(plan.size))
     boards = contents.place_boards(site)
     free = [cell for cell in plan.ways if cell not in boards]
-    if 2 * site.robot.radius + 3 * SQUARE + contents.STRIP <= CELL - THICKNESS:
+    if _passes(site.robot, SQUARES[0], contents.STRIP):
         draw = site.draw("corner")
         site.corner = (draw.pick((-1, 1)), draw.pick((-1, 1)))
         contents.place_clutter(site, free)
@@ -137,6 +142,7 @@ def _upstairs(site: Site, victim: bool) -> None:
     barred = tuple((column, rows - 1) for column in range(columns) if (column, rows - 1) not in landings)
     site.kind.layout(site.plan, site.draw("plan"), site.difficulty, barred=barred)
     site.plan.kept.update(landings)
+    site.clear.update(landings)
     for k, cell in enumerate(landings):
         foot: Cell = (cell[0] + (step if k == 0 else -step), cell[1])
         site.plan.walls.discard(edge(cell, foot))
@@ -157,7 +163,7 @@ def _arena(site: Site, name: str, robot: str) -> ArenaSpec:
     return ArenaSpec(
         name=name,
         about=site.kind.about,
-        shapes=tuple(_rounded(s) for s in (*outer, *sheets, *inner[twice:], *site.shapes)),
+        shapes=_rounded([*outer, *sheets, *inner[twice:], *site.shapes]),
         starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DIGITS)) for s in site.starts),
         extent=((0.0, round(columns * CELL, DIGITS)), (0.0, round(rows * CELL, DIGITS))),
         loose=tuple(replace(o, at=_round(o.at), rotation=_round(o.rotation)) for o in site.loose),
@@ -171,13 +177,26 @@ def _round(values: tuple[float, ...]) -> tuple:
     return tuple(round(float(value), DIGITS) + 0.0 for value in values)  # no -0.0
 
 
-def _rounded(shape: Shape) -> Shape:
-    return replace(shape, at=_round(shape.at), size=_round(shape.size), rotation=_round(shape.rotation))
+def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:
+    numbers = np.array([(*shape.at, *shape.size, *shape.rotation) for shape in shapes])
+    rows = (np.round(numbers, DIGITS) + 0.0).tolist()
+    return tuple(
+        Shape(
+            kind="box",
+            at=(*row[:3],),
+            size=(*row[3:6],),
+            rotation=(*row[6:],),
+            surface=s.surface,
+            rgba=s.rgba,
+        )
+        for s, row in zip(shapes, rows, strict=True)
+    )
 
 
 def _as_stated(arena: ArenaSpec, needs: Size) -> bool:
     """Return whether all starts, and the victims that should be, are reached, and no others."""
-    there = reach_map(arena, needs.radius, needs.step, height=needs.height, cell=SQUARE)
+    square = SQUARES[0] if _passes(needs, SQUARES[0]) else SQUARES[1]
+    there = reach_map(arena, needs.radius, needs.step, height=needs.height, cell=square)
     meant = ["walled in" not in victim.state for victim in arena.victims]
     if victims_reached(arena, there) != meant:
         return False

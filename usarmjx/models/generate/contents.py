@@ -15,7 +15,7 @@ from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import Draw
 from usarmjx.models.generate.kinds import MOST_STARTS, Kind, counts
 from usarmjx.models.generate.plan import BASE, CELL, SIDES, THICKNESS, Cell, Plan, middle
-from usarmjx.models.generate.structures import ROOM, Place, block, mixed, void
+from usarmjx.models.generate.structures import ROOM, STONE, WOOD, Place, Rgba, block, mixed, void
 from usarmjx.models.raster import half_lengths
 from usarmjx.models.reach import START_ELEVATION, Size, placed
 from usarmjx.models.spec import Shape
@@ -38,14 +38,14 @@ ROOF, LOW_ROOF = 1.0, 0.5
 """Height of the slabs over sitting and over lying victims [m]."""
 
 
-def _loose_form(half: tuple[float, float, float], mass: float, *rgb: float) -> tuple[Shape, ...]:
-    return (Shape(kind="box", size=half, mass=mass, surface="loose", rgba=(*rgb, 1.0)),)
+def _loose_form(half: tuple[float, float, float], mass: float, rgba: Rgba) -> tuple[Shape, ...]:
+    return (Shape(kind="box", size=half, mass=mass, surface="loose", rgba=rgba),)
 
 
 FORMS = {
-    "Brick": _loose_form((0.1, 0.05, 0.03), 2.5, 0.6, 0.3, 0.2),
-    "CinderBlock": _loose_form((0.195, 0.095, 0.095), 13.0, 0.55, 0.55, 0.55),
-    "Plank": _loose_form((0.5, 0.045, 0.02), 1.8, 0.7, 0.55, 0.35),
+    "Brick": _loose_form((0.1, 0.05, 0.03), 2.5, (0.6, 0.3, 0.2, 1.0)),
+    "CinderBlock": _loose_form((0.195, 0.095, 0.095), 13.0, STONE),
+    "Plank": _loose_form((0.5, 0.045, 0.02), 1.8, WOOD),
 }
 """Loose objects; their masses are those of clay, hollow concrete and spruce of that size."""
 
@@ -62,6 +62,7 @@ class Site:
         seed: Of the draws.
         shapes: Solids other than walls.
         corner: The sides of cells along which things lie, along x and y; 0: none do.
+        clear: Cells where nothing lies: victims, or a second floor, are reached from there.
     """
 
     plan: Plan
@@ -71,6 +72,7 @@ class Site:
     seed: int
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
+    clear: set[Cell] = field(default_factory=set)
     victims: list[Victim] = field(default_factory=list)
     loose: list[Loose] = field(default_factory=list)
     tags: list[Tag] = field(default_factory=list)
@@ -118,32 +120,37 @@ def add_victim(site: Site, at: Place, facing: int, posture: str, where: str, gro
     )
 
 
-def place_victims(site: Site, count: int, walled_in: int) -> None:
-    """Place victims at tips of the ways, which they bar; the first ones in cells of four walls."""
-    plan, draw = site.plan, site.draw("victims")
+def place_victims(site: Site, count: int, reachable: float) -> None:
+    """Place victims at tips of the ways, which they bar; the others in cells of four walls."""
+    plan, draw, walled_in = site.plan, site.draw("victims"), 0
     while len(site.victims) < count and len(plan.ways) > FEWEST:
         tips = plan.tips()
         if not tips:
             break
         cell, lies, facing = draw.pick(tips), draw.below(2), draw.below(4)
         before = plan.take(cell)
-        if len(site.victims) < walled_in:
+        number = len(site.victims) + 1
+        if walled_in < number - round(reachable * number):
+            walled_in += 1
             plan.seal(cell)
             add_victim(site, middle(cell), facing, "sitting", "walled in")
             continue
         toward = SIDES.index((before[0] - cell[0], before[1] - cell[1]))
-        low = site.kind.voids and site.robot.height < LOW_ROOF
+        highest = site.robot.height + site.robot.step if site.kind.voids else math.inf
         if lies and before in plan.tips() and len(plan.ways) > FEWEST:
-            plan.take(before)
+            last = plan.take(before)
             (x0, y0), (x1, y1) = middle(cell), middle(before)
             at, posture, length, roof = ((x0 + x1) / 2, (y0 + y1) / 2), "lying", ROOM + CELL, LOW_ROOF
         else:
+            last = before
             at, posture, length, roof = middle(cell), "sitting", ROOM, ROOF
-            low = site.kind.voids
-            facing = toward if low else facing
+        low = highest < roof
+        plan.kept.add(last)
+        site.clear.add(last)
         if low:
             site.shapes += void(at, toward, length, roof)
-        facing = facing if posture == "sitting" else (toward + 2 * (facing % 2)) % 4
+        if low or posture == "lying":
+            facing = (toward + 2 * (facing % 2) * (posture == "lying")) % 4
         add_victim(site, at, facing, posture, "in a void" if low else "in the open")
 
 
@@ -162,7 +169,7 @@ def place_structures(site: Site, count: int) -> None:
 def place_boards(site: Site) -> set[Cell]:
     """Put boards across the ways, which the robot can drive over; return their cells."""
     draw = site.draw("boards")
-    cells = [cell for cell in site.plan.ways if cell not in site.plan.kept]
+    cells = [cell for cell in site.plan.ways if cell != BASE and cell not in site.clear]
     count = max(0, min(site.most("boards"), len(site.plan.ways) - ENOUGH))
     height = mixed(0.25, 0.95, site.difficulty.roughness) * site.robot.step
     taken = draw.shuffled(cells)[:count]
@@ -175,7 +182,7 @@ def place_boards(site: Site) -> set[Cell]:
 def place_clutter(site: Site, free: list[Cell]) -> None:
     """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first."""
     draw, clutter, corner = site.draw("clutter"), site.difficulty.clutter, site.corner
-    cells = draw.shuffled([cell for cell in free if cell == BASE or cell not in site.plan.kept])
+    cells = draw.shuffled([cell for cell in free if cell not in site.clear])
     height = mixed(0.1, 0.3, site.difficulty.roughness)
     loose = min(round(clutter * site.most("loose")), len(cells))
     blocks = min(round(clutter * site.most("blocks")), len(cells) - loose)
@@ -214,11 +221,13 @@ def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, alon
 
 
 def place_tags(site: Site, free: list[Cell]) -> None:
-    """Lay tags on the floor beside the middles of cells."""
+    """Lay tags on the floor beside where robots start, short of the strips."""
     draw = site.draw("tags")
+    side = 0.3 if any(site.corner) else 0.42
     for cell in draw.shuffled(free)[: site.most("tags")]:
         x, y = middle(cell)
-        site.tags.append(Tag(at=(x + 0.3 * draw.pick((-1, 1)), y + 0.3 * draw.pick((-1, 1)), 0.0)))
+        dx, dy = (way or draw.pick((-1, 1)) for way in site.corner)
+        site.tags.append(Tag(at=(x + side * dx, y + side * dy, 0.0)))
 
 
 def place_starts(site: Site, free: list[Cell]) -> None:

@@ -9,7 +9,7 @@ from usarmjx.errors import SpecError
 class Difficulty:
     """How difficult a generated arena is; every number is from 0, easy, to 1, hard.
 
-    One seed gives the same arena with more or less of something: what an arena of 0.3 has, that of 0.6 has too.
+    One seed gives the same arena with more or less of something: what it has at 0.3, it has at 0.6 too.
 
     Attributes:
         wall_density: Length of the inner walls; at 1 a maze has all that a maze can have.
@@ -27,6 +27,7 @@ class Difficulty:
     radio_shadow: float = 0.5
 
     def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value <= 1.0:  # nor not a number

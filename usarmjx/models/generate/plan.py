@@ -84,9 +84,9 @@ class Plan:
             bushy: Whether it has many short branches rather than few long ones.
             barred: Cells that do not belong to it.
         """
-        taken = {BASE, *barred}
+        taken: set[Cell] = {BASE, *barred}
         self.ways = {BASE: []}
-        tips = [BASE]
+        tips: list[Cell] = [BASE]
         while tips:
             at = draw.below(len(tips)) if bushy else -1
             cell = tips[at]

@@ -1,0 +1,170 @@
+"""Victims and tags found over the wire, on a live world and on one of a batch (manual 10.9 to 10.12)."""
+
+import re
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from tests.handy import TAGGER, known
+from usarmjx.batch import Batch
+from usarmjx.models.arena_spec import HelpSound, Segment, Tag, Victim
+from usarmjx.models.compose import Physics
+from usarmjx.models.spec import Mount, Shape, options
+from usarmjx.scene import Entry, build_scene
+from usarmjx.server import commands as wire
+from usarmjx.server.adapter import Client
+from usarmjx.server.claim import ClaimedWorld
+from usarmjx.server.live import LiveWorld
+
+WAVE = Segment(name="RightArm", initial=(-1.6, 0, 0), final=(-0.8, 0, 0), rates=(1, 0, 0))
+VICTIM = Victim(
+    name="v",
+    at=(2.0, 0.0, 0.12),
+    rotation=(0.0, 0.0, 1.5),
+    segments=(WAVE,),
+    help_sound=HelpSound(loudness=8.0, duration=2.0, pause=0.0),
+)
+WALL = Shape(kind="box", size=(0.3, 0.05, 0.4), at=(0.0, 1.0, 0.4), surface="wall")
+ARENA = replace(
+    FLAT,
+    name="found",
+    floor=-0.4,
+    victims=(VICTIM,),
+    shapes=(WALL,),
+    tags=(Tag(at=(1.5, 0.5, 0.0), memory="go on"), Tag(at=(0.0, 1.5, 0.0), id=3000)),
+)
+FINDER = replace(
+    TAGGER,
+    name="Finder",
+    sensors=(
+        Mount(kind="VictSensor", name="VictSensor", options=options(Sigma=0.0)),
+        Mount(kind="RFID", name="Reader", options=options(bAlwaysReadRFIDmem=True)),
+        Mount(kind="RFID", name="Strict", options=options(SensingMode="Obstacle")),
+        Mount(kind="Sound", name="Ear", options=options(Noise=0.0)),
+        Mount(kind="HumanMotion", name="Motion"),
+        Mount(kind="CO2Sensor", name="CO2"),
+    ),
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def robots():
+    with known(FINDER):
+        yield
+
+
+@pytest.fixture(scope="module")
+def live():
+    world = LiveWorld(ARENA, Physics(), jax.random.key(1), seats=2)
+    world.prepare(FINDER)
+    return world
+
+
+@pytest.fixture(scope="module")
+def claimed():
+    scene = build_scene(ARENA, [Entry(robot="Finder", parked=True)])
+    return ClaimedWorld(Batch(scene, 2, engine="c", seed=4), 1)
+
+
+@pytest.fixture(params=["live", "claimed"])
+def client(request):
+    client = Client(request.getfixturevalue(request.param), "peer")
+    say(client, "INIT {ClassName Finder} {Location 0,0,0.14} {Rotation 0,0,0}")
+    yield client
+    client.leave()
+
+
+def say(client, line):
+    """Let a client say a line; return the lines that it hears at once."""
+    for command in client.session.receive_data(line.encode() + b"\r\n"):
+        if isinstance(command, wire.Init):
+            spec = client.class_of(command)
+            client.session.answer_init(spec is not None and client.spawn(command, spec))
+            client.session.data_to_send()
+        else:
+            client.handle(command)
+    return heard(client)
+
+
+def heard(client):
+    return client.session.data_to_send().decode().split("\r\n")[:-1]
+
+
+def report(client, seconds=0.0):
+    world = client._world
+    for _ in range(round(seconds / world.period)):
+        world.step()
+    heard(client)
+    world.observe([client.robot])
+    client.report()
+    lines = [line for line in heard(client) if line.startswith("SEN") and "{Name Strict}" not in line]
+    return {re.search(r"{Type (\w+)}", line).group(1): line for line in lines}
+
+
+def test_victims_and_tags_are_found(client):
+    lines = report(client, 0.2)
+    assert re.fullmatch(
+        r"SEN {Time \d+\.\d{4}} {Type VictSensor} {Name VictSensor}( {PartName \w+} {Location [-.\d,]+})+",
+        lines["VictSensor"],
+    )
+    assert "{PartName Chest}" in lines["VictSensor"]
+    found = re.search(r"{Name Reader}.* {ID 1001} {Location (.*?),(.*?),(.*?)} {Mem go on}", lines["RFID"])
+    assert found is not None
+    np.testing.assert_allclose([float(v) for v in found.groups()], (1.5, -0.5, 0.26), atol=0.02)
+    loud = float(re.search(r"{Loudness (.*?)}", lines["Sound"]).group(1))
+    assert 8 / 2.3**2 < loud < 8 / 1.7**2
+    assert "{Duration 2.00}" in lines["Sound"]
+    assert float(re.search(r"{Prob (.*?)}", lines["HumanMotion"]).group(1)) > 0.2
+    assert re.fullmatch(r"SEN {Type CO2Sensor} {Name CO2} {Gas CO2} {Density 0.01}", lines["CO2Sensor"])
+
+
+def test_a_dropped_tag_is_read_and_written_by_its_number(client):
+    assert "{Status OK}" in say(client, "SET {Type RFIDReleaser} {Name Gun} {Opcode Release}")[0]
+    lines = report(client, 0.2)
+    assert "{ID 0} " in lines["RFID"]
+    assert lines["RFID"].index("{ID 0}") < lines["RFID"].index("{ID 1001}")  # the nearer one comes first
+    (answer,) = say(client, "SET {Type RFID} {Name Reader} {Opcode Write} {Params 0 Bob was here}")
+    assert answer.endswith("{Type RFID} {Name Reader} {Status OK}")
+    (answer,) = say(client, "SET {Type RFID} {Name Reader} {Opcode Read} {Params 0}")
+    assert answer.endswith("{Type RFID} {Name Reader} {Status OK} {ID 0} {Mem Bob was here}")
+    (answer,) = say(client, "SET {Type RFID} {Name Reader} {Opcode Read} {Params 7}")
+    assert answer.endswith("{Type RFID} {Name Reader} {Status Failed}")
+    assert "{Mem Bob was here}" in report(client, 0.2)["RFID"]
+
+
+def test_walls_hide_tags(client):
+    """3000 lies behind a wall, which costs the one reader 3.5 dB and takes it from the other."""
+    report(client, 0.2)
+    client._world.observe([client.robot])
+    for name, ids in (("Reader", {1001, 3000}), ("Strict", {1001})):
+        value = client.robot.pending[client.robot.suite.find("RFID", name)]
+        assert {int(row[1]) for row in value if row[0]} - {0} == ids
+
+
+def test_far_away_there_is_no_line_of_tags_and_no_victim(client):
+    robot, world = client.robot, client._world
+    world.remove(robot)
+    client.robot = world.spawn(robot.spec, "far", (-20.0, 0.0, -0.1), (0.0, 0.0, 3.1))
+    lines = report(client, 0.2)
+    assert "RFID" not in lines
+    assert re.fullmatch(r"SEN {Time \d+\.\d{4}} {Type VictSensor} {Status NoVictims}", lines["VictSensor"])
+
+
+def test_worlds_with_arenas_of_their_own_find_what_is_in_theirs():
+    empty = replace(ARENA, name="empty", victims=(), tags=())
+    tagged = replace(ARENA, name="tagged", victims=(), tags=(Tag(at=(0.5, 0.0, 0.0), id=2000), *ARENA.tags))
+    batch = Batch(build_scene([ARENA, empty, tagged], ["Finder"]), 3, engine="c", seed=4)
+    _, ((eye, reader, strict, ear, _, _),) = batch.observe(batch.reset())
+    seen, read = np.asarray(eye.value)[:, 0, :, 0], np.asarray(reader.value)[:, 0]
+    assert seen.any(-1).tolist() == [True, False, False]
+    assert [[int(row[1]) for row in world if row[0]] for world in read] == [
+        [3000, 1001],
+        [],
+        [2000, 3000, 1001],
+    ]
+    clear = np.asarray(strict.value)[:, 0]
+    assert [[int(row[1]) for row in world if row[0]] for world in clear] == [[1001], [], [2000, 1001]]
+    assert (np.asarray(ear.value)[:, 0, 0] > 0).tolist() == [True, False, False]
