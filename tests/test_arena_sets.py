@@ -17,7 +17,7 @@ from usarmjx.models.compose import Physics
 from usarmjx.models.spec import GLASS, Shape
 from usarmjx.scene import build_scene
 
-EXACT = Physics(iterations=40, ls_iterations=20)
+EXACT = Physics(iterations=100, ls_iterations=30)
 """A converged solver: engines and batches differ by rounding only."""
 STEPS = 30
 """Later a rear wheel lifts by some micrometres, and rounding decides when it touches again."""

@@ -230,7 +230,7 @@ HILL = HeightField(heights=np.array([(0.0, 0.1), (0.0, 0.0)]))
 def test_wheels_on_meshes_and_terrain_are_refused_by_jax_alone(shape):
     arena = replace(ARENAS.get("field"), name="uneven", shapes=(shape,))
     model = build_scene(arena, ["P2AT"]).model
-    with pytest.raises(UnsupportedFeatureError, match="Wheel.*refused"):
+    with pytest.raises(UnsupportedFeatureError, match=r"Wheel.*refused"):
         check_features(model, "jax")
     for engine in ("c", "warp"):
         check_features(model, engine)

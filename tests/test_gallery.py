@@ -27,6 +27,7 @@ from usarmjx.models.arena_spec import (
 from usarmjx.models.compose import Physics, new_spec
 from usarmjx.models.spec import HeightField, Shape
 from usarmjx.scenery import GLOSS
+from usarmjx.viewpoint import look
 
 RED, GREEN, BLUE = (0.8, 0.0, 0.0, 1.0), (0.0, 0.8, 0.0, 1.0), (0.0, 0.0, 0.8, 1.0)
 
@@ -158,7 +159,7 @@ def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
     pixels = render.draw(gallery.arena_solids(STAGE), EYE, TARGET, WIDTH, HEIGHT).reshape(-1, 3)
     colours = {model.geom(f"arena/{i}").id: k for i, k in ((0, 0), (1, 1), (3, 2))}
     hit, normal, seen = np.zeros(1, np.int32), np.zeros(3), []
-    for ray, found in zip(render.look(EYE, TARGET, WIDTH, HEIGHT).astype(float), pixels, strict=True):
+    for ray, found in zip(look(EYE, TARGET, WIDTH, HEIGHT).astype(float), pixels, strict=True):
         way = mujoco.mj_ray(model, data, EYE, ray, None, 1, -1, hit, normal)
         first, point = int(hit[0]), EYE + way * ray
         if first == glass:
@@ -233,8 +234,9 @@ def test_a_picture_does_not_depend_on_how_it_is_cut_into_chunks(monkeypatch: pyt
 def test_only_a_roof_over_everything_is_left_out():
     canopy = box((0.0, 0.0, 2.5), (1.0, 0.5, 0.05))
     roof = box((1.0, 0.0, 2.5), (2.5, 2.0, 0.05))
-    wall = ROOM.shapes[0]
+    wall, sky = ROOM.shapes[0], ROOM.shapes[4]
     assert gallery.without_roof(replace(ROOM, shapes=(wall, canopy))) == (wall, canopy)
+    assert gallery.without_roof(replace(ROOM, shapes=(canopy, sky))) == (canopy, sky)
     assert gallery.without_roof(replace(ROOM, shapes=(wall, canopy, roof))) == (wall,)
 
 

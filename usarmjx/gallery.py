@@ -20,8 +20,9 @@ from usarmjx.models.materials import materials_of
 from usarmjx.models.spec import SKY, Shape
 from usarmjx.outlines import area, heights, outline
 from usarmjx.picture import overhead
-from usarmjx.render import FIELD, Setting, axes_of, draw, halved
+from usarmjx.render import Setting, draw
 from usarmjx.scenery import Solids, boxes, solids_of
+from usarmjx.viewpoint import fitted, halved
 
 VIEW = (math.radians(-62.0), math.radians(44.0))
 """Azimuth and elevation from which arenas are seen: as on the plan, x runs to the right."""
@@ -35,8 +36,6 @@ TILES = (0.5, 1.0, 5.0, 10.0, 50.0)
 MOST_TILES = 45
 GRAIN = 4
 """Colours of sheets are multiples of this, of 255: no one sees it, and files are a third smaller."""
-FRAME = 1.03
-"""How much farther away the eye is than where the arena fills the picture."""
 
 
 def perspective(
@@ -70,7 +69,8 @@ def perspective(
 def without_roof(arena: ArenaSpec) -> tuple[Shape, ...]:
     """Return an arena's solids without the roof, if it has one."""
     (x0, x1), (y0, y1) = arena.extent
-    above = [heights(shape)[0] > overhead(arena) for shape in arena.shapes]
+    height = overhead(arena)
+    above = [heights(shape)[0] > height and shape.material != SKY for shape in arena.shapes]
     roof = sum(area(outline(shape)) for shape, high in zip(arena.shapes, above, strict=True) if high)
     if roof <= COVER * (x1 - x0) * (y1 - y0):
         return arena.shapes
@@ -93,23 +93,14 @@ def arena_solids(arena: ArenaSpec) -> Solids:
 
 
 def _eye(arena: ArenaSpec, aspect: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return from where the whole arena fills a picture, and its middle (3,) and (3,) [m]."""
+    """Return from where the whole arena fills a picture, and the picture's middle (3,) and (3,) [m]."""
     (x0, x1), (y0, y1) = arena.extent
     top = max([0.0, *(heights(shape)[1] for shape in arena.shapes if shape.material != SKY)])
     top = min(top, 0.5 * min(x1 - x0, y1 - y0))
     corners = np.array([(x, y, z + arena.floor) for x in (x0, x1) for y in (y0, y1) for z in (0.0, top)])
     azimuth, elevation = VIEW
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    back /= np.linalg.norm(back)
-    right, up, forward = axes_of(back)
-    slope = np.array([aspect, 1.0]) * math.tan(FIELD / 2)
-    target, away = corners.mean(0), 0.0
-    for _ in range(4):  # near corners take more of the picture than far ones: move the middle a little
-        seen, deep = (corners - target) @ np.stack([right, up], -1), (corners - target) @ forward
-        away = float((np.abs(seen) / slope - deep[:, None]).max())
-        on_screen = seen / (away + deep)[:, None]
-        target = target + away * (on_screen.max(0) + on_screen.min(0)) / 2 @ np.stack([right, up])
-    return target + FRAME * away * back, target
+    return fitted(corners, back / np.linalg.norm(back), aspect)
 
 
 def plan_sheet(arenas: Sequence[ArenaSpec], path: Path, columns: int = 3) -> None:
@@ -148,7 +139,7 @@ def _small_view(arena: ArenaSpec, axes: Axes) -> None:
 
 def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, columns: int) -> None:
     rows = -(-len(cells) // columns)
-    figure = Figure(figsize=(4.2 * columns, 3.1 * rows), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(4.2 * columns, 3.1 * rows), dpi=90, facecolor="white", layout="constrained")
     canvas = FigureCanvasAgg(figure)
     for i, (title, fill) in enumerate(cells):
         axes = figure.add_subplot(rows, columns, i + 1)

@@ -14,8 +14,9 @@ from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
-from usarmjx.render import FIELD, draw
+from usarmjx.render import draw
 from usarmjx.scenery import PLANE, solids_of
+from usarmjx.viewpoint import FIELD
 
 VIEW = (math.radians(-35.0), math.radians(22.0))
 """Azimuth and elevation from which robots are drawn: from their front right."""

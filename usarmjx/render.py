@@ -18,6 +18,7 @@ from usarmjx.models.pieces import TRIANGLE_KIND
 from usarmjx.scenery import PLANE, Solids
 from usarmjx.sensors.kernels import KERNELS
 from usarmjx.transforms import Array, Vec3
+from usarmjx.viewpoint import look
 
 FLAT = (PLANE, TRIANGLE_KIND)
 AMBIENT, DIFFUSE = 0.45, 0.6
@@ -32,8 +33,6 @@ TURN = 2e-4
 """Rays that find a surface's slope are turned by this much [rad]."""
 LIFT, LIFT_FAR = 5e-4, 3e-5
 """Rays that leave a surface start this far off [m], and this far for every metre of the way there."""
-FIELD = math.radians(32.0)
-"""Field of view across a picture's height."""
 CHUNK = 65_536
 """Rays that are cast together."""
 
@@ -242,24 +241,6 @@ def _shade(stage: _Stage, start: jax.Array, along: jax.Array) -> jax.Array:
     return rgb
 
 
-def look(eye: np.ndarray, target: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Return the directions of a picture's rays, row by row from the top (height * width, 3)."""
-    right, up, forward = axes_of(eye - target)
-    scale = 2 * math.tan(FIELD / 2) / height
-    x = (np.arange(width) - (width - 1) / 2) * scale
-    y = ((height - 1) / 2 - np.arange(height)) * scale
-    rays = forward + x[None, :, None] * right + y[:, None, None] * up
-    return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).reshape(-1, 3).astype(np.float32)
-
-
-def axes_of(back: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a picture's axes right, up, forward (3,) from the direction of the eye, seen from its middle."""
-    forward = -back / np.linalg.norm(back)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return right, np.cross(right, forward), forward
-
-
 def draw(
     solids: Solids,
     eye: np.ndarray,
@@ -296,9 +277,3 @@ def draw(
     start = np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3))
     rows = [np.asarray(_shade(stage, start, part)) for part in padded.reshape(-1, chunk, 3)]
     return np.concatenate(rows)[: len(rays)].reshape(height, width, 3)
-
-
-def halved(picture: np.ndarray) -> np.ndarray:
-    """Return a picture half as wide and high (rows, columns, 3), each pixel the mean of four."""
-    rows, columns, _ = picture.shape
-    return picture.reshape(rows // 2, 2, columns // 2, 2, 3).mean((1, 3))

@@ -41,7 +41,8 @@ class Rows(NamedTuple):
 def collect(rows: Sequence[Rows]) -> Geoms:
     """Return rows as what rays are cast at."""
     kind, pos, mat, size, owner, material = zip(*rows, strict=True)
-    joined = [jnp.concatenate(part) for part in (pos, mat, size, owner)]
+    # Kept as arrays: else XLA works out the poses of all geoms again for every ray, and compiles for minutes.
+    joined = jax.lax.optimization_barrier([jnp.concatenate(part) for part in (pos, mat, size, owner)])
     return gather(np.concatenate(kind), *joined, np.concatenate(material).tolist())  # type: ignore - four
 
 

@@ -233,7 +233,11 @@ def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]
         ]
     )
     return tuple(
-        sight.replace(hits=jax.vmap(partial(team.suite.cast, geoms))(sight.bodies, jnp.asarray(team.slots)))
+        sight.replace(
+            hits=jax.vmap(partial(team.suite.cast, geoms, around=sight.around))(
+                sight.bodies, jnp.asarray(team.slots)
+            )
+        )
         for team, sight in zip(scene.teams, sights, strict=True)
     )
 

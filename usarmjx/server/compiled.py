@@ -15,7 +15,7 @@ from usarmjx.models.state import RobotState
 from usarmjx.sensors.base import Sight
 from usarmjx.sensors.raycast import NO_HITS, Hits
 from usarmjx.sensors.suite import Memory, suite_of
-from usarmjx.sensors.surroundings import Surroundings
+from usarmjx.sensors.surroundings import NOTHING, Surroundings
 from usarmjx.world import depth_in_water, drowns
 
 RAYS = 512
@@ -47,17 +47,17 @@ class Compiled:
             (some, np.array([p == some for p in passed])[of_ray]) for some in sorted(set(passed), key=sorted)
         ]
 
-        def stretch(state: RobotState) -> tuple[Bodies, jax.Array, jax.Array]:
+        def stretch(state: RobotState, around: Surroundings | None) -> tuple[Bodies, jax.Array, jax.Array]:
             bodies = body_poses(plan, state)
-            origin, direction = suite.rays(bodies)
+            origin, direction = suite.rays(bodies, NOTHING if around is None else around)
             fill = ((0, room - len(origin)), (0, 0))
             return bodies, jnp.pad(origin, fill), jnp.pad(direction, fill, constant_values=1.0)
 
         def read(sight: Sight, memory: Memory, key: jax.Array) -> Any:  # noqa: ANN401
             return suite.read(sight, memory, key)
 
-        self.stretch = _compile(stretch, state)
-        bodies, origin, _ = self.stretch(state)
+        self.stretch = _compile(stretch, state, around)
+        bodies, origin, _ = self.stretch(state, around)
         hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
         sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
         key = jax.random.key(0)

@@ -229,13 +229,13 @@ class LiveWorld(HostWorld):
         for robot in due:
             compiled = self._compiled[robot.spec.name]
             state = self._state(robot.slot)
-            bodies, origin, direction = compiled.stretch(state)
+            around = self._around() if robot.suite.looks_around else None
+            bodies, origin, direction = compiled.stretch(state, around)
             hits = NO_HITS
             for passes, mine in compiled.gazes:
                 seen = self._cast(geoms, origin, direction, np.int32(robot.slot), passes=passes)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
-            around = self._around() if robot.suite.looks_around else None
             sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=around)
             key = self._noise(robot, self._steps)
             memory, readings = compiled.read(sight, self._memory[robot.slot], key)
@@ -253,9 +253,9 @@ class LiveWorld(HostWorld):
 
     def _sight(self, robot: Robot) -> Sight:
         state = self._state(robot.slot)
-        bodies, _, _ = self._compiled[robot.spec.name].stretch(state)
-        time = np.float32(self.time - robot.born)
         around = self._around() if robot.suite.looks_around else None
+        bodies, _, _ = self._compiled[robot.spec.name].stretch(state, around)
+        time = np.float32(self.time - robot.born)
         return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
 
     def _around(self) -> Surroundings:
@@ -316,7 +316,7 @@ class LiveWorld(HostWorld):
 
     def _below(self, robot: Robot, effecter: Effecter) -> np.ndarray:
         """Return the ground below an effecter [m] (3,), infinitely low where there is none."""
-        bodies, _, _ = self._compiled[robot.spec.name].stretch(self._state(robot.slot))
+        bodies = self._sight(robot).bodies
         point = mount_point(effecter, robot.plan, jax.device_get(bodies)).astype(float)
         hit = np.zeros(1, np.int32)
         depth = mujoco.mj_ray(self._ground, self._ground_data, point, (0.0, 0.0, -1.0), None, 1, -1, hit)

@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from usarmjx.models.generate import layouts, structures
-from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.draw import Draw
-from usarmjx.models.generate.plan import LONGEST, Plan
+from usarmjx.models.generate.plan import LONGEST
 from usarmjx.models.generate.structures import Maker
 from usarmjx.registry import Registry
 
@@ -20,7 +18,7 @@ class Kind:
 
     Attributes:
         about: What it is, in a sentence.
-        layout: Lays out walls and ways.
+        layout: Lays out walls and ways, from a plan, draws and a difficulty.
         structure: Makes what bars the way in some cells; None: nothing does.
         share: Of cells with that [%].
         most: Solids of one of them.
@@ -129,6 +127,3 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
         starts=min(MOST_STARTS, columns * rows),
         tags=most["tags"],
     )
-
-
-Layout = Callable[[Plan, Draw, Difficulty], None]
