@@ -21,6 +21,8 @@ EXACT = Physics(iterations=100, ls_iterations=30)
 """A converged solver: engines and batches differ by rounding only."""
 STEPS = 30
 """Later a rear wheel lifts by some micrometres, and rounding decides when it touches again."""
+TOLERANCE = {"c": 1e-5, "jax": 5e-3, "warp": 5e-4}
+"""Of poses [m] and quaternions after 0.6 s up a ramp; on `jax` with a contact function of our own."""
 BRICK = (Shape(kind="box", size=(0.1, 0.05, 0.04), mass=2.5, surface="loose"),)
 
 
@@ -49,7 +51,7 @@ ARENAS = (
         "corridor",
         [wall(0.9, 0, 0.03, 2.4), wall(-2, 0, 0.05, 1.0, 0.3), wall(0, 2, 1.5, 0.03, material=GLASS)],
         [(0, 0, 0.0), (0, 1.2, 0.5)],
-        loose=(Loose(name="a", at=(0.55, 0.0, 0.05), shapes=BRICK),),
+        loose=(Loose(name="a", at=(0.75, 0.0, 0.05), shapes=BRICK),),
         victims=(victim(-1.0, -1.5),),
     ),
     arena(
@@ -62,7 +64,7 @@ ARENAS = (
             wall(2.2, 1, 0.05, 0.5),
             wall(-1.5, 1, 0.05, 0.5, 1.0),
         ],
-        [(-0.4, 0, 0.0), (0, 2.2, math.pi)],
+        [(0.05, 0, 0.0), (0, 2.2, math.pi)],
         victims=(victim(2.5, -2.0), Victim(name="two", at=(3, 3, 0.12), posture="sitting")),
         false_alarms=(FalseAlarm(part="LeftLeg", at=(1.2, 2.2, 0.1)),),
     ),
@@ -92,11 +94,11 @@ def solo():
 
 @pytest.mark.parametrize("engine", ["c", "jax", "warp"])
 def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
-    """Poses within 1e-4 m after 0.8 s with contacts (rounding, amplified by them); rays within 1 mm."""
+    """Rays end where the poses say, and a grazing one up to 20 times as far away."""
     scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
     batch = Batch(scene, len(ARENAS), engine=engine)
     state, readings = drive(batch)
-    tolerance = 1e-5 if engine == "c" else 5e-4
+    tolerance = TOLERANCE[engine]
     _, links = batch.links(state)
     for world, (single, lone, seen) in enumerate(solo):
         team, own = scene.teams[0], single.scene.teams[0]
@@ -111,6 +113,10 @@ def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
 
 
 def test_the_oracle_has_something_to_tell(solo):
+    climbing, lone, _ = solo[1]
+    assert climbing.physics(lone).qpos[0, climbing.scene.teams[0].root_qpos[0, 2]] > 0.265, (
+        "it is on the ramp"
+    )
     scans = []
     for single, _, seen in solo:
         place = single.scene.teams[0].suite.place("RangeScanner")

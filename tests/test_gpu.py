@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import COURSE
+from tests.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from usarmjx.batch import Batch
 from usarmjx.engines import choose_engine
 from usarmjx.scene import Entry, build_scene
@@ -45,7 +46,7 @@ def test_scans_on_the_gpu_are_full_single_precision():
     data.qpos[:] = np.asarray(batch.physics(state).qpos[0])
     mujoco.mj_forward(scene.model, data)
     mount = team.robot.sensors[16]
-    origin = data.qpos[:3] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
+    origin = data.qpos[team.root_qpos[0, :3]] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
     for beam in range(0, 181, 20):
         angle = -np.pi / 2 + beam * np.pi / 180
         along = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -77,3 +78,19 @@ def test_a_client_claims_a_robot_of_a_batch_on_the_gpu():
     truth = robot.pending[robot.suite.place("GroundTruth")]
     assert truth[0] == pytest.approx(4.5 + 0.26 * 0.95, abs=0.03)
     assert len(jax.devices("gpu")) >= 1
+
+
+def test_worlds_with_arenas_of_their_own_agree_with_c():
+    """Three arenas in one batch of 64, resets included; in single precision, as `test_arena_sets` on a CPU."""
+    scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT)
+    poses, scans = {}, {}
+    for engine in ("c", "warp"):
+        batch = Batch(scene, 3 if engine == "c" else 64, engine=engine)
+        state, readings = drive(batch)
+        batch.check(state)
+        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.teams[0].root_qpos]
+        place = scene.teams[0].suite.place("RangeScanner")
+        scans[engine] = np.asarray(readings[0][place].value)
+    turns = np.arange(64) % 3
+    np.testing.assert_allclose(poses["warp"], poses["c"][turns], atol=TOLERANCE["warp"])
+    np.testing.assert_allclose(scans["warp"], scans["c"][turns], atol=20 * TOLERANCE["warp"])

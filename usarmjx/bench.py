@@ -29,17 +29,22 @@ from usarmjx.models.compose import Physics
 from usarmjx.models.generate import generate_many
 from usarmjx.scene import Scene, Team, build_scene, start_height
 from usarmjx.server.worlds import parse_roster
+from usarmjx.site import places
 
 RESET_SHARE = 0.01
 """Share of worlds that start again at each control step of the whole step."""
 BASELINE_STEPS = 400
+SAMPLE = 64
+"""Generated arenas that a shared one is chosen from."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
 
-    With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them.
+    With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
+    worlds share one: the one with the most loose objects, and then solids, of `SAMPLE`, for a fair
+    comparison, as a batch of many has room for the most of everything.
     """
 
     worlds: int
@@ -90,8 +95,13 @@ def _random_values(batch: Batch, team: Team, key: jax.Array) -> dict[str, jax.Ar
     }
 
 
-def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
-    """The engine alone: new random wheel speeds each control step, servo targets kept near the joints."""
+def _bare(batch: Batch, key: jax.Array, state: State) -> Callable[[jax.Array, Any], Any]:
+    """The engine alone: new random wheel speeds each control step, servo targets kept near the joints.
+
+    What of the arenas is data stays as it is at the start.
+    """
+    scene, start = batch.scene, jnp.zeros(())
+    standing = jax.vmap(lambda world: places(scene, world.site, start))(state.worlds)
 
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         now = batch.engine.state(physics)
@@ -105,7 +115,7 @@ def _bare(batch: Batch, key: jax.Array) -> Callable[[jax.Array, Any], Any]:
             speeds = jnp.where(told.order == Order.VELOCITY, told.target, 0.0)
             ctrl = ctrl.at[:, team.actuator].set(speeds[..., here]).at[:, team.hold].set(1.0)
             act = act.at[:, team.activation].set(now.qpos[:, team.qpos[:, here]])
-        return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act))
+        return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, places=standing))
 
     return body
 
@@ -144,8 +154,10 @@ def _arena(case: Case) -> str | ArenaSpec | list[ArenaSpec]:
     """Return the arena of a case, or all its arenas; a single generated one is shared by all worlds."""
     if not case.generated:
         return case.arena
-    arenas = generate_many(case.arena, case.generated, seed=case.seed)
-    return arenas if len(arenas) > 1 else arenas[0]
+    if case.generated > 1:
+        return generate_many(case.arena, case.generated, seed=case.seed)
+    sample = generate_many(case.arena, SAMPLE, seed=case.seed)
+    return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
 
 
 def measure(case: Case, file: Path | None = None) -> str:
@@ -161,7 +173,7 @@ def measure(case: Case, file: Path | None = None) -> str:
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
     run = partial(timed, repeats=case.repeats)
-    bare_first, bare, _ = run(_loop(batch, _bare(batch, key), case.steps), state.physics)
+    bare_first, bare, _ = run(_loop(batch, _bare(batch, key, state), case.steps), state.physics)
     whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
     batch.check(state)
     work = case.worlds * scene.robots * case.substeps * case.steps

@@ -76,7 +76,7 @@ def scene():
 def built(scene):
     """A world and what is made from it; traced, not compiled: shapes are the same."""
     batch = Batch(scene, WORLDS, engine="c")
-    state = jax.eval_shape(batch._first, batch._keys)[0]
+    state = jax.eval_shape(batch._first, batch._keys, batch._numbers, None)[0]
     world = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state)
     physics = PhysicsState(
         qpos=jax.ShapeDtypeStruct((scene.model.nq,), jnp.float32),

@@ -47,6 +47,15 @@ def test_angles_survive_the_matrix(roll, pitch, yaw):
 
 
 @quick
+@given(turns, st.sampled_from([-math.pi / 2, math.pi / 2]), turns)
+def test_at_the_poles_the_matrix_survives_with_all_of_the_turn_as_yaw(roll, pitch, yaw):
+    mat = mat_from_angles(roll, pitch, yaw)
+    angles = angles_from_mat(mat)
+    assert angles[0] == 0
+    np.testing.assert_allclose(mat_from_angles(*angles), mat, atol=1e-7)  # the arc sine's resolution there
+
+
+@quick
 @given(turns, pitches, turns)
 def test_angles_mean_yaw_then_pitch_then_roll(roll, pitch, yaw):
     expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()

@@ -208,7 +208,9 @@ def test_a_rotation_is_in_the_wires_sense(house):
     client = house.connect("INIT {ClassName P2DX} {Location 4.5,1.9,1.8} {Rotation 0,0,0.5}")
     house.run()
     assert look(heard(client))[2][5] == pytest.approx(0.5, abs=0.011)
-    _, _, _, *quat = client._world._data.qpos[:7]
+    world = client._world
+    root = world._index[0].root_qpos
+    _, _, _, *quat = world._data.qpos[root : root + 7]
     assert 2 * math.atan2(quat[3], quat[0]) == pytest.approx(-0.5, abs=0.01), "clockwise is negative here"
 
 
