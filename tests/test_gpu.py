@@ -81,7 +81,7 @@ def test_a_client_claims_a_robot_of_a_batch_on_the_gpu():
 
 
 def test_worlds_with_arenas_of_their_own_agree_with_c():
-    """Three arenas in one batch of 64, resets included; in single precision, as `test_arena_sets` on a CPU."""
+    """Three arenas in one batch of 64 worlds, in single precision, as in `test_arena_sets` on a CPU."""
     scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT)
     poses, scans = {}, {}
     for engine in ("c", "warp"):
