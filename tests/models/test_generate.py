@@ -49,12 +49,12 @@ def digest(arena):
 
 
 GOLDEN = {
-    "building": "654d9f49f8b6fa3a",
-    "collapsed": "ad943b8a63986068",
-    "maze": "d6322bc7782fcabe",
-    "ramps": "72794d5edc4444a1",
-    "rubble": "e40b0d18db87cf8d",
-    "steps": "4f85b9e7554a5085",
+    "building": "a63a0dc3547a2f25",
+    "collapsed": "af00007d2b13ebc2",
+    "maze": "6362bd2446c96aad",
+    "ramps": "5773f95add694852",
+    "rubble": "8c052d53e66084c7",
+    "steps": "cc02687e17a114d2",
 }
 
 

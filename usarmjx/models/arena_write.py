@@ -31,7 +31,7 @@ def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
     try:
         plain = _Files(path).plain(arena)
         text = yaml.safe_dump(
-            plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=True
+            plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=False
         )
         path.write_text(HEADER + text, encoding="utf-8")
     except OSError as error:

@@ -7,6 +7,7 @@ robots pass by keeping to the other one.
 import math
 from dataclasses import dataclass, field
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -180,29 +181,45 @@ def place_boards(site: Site) -> set[Cell]:
 
 
 def place_clutter(site: Site, free: list[Cell]) -> None:
-    """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first."""
+    """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first.
+
+    The forms of loose objects take turns, so that the arenas of a batch need few of each.
+    """
     draw, clutter, corner = site.draw("clutter"), site.difficulty.clutter, site.corner
     cells = draw.shuffled([cell for cell in free if cell not in site.clear])
     height = mixed(0.1, 0.3, site.difficulty.roughness)
-    loose = min(round(clutter * site.most("loose")), len(cells))
-    blocks = min(round(clutter * site.most("blocks")), len(cells) - loose)
-    for rank, cell in enumerate(cells):
-        form, along = draw.pick(tuple(FORMS)), draw.below(101) / 100
-        # A strip is where no way leads across it; elsewhere only a corner is.
-        sides = [k for k, d in enumerate(((0, corner[1]), (corner[0], 0))) if _closed(site.plan, cell, d)]
-        turned = draw.pick(sides) if sides else 0
-        if rank < loose:
-            form = form if sides else "Brick"
-            half = FORMS[form][0].size
-            x, y = _beside(cell, corner, half, turned, along if sides else 1.0)
-            z, yaw = half[2] + GAP / 5, turned * math.pi / 2
-            name = f"{form}{rank + 1}"
-            site.loose.append(Loose(name=name, at=(x, y, z), rotation=(0.0, 0.0, yaw), shapes=FORMS[form]))
-        elif rank >= len(cells) - blocks:
-            half = (0.15, 0.095, height / 2) if sides else (0.1, 0.05, height / 2)
-            at = _beside(cell, corner, half, turned, along if sides else 1.0)
-            size = (2 * half[0], 2 * half[1], height)
-            site.shapes.append(block(at, size, yaw=turned * math.pi / 2))
+    spots = [_spot(site, cell, draw) for cell in cells]
+    for i in range(min(round(clutter * site.most("loose")), len(cells))):
+        form = tuple(FORMS)[i % len(FORMS)]
+        spot = next((spot for spot in spots if spot.strip or form == "Brick"), None)
+        if spot is None:
+            continue
+        spots.remove(spot)
+        half = FORMS[form][0].size
+        x, y = _beside(spot.cell, corner, half, spot.turned, spot.along)
+        at, yaw = (x, y, half[2] + GAP / 5), spot.turned * math.pi / 2
+        site.loose.append(Loose(name=f"{form}{i + 1}", at=at, rotation=(0.0, 0.0, yaw), shapes=FORMS[form]))
+    for spot in spots[max(0, len(spots) - round(clutter * site.most("blocks"))) :]:
+        half = (0.15, 0.095, height / 2) if spot.strip else (0.1, 0.05, height / 2)
+        at = _beside(spot.cell, corner, half, spot.turned, spot.along)
+        site.shapes.append(block(at, (2 * half[0], 2 * half[1], height), yaw=spot.turned * math.pi / 2))
+
+
+class _Spot(NamedTuple):
+    """Where something may lie in a cell: in a strip along a side that no way leads across, or in a corner."""
+
+    cell: Cell
+    strip: bool
+    turned: int
+    along: float
+
+
+def _spot(site: Site, cell: Cell, draw: Draw) -> _Spot:
+    corner = site.corner
+    along = draw.below(101) / 100
+    sides = [k for k, d in enumerate(((0, corner[1]), (corner[0], 0))) if _closed(site.plan, cell, d)]
+    turned = draw.pick(sides) if sides else 0
+    return _Spot(cell, bool(sides), turned, along if sides else 1.0)
 
 
 def _closed(plan: Plan, cell: Cell, side: Cell) -> bool:
