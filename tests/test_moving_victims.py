@@ -53,7 +53,7 @@ def pushed():
 
 @pytest.mark.parametrize("engine", ["c", "jax", "warp"])
 def test_an_arm_sweeps_a_box_aside(engine, pushed):
-    """Limbs are where the closed form has them; the box slides the same half metre within 10 % on all engines."""
+    """Limbs are where the closed form has them; the box slides half a metre, on all engines within 10 %."""
     scene = build_scene(ARENA, ["ComStation"])
     batch = Batch(scene, 2, engine=engine)
     start = state = batch.reset()

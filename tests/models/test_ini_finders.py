@@ -1,5 +1,7 @@
 """Sensors for victims and tags from ini files: the manual's excerpts (10.9.2, 10.10.2, 10.11.2, 10.12.2)."""
 
+from pathlib import Path
+
 import pytest
 
 from usarmjx.configure import item_settings
@@ -89,3 +91,18 @@ def test_the_manuals_keys_set_what_they_say(tmp_path, kind):
     (robot,) = loaded.robots
     (sensor,) = (sensor for sensor in suite_of(robot).sensors if sensor.mounts[0].name == "Item")
     assert (sensor.kind, sensor.settings) == (kind, (expected,))
+
+
+def test_the_rescue_example_mounts_all_finders_on_a_p2at():
+    """The victim sensor sits on the camera, as captured (and as manual 10.10.1 wants it)."""
+    file = Path(__file__).parents[2] / "examples" / "rescue.ini"
+    stock_only: Registry = Registry("robot")
+    stock_only.add(P2AT.name, P2AT)
+    loaded = load_robots([file], stock_only, 250.0, item_settings())
+    assert not loaded.warnings
+    (robot,) = loaded.robots
+    suite_of(robot)
+    stock, added = robot.sensors[: len(P2AT.sensors)], robot.sensors[len(P2AT.sensors) :]
+    assert stock == P2AT.sensors
+    assert [mount.kind for mount in added] == ["VictSensor", "RFID", "Sound", "HumanMotion", "CO2Sensor"]
+    assert (added[0].parent, added[0].at) == ("CameraPanTilt_Link2", (0.06, 0.0, -0.0087))
