@@ -20,8 +20,8 @@ ORDERS = {
 STEPS = 50
 """Control steps: one second."""
 PARITY = 0.03
-"""Between engines [m] after up to 0.9 m. With 10 solver iterations a Talon on a dozen track wheels is 1 to 2 cm
-from where 100 take it, and warp 2.1 cm from C; with 60 all agree within 0.1 mm."""
+"""Between engines [m] after up to 0.9 m. With 10 solver iterations a Talon on a dozen track wheels is 1 to 2
+cm from where 100 take it, and warp 2.1 cm from C; with 60 all agree within 0.1 mm."""
 
 
 @pytest.fixture(scope="module")
