@@ -1,7 +1,6 @@
 """The bundled client and controller: what they read, what they send, and how the controller decides."""
 
 import contextlib
-import importlib.util
 import json
 import math
 import socket
@@ -12,21 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.scripts import EXAMPLES, load
 from usarmjx.models.robots.pioneer import P2AT
-
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-
-
-def load(name: str):
-    """Import an example by path; `wander` finds its client because that is in sys.modules."""
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
 
 client = load("usarsim_client")
 wander = load("wander")

@@ -2,41 +2,29 @@
 
 import asyncio
 import contextlib
-import importlib.util
 import math
 import socket
-import sys
 import threading
 from functools import partial
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.scripts import load
 from usarmjx.models.compose import Physics
 from usarmjx.models.plan import body_poses
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.live import LiveWorld
 from usarmjx.server.net import Server, Settings
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PATIENCE = 60.0  # s of real time for what takes well under a second on an idle machine
 FACTOR = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
 LEANING = math.radians(30)  # a robot that leans more than this is about to fall
 STANDING = math.radians(3)  # an arm of 0.5 kg, moved by 7 kg that stand on stiff servos
 TRUTH_ATOL = 0.06  # m: GroundTruth has two decimals, and it takes a step or two to stand still again
 HAND = 0.11  # m from the elbow to the end of the forearm
-
-
-def load(name):
-    """Import an example by path; the others find the client because that is in sys.modules."""
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 client = load("usarsim_client")

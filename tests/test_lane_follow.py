@@ -1,16 +1,15 @@
 """The example that follows a lane: its geometry against closed forms, and itself in a served DM-ARDA."""
 
-import importlib.util
 import json
 import math
 import socket
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+from tests.scripts import load
 from tests.server.peers import serving
 from usarmjx.models.arenas.arda import ARDA
 from usarmjx.models.arenas.arda_roads import NETWORK
@@ -20,17 +19,7 @@ from usarmjx.models.route_network import FOOT
 from usarmjx.server.live import LiveWorld
 
 PACE = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SPARE = (12 * FOOT - SNOWSTORM.dimensions[1]) / 2  # m on both sides of a car in the middle of its lane
-
-
-def load(name):
-    """Import an example by path; the second finds the client because that is in sys.modules."""
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 client = load("usarsim_client")

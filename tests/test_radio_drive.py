@@ -1,34 +1,22 @@
 """The radio example: how it steers, and the whole drive in a served yellow arena."""
 
 import csv
-import importlib.util
 import math
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from tests.server.radios import client, crowded, on_air
+from tests.scripts import EXAMPLES, load
+from tests.server.radios import crowded, on_air
 from usarmjx.comms.attenuation import RadioSettings, radio_settings, reach
 from usarmjx.models.arenas import ARENAS
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 INI = EXAMPLES / "radio.ini"
 
 
-def load():
-    """The example as a module; it finds the client library because that is loaded already."""
-    client()
-    spec = importlib.util.spec_from_file_location("radio_drive", EXAMPLES / "radio_drive.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["radio_drive"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-radio_drive = load()
+radio_drive = load("radio_drive")
 
 
 def driver(pose, ahead, backward=False):

@@ -1,12 +1,9 @@
 """DM-ARDA: its files, its roads on the ground and in the files, and cars that drive on them."""
 
-import importlib.util
 import itertools
 import math
 import re
-import sys
 from collections import deque
-from pathlib import Path
 
 import jax
 import mujoco
@@ -14,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import ARDA, FILES, STARTS
@@ -35,15 +33,6 @@ FILE_ATOL = 2e-3  # m: degrees in the files have 8 decimals, 1.1 mm north and 0.
 LANES = [owner for owner, part in NETWORK.parts() if isinstance(part, Lane)]
 PACE = 5.0
 """Times real time of served worlds: faster than that would only take cores from what compiles."""
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 client = load("usarsim_client")

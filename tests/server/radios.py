@@ -1,16 +1,14 @@
 """A served world with its radio on real sockets, and the robots and controllers of a test in it."""
 
 import contextlib
-import importlib.util
 import itertools
 import math
 import re
-import sys
 import time
-from pathlib import Path
 
 import jax
 
+from tests.scripts import load
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compose import Physics
@@ -18,7 +16,6 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.server.live import LiveWorld
 from usarmjx.server.wireless_net import WirelessSettings, make_wireless
 
-CLIENT = Path(__file__).resolve().parents[2] / "examples" / "usarsim_client.py"
 REACH = 3.0  # m
 SHORT = RadioSettings(cutoff=-49.67 - 10.9 * math.log10(REACH / 2))
 """A radio that reaches 3 m: the manual's formula with another cutoff."""
@@ -35,11 +32,7 @@ def crowded(arena, *kinds):
 
 def client():
     """The bundled client library."""
-    if "usarsim_client" not in sys.modules:
-        spec = importlib.util.spec_from_file_location("usarsim_client", CLIENT)
-        sys.modules["usarsim_client"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["usarsim_client"])
-    return sys.modules["usarsim_client"]
+    return load("usarsim_client")
 
 
 def wait_until(happens, what):
