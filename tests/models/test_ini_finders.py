@@ -104,5 +104,5 @@ def test_the_rescue_example_mounts_all_finders_on_a_p2at():
     suite_of(robot)
     stock, added = robot.sensors[: len(P2AT.sensors)], robot.sensors[len(P2AT.sensors) :]
     assert stock == P2AT.sensors
-    assert [mount.kind for mount in added] == ["VictSensor", "RFID", "Sound", "HumanMotion", "CO2Sensor"]
+    assert [mount.kind for mount in added] == ["VictSensor", "Sound", "HumanMotion", "CO2Sensor"]
     assert (added[0].parent, added[0].at) == ("CameraPanTilt_Link2", (0.06, 0.0, -0.0087))

@@ -198,8 +198,9 @@ def test_two_alike_sensors_have_noise_of_their_own(noise):
 
 def test_grouped_sensors_share_a_place_and_others_do_not():
     suite = suite_of(P2AT)
-    assert [s.kind for s in suite.sensors] == ["Sonar", "RangeScanner", "Odometry", "INS", "GroundTruth"]
-    assert [len(s.mounts) for s in suite.sensors] == [16, 1, 1, 1, 1]
+    kinds = ["Sonar", "RangeScanner", "Odometry", "INS", "GroundTruth", "RFID"]
+    assert [s.kind for s in suite.sensors] == kinds
+    assert [len(s.mounts) for s in suite.sensors] == [16, 1, 1, 1, 1, 1]
     assert suite.find("sonar", "f1") == suite.find("SONAR", "R8") == 0
     assert suite.find("Sonar", "Scanner1") is None
     assert suite.place("ins") == 3

@@ -46,7 +46,9 @@ MISSTA = (
     rf"MISSTA {{Time {F2}}} {{Name CameraPanTilt}} {{Link 1}} {{Value {F4}}} {{Torque -20\.00}} "
     rf"{{Link 2}} {{Value {F4}}} {{Torque -20\.00}}"
 )
-P2AT_REPORT = [STA, SONAR % 16, SCANNER, ODOMETRY, INS, TRUTH, MISSTA]
+TAGS = r"SEN \{Type RFID\} \{Name RFID\}( \{ID \d+\} \{Location -?\d+\.\d\d,-?\d+\.\d\d,-?\d+\.\d\d\})+"
+"""A tag lies 2 m from the yellow arena's start."""
+P2AT_REPORT = [STA, SONAR % 16, SCANNER, ODOMETRY, INS, TRUTH, TAGS, MISSTA]
 P2DX_REPORT = [STA, SONAR % 8, SCANNER, ODOMETRY, INS, TRUTH, ENCODER, MISSTA]
 
 
@@ -606,7 +608,8 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
             r"CONF {Type Camera} {CameraDefFov 0\.8727} {CameraMinFov 0\.3491} {CameraMaxFov 2\.0944} "
             r"{CameraFov 0\.8727}",
         ),
-        ("GETCONF {Type RFID}", r"CONF {Type RFID}"),
+        ("GETCONF {Type RFID}", r"CONF {Type RFID} {Name RFID} {MaxRange 3\.0000}"),
+        ("GETCONF {Type Gripper}", r"CONF {Type Gripper}"),
     ],
 )
 def test_geometry_and_configuration_read_as_captured(house, robot, asked, answer):
@@ -715,10 +718,10 @@ def test_junk_never_raises_and_never_disturbs_a_neighbour(house, chunks):
     house.run()
     assert [line.split()[0] for line in first] == [
         "STA",
-        *["SEN"] * 5,
+        *["SEN"] * 6,
         "MISSTA",
         "STA",
-        *["SEN"] * 4,
+        *["SEN"] * 5,
         "MISSTA",
     ]
     for pattern, line in zip(P2AT_REPORT, first, strict=False):

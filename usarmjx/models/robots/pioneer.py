@@ -95,7 +95,13 @@ P2AT = RobotSpec(
         radius=P2AT_WHEEL,
     ),
     packages=(pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
-    sensors=(*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X), sick(P2AT_SCANNER), *POSE_SENSORS),
+    sensors=(
+        *_front_ring(P2AT_RING_X),
+        *_rear_ring(P2AT_RING_X),
+        sick(P2AT_SCANNER),
+        *POSE_SENSORS,
+        Mount(kind="RFID", name="RFID"),
+    ),
     cameras=(camera(),),
     wheel_radius=P2AT_WHEEL,
     wheel_separation=P2AT_TRACK,
