@@ -1,12 +1,19 @@
 """What all tests share: the pool size that keeps jax alive, and why a test is skipped."""
 
+import gc
 import os
 import shutil
+from collections.abc import Iterator
 
 import pytest
 
 # Before jax starts: on two cores two batched factorisations deadlock in its pool of two threads.
 os.environ.setdefault("NPROC", "8")
+
+import jax
+
+MUCH = 2.5e9
+"""A process of tests shall not hold much more memory than this [bytes]."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -19,3 +26,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="slow; run with -m slow"))
         if item.get_closest_marker("gpu") and not gpu_here:
             item.add_marker(pytest.mark.skip(reason="no NVIDIA GPU on this machine"))
+
+
+def resident() -> float:
+    """Return the memory that this process holds [bytes]; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm") as file:
+            return float(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0.0
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_what_is_compiled() -> Iterator[None]:
+    """Drop what JAX has compiled when a process has grown large: all of it together takes 5 GB."""
+    yield
+    if resident() > MUCH:
+        jax.clear_caches()
+        gc.collect()
