@@ -137,6 +137,13 @@ def test_worlds_go_through_all_arenas_in_turn():
         np.testing.assert_array_equal(site.pos, wanted.pos[turn])
     assert {row[0] for row in names} == {one.name for one in ARENAS}
     assert len({row[1] for row in names}) == 1
+    # Another library of the same shapes takes over at the next reset, and not before.
+    before = np.asarray(state.worlds.site.pos)
+    state = state.replace(library=state.library.replace(pos=state.library.pos + 1))
+    state = batch.reset_where(state, jnp.array([True, False]))
+    turn = int(turn_of(np.array(5), int(state.worlds.episode[0]), 3))
+    np.testing.assert_allclose(state.worlds.site.pos[0], arena_set(ARENAS).sites.pos[turn] + 1)
+    np.testing.assert_array_equal(state.worlds.site.pos[1], before[1])
 
 
 def test_a_loose_object_that_an_arena_lacks_waits_out_of_the_way():
