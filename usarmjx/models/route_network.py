@@ -13,8 +13,6 @@ from usarmjx.models.geodesy import Place
 
 FOOT = 0.3048
 """Metres."""
-MILE_PER_HOUR = 0.44704
-"""Metres per second."""
 WIDEST = 1e3
 """Widest lane or spot that is taken for one [feet]."""
 FASTEST = 1e3

@@ -17,7 +17,6 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 LEFT: Vec3 = (0.0, -1.0, 0.0)
 """Axis of wheels and flippers: a positive angle rolls forward, and turns a front flipper down."""
 UP: Vec3 = (0.0, 0.0, -1.0)
-FORWARD: Vec3 = (1.0, 0.0, 0.0)
 CHASSIS = "HARD"
 """The wire's name for 'mounted on the chassis' (captured GEO lines)."""
 
