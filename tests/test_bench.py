@@ -30,8 +30,8 @@ def test_the_record_says_what_was_measured_where(outcome):
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):
         assert word in record["in_the_step"]
-    # A P2AT casts 181 beams, and 9 lines for each of its 16 sonars.
-    assert record["rays_per_control_step"] == 2 * (181 + 9 * 16)
+    # A P2AT casts 181 beams, 9 lines for each of its 16 sonars, and one to each of the 16 nearest tags.
+    assert record["rays_per_control_step"] == 2 * (181 + 9 * 16 + 16)
 
 
 def test_the_rates_follow_from_the_times(outcome):

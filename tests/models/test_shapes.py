@@ -22,7 +22,7 @@ from usarmjx.sensors.suite import Memory
 from usarmjx.world import Status, TeamState, World, control, look, observe, team_states, time_of
 
 ROBOTS, WORLDS = 2, 3
-JOINTS, BODIES, SENSORS = 6, 7, 5  # of a P2AT: four wheels, two links; plus the chassis
+JOINTS, BODIES, SENSORS = 6, 7, 6  # of a P2AT: four wheels, two links; plus the chassis
 DIMS = re.compile(r"\((\.\.\.|[\w., ]*)\)$")
 
 
@@ -133,6 +133,7 @@ def test_readings_and_memories(scene, built):
         assert isinstance(reading, Reading)
         check(reading, (ROBOTS,), {})
     expected = {"Sonar": (16,), "RangeScanner": (181,), "Odometry": (3,), "INS": (6,), "GroundTruth": (6,)}
+    expected["RFID"] = (16, 5)
     for sensor, reading in zip(scene.teams[0].suite.sensors, readings, strict=True):
         assert reading.value.shape == (ROBOTS, *expected[sensor.kind])
     ins = after.teams[0].memory.own[scene.teams[0].suite.place("INS")]

@@ -279,7 +279,7 @@ def test_a_car_that_was_driven_stops_and_holds_on_ten_degrees(name):
 # What they carry
 
 EQUIPMENT = {  # manual 12.2, 12.4 to 12.8, 12.11 and 12.16 to 12.18; pose sensors besides
-    "StereoP2AT": {"Sonar": 16, "RangeScanner": 1},
+    "StereoP2AT": {"Sonar": 16, "RangeScanner": 1, "RFID": 1},
     "ATRVJr": {"Sonar": 17, "RangeScanner": 1},
     "Zerg": {},
     "Kurt2D": {"RangeScanner": 1, "Encoder": 2, "Sonar": 1, "IR": 7},
