@@ -99,11 +99,12 @@ class Chat:
             return bool(self.links)
         self.next_try = now + ASK_AGAIN
         one, other = self.names
-        with self.radio.listen(other) as door:
-            try:
+        try:
+            # Any free port; the server may remember it from an attempt that came to nothing, and says so.
+            with self.radio.listen(other) as door:
                 self.links = [self.radio.connect(one, other, door.port), door.accept(10.0)]
-            except RadioError:
-                return False
+        except RadioError:
+            return False
         return True
 
     def talk(self) -> None:
