@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.compose import Physics, new_spec
-from usarmjx.scene import START_ELEVATION
 
 HIGH = 5.0
 """Where rays start from, above everything [m]."""

@@ -14,7 +14,7 @@ from usarmjx.comms.walls import arena_solids
 from usarmjx.errors import SpecError
 from usarmjx.models.arena_files import find_arena
 from usarmjx.models.arena_set import ArenaSet, arena_set
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.compose_arena import ARENA, BONE
 from usarmjx.models.effecters import Effecter, effecters_of
@@ -36,8 +36,6 @@ PARKING_STEP = 8.0
 """Distance between two parked robots [m]: more than a submarine's length."""
 START_GAP = 0.002
 """Robots start this far above the floor, so that none starts inside it [m]."""
-START_ELEVATION = 0.188
-"""How high above the ground under it a start pose is given [m] (manual 5.3.5)."""
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ import pytest
 from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
+from usarmjx.models.arena_spec import START_ELEVATION
 from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TREES, ground
 from usarmjx.models.reach import reach_map, size_of, victims_reached
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import SKY
-from usarmjx.scene import START_ELEVATION, build_scene
+from usarmjx.scene import build_scene
 
 DEEP = 0.002  # m
 GRID = 1e-5  # m: heights are kept in single precision

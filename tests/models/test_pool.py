@@ -10,13 +10,13 @@ import pytest
 
 from tests.rig import Rig
 from usarmjx.batch import Batch
-from usarmjx.models.arena_spec import StartPose, Water
+from usarmjx.models.arena_spec import START_ELEVATION, StartPose, Water
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.pool import DECK, DEPTH, KEEL, POOL
 from usarmjx.models.drives import DRY
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.victims import rest_height
-from usarmjx.scene import START_ELEVATION, START_GAP, build_scene, start_height
+from usarmjx.scene import START_GAP, build_scene, start_height
 from usarmjx.world import depth_in_water
 
 WATER_LEVEL = POOL.floor + DEPTH

@@ -11,6 +11,7 @@ from usarmjx.models.compose_arena import ARENA
 from usarmjx.models.reach import reach_map, size_of, victims_reached
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
+from usarmjx.models.tags import RELEASED
 
 STICKS_OUT = 0.5
 """How far a solid may reach over the extent, as an outer wall does [m]."""
@@ -18,8 +19,6 @@ ARM = 1.0
 """How near a robot must get to a victim [m]."""
 BESIDE = 0.3
 """How near to another start pose [m]."""
-RELEASED = 1000
-"""Highest ID of a tag that releasers may give (manual 10.9, 11.2)."""
 
 
 def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:

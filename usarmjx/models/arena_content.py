@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usarmjx.models.arena_spec import ArenaSpec, Door, Loose, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Door, Loose, StartPose
 from usarmjx.models.raster import half_lengths
-from usarmjx.models.reach import START_ELEVATION, placed, reach_map
+from usarmjx.models.reach import placed, reach_map
 from usarmjx.models.spec import Shape
 from usarmjx.transforms import Vec3, mat_from_angles
 

@@ -5,11 +5,10 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.compose import Physics, add_robot, new_spec
 from usarmjx.models.compose_arena import ARENA, BONE, DOOR, LOOSE
 from usarmjx.models.plan import body_plan
-from usarmjx.models.reach import START_ELEVATION
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.victim_table import box_names
 from usarmjx.transforms import quat_from_angles

@@ -61,6 +61,10 @@ class Water:
     high: Vec3
 
 
+START_ELEVATION = 0.188
+"""How high above the ground under it a start pose is given [m] (manual 5.3.5)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StartPose:
     """A named place to start from; `at` is `START_ELEVATION` above the ground, `yaw` counter-clockwise."""

@@ -18,7 +18,7 @@ from functools import cached_property, lru_cache
 import mujoco
 import numpy as np
 
-from usarmjx.models.arena_spec import ArenaSpec, Loose, StartPose, Victim
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Loose, StartPose, Victim
 from usarmjx.models.raster import Grid, columns
 from usarmjx.models.spec import ZERO, RobotSpec, Shape
 from usarmjx.models.surfaces import Link, areas_of, blocked, grow, links_of, octagon, shrink, surfaces
@@ -32,7 +32,6 @@ HEIGHT = 0.4
 """Room that a robot needs above the ground if none is given [m]."""
 SLOPE = math.radians(30)
 """Steepest slope that counts as passable if none is given (chosen; friction 0.8 holds to 38 degrees)."""
-START_ELEVATION = 0.188  # manual 5.3.5
 SAME = 0.1
 """Heights that differ by less are those of the same surface [m]."""
 TINY = 1e-6

@@ -84,10 +84,10 @@ class LiveWorld(HostWorld):
         if len(self._swinging):  # see `move_geoms`
             self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         self._model = self._spec.compile()
-        self._model.geom_sameframe[self._bones()] = 0
+        self._free_bones()
         self._data = mujoco.MjData(self._model)
         # What dropped things fall on: the arena without anything loose.
-        self._ground = new_spec(replace(arena, loose=()), physics).compile()
+        self._ground = new_spec(replace(arena, loose=(), doors=()), physics).compile()
         self._ground_data = mujoco.MjData(self._ground)
         mujoco.mj_kinematics(self._ground, self._ground_data)
         sky = np.array(materials_of(self._ground, arena), object) == SKY
@@ -171,19 +171,20 @@ class LiveWorld(HostWorld):
 
     def _recompile(self) -> None:
         self._model, self._data = self._spec.recompile(self._model, self._data)
-        self._model.geom_sameframe[self._bones()] = 0
+        self._free_bones()
         self._sort_pieces()
         for slot, robot in self.robots.items():
             self._index[slot] = index_robot(self._model, robot.spec, prefix_of(slot))
 
-    def _bones(self) -> list[int]:
-        """Return the ids of the victims' boxes that move."""
-        return [self._model.geom(f"{BONE}{i}").id for i in self._swinging]
+    def _free_bones(self) -> None:
+        """Find the victims' boxes that move in the present model, and let them; see `move_geoms`."""
+        self._bones = [self._model.geom(f"{BONE}{i}").id for i in self._swinging]
+        self._model.geom_sameframe[self._bones] = 0
 
     def _move_victims(self) -> None:
         if len(self._swinging):
             pos, quat = segment_poses(self._victims, np.float32(self.time))
-            move_geoms(self._model, self._bones(), pos[self._swinging], quat[self._swinging])
+            move_geoms(self._model, self._bones, pos[self._swinging], quat[self._swinging])
 
     def tell(self, robot: Robot, command: Command) -> None:
         """Replace what the robot is told to do."""
@@ -226,17 +227,18 @@ class LiveWorld(HostWorld):
         self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)
         geoms = self._geoms()
+        around = self._around() if any(robot.suite.looks_around for robot in due) else None
         for robot in due:
             compiled = self._compiled[robot.spec.name]
             state = self._state(robot.slot)
-            around = self._around() if robot.suite.looks_around else None
-            bodies, origin, direction = compiled.stretch(state, around)
+            seeks = around if robot.suite.looks_around else None
+            bodies, origin, direction = compiled.stretch(state, seeks)
             hits = NO_HITS
             for passes, mine in compiled.gazes:
                 seen = self._cast(geoms, origin, direction, np.int32(robot.slot), passes=passes)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
-            sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=around)
+            sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
             key = self._noise(robot, self._steps)
             memory, readings = compiled.read(sight, self._memory[robot.slot], key)
             self._memory[robot.slot] = memory

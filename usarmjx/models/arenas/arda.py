@@ -7,7 +7,7 @@ some of the satellites. Four traffic cones lie loose, all else is fixed.
 import math
 from pathlib import Path
 
-from usarmjx.models.arena_spec import ArenaSpec, Loose, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Loose, StartPose
 from usarmjx.models.arenas.arda_roads import (
     EAST,
     FIRST_SPOT,
@@ -27,7 +27,6 @@ from usarmjx.models.spec import Shape
 
 FILES = tuple(Path(__file__).with_name(name) for name in (NETWORK.name, *(m.name for m in MISSIONS)))
 """The route network and the missions as files, for controllers."""
-START_ELEVATION = 0.188  # manual 5.3.5
 
 ASPHALT, GRASS = (0.28, 0.28, 0.3, 1.0), (0.35, 0.5, 0.25, 1.0)
 BRICK, PLASTER = (0.6, 0.35, 0.3, 1.0), (0.85, 0.8, 0.65, 1.0)

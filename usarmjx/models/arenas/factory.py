@@ -22,6 +22,7 @@ the height which test programs use there (1.8, z down) is just above it here too
 import math
 
 from usarmjx.models.arena_spec import (
+    START_ELEVATION,
     ArenaSpec,
     Door,
     FalseAlarm,
@@ -42,7 +43,7 @@ from usarmjx.models.arenas.factory_plan import (
     OUTER,
     WIDTH,
 )
-from usarmjx.models.arenas.pieces import START_ELEVATION, brick, drum, loose_box, waving
+from usarmjx.models.arenas.pieces import brick, drum, loose_box, waving
 from usarmjx.models.victims import rest_height
 
 FLOOR = -2.08

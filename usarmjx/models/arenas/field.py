@@ -1,6 +1,6 @@
 """DM-Field: a large, flat, open ground for cars and flyers, with some walls at its edge. The plan is ours."""
 
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec import Shape
 
 HALF = 200.0
@@ -9,7 +9,6 @@ WALL = (10.0, 0.1, 1.5)
 """Half lengths of a wall [m]."""
 SPACING = 10.0
 """Distance between two starts [m]."""
-START_ELEVATION = 0.188  # manual 5.3.5
 BRICK = (0.6, 0.35, 0.3, 1.0)
 
 

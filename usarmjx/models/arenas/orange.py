@@ -9,6 +9,7 @@ P2AT, whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
 import math
 
 from usarmjx.models.arena_spec import (
+    START_ELEVATION,
     ArenaSpec,
     Door,
     FalseAlarm,
@@ -39,7 +40,7 @@ from usarmjx.models.arenas.elements import (
     stairs,
 )
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import PANE, START_ELEVATION, brick, span, waving
+from usarmjx.models.arenas.pieces import PANE, brick, span, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe
 from usarmjx.models.arenas.step_fields import POST, step_field
 from usarmjx.models.spec import GLASS

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from usarmjx.models.arena_spec import (
+    START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
     HelpSound,
@@ -23,7 +24,7 @@ from usarmjx.models.arena_spec import (
     Victim,
 )
 from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
-from usarmjx.models.arenas.pieces import CONCRETE, START_ELEVATION, brick, loose_box, span, waving
+from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
 from usarmjx.models.spec import SKY, HeightField, Shape
 from usarmjx.models.victims import rest_height
 

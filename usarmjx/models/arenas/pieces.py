@@ -7,8 +7,6 @@ from usarmjx.models.arenas.elements import WOOD, Rgba, block
 from usarmjx.models.spec import OPAQUE, Shape
 from usarmjx.transforms import Vec3
 
-START_ELEVATION = 0.188
-"""How high above the ground under it a start pose is given [m] (manual 5.3.5)."""
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
 STEEL: Rgba = (0.45, 0.48, 0.52, 1.0)
 BRICK: Rgba = (0.6, 0.28, 0.2, 1.0)

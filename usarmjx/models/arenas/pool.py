@@ -6,7 +6,7 @@ basin is the arena's floor; the quay lies at the wire's origin height.
 
 import math
 
-from usarmjx.models.arena_spec import ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
 from usarmjx.models.arenas.pieces import CONCRETE, span, waving
 from usarmjx.models.victims import rest_height
 
@@ -15,7 +15,6 @@ LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
 FREEBOARD, QUAY, WALL, PARAPET = 0.4, 4.0, 0.3, 1.2
 """Quay above the water, its width, thickness of walls and deck, height of the parapet [m]."""
 DECK = DEPTH + FREEBOARD
-START_ELEVATION = 0.188  # manual 5.3.5
 KEEL = 1.5
 """Height of the submarines' keels over the floor when they start [m]."""
 WATER_X, WATER_ROWS = -20.0, (0.0, -4.0, 4.0, -8.0)

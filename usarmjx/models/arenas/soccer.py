@@ -12,9 +12,8 @@ robots' hulls cover their wheels. It rolls without resistance until something st
 
 import math
 
-from usarmjx.models.arena_spec import ArenaSpec, Light, Loose, StartPose
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Light, Loose, StartPose
 from usarmjx.models.arenas.elements import Rgba, block
-from usarmjx.models.arenas.pieces import START_ELEVATION
 from usarmjx.models.spec import Shape
 
 LENGTH, WIDTH = 5.4, 3.6

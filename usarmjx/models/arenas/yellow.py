@@ -12,6 +12,7 @@ victims, glass, a mirror, a grid fender, and few loose things, as each costs the
 import math
 
 from usarmjx.models.arena_spec import (
+    START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
     HelpSound,
@@ -29,7 +30,6 @@ from usarmjx.models.victims import rest_height
 
 FLOOR = -2.08
 ORIGIN = (-2.4, -4.8)
-START_HEIGHT = 0.188  # manual 5.3.5: where the Unreal editor puts every PlayerStart
 
 PLAN = """
 +--+--+--+--+--+--+--+--+--+--+--+--+
@@ -150,9 +150,9 @@ YELLOW = ArenaSpec(
     floor=FLOOR,
     shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES, *EFFECTS),
     starts=(
-        StartPose(tag="PlayerStart", at=(4.5, -1.9, START_HEIGHT)),
+        StartPose(tag="PlayerStart", at=(4.5, -1.9, START_ELEVATION)),
         *(
-            StartPose(tag=f"Start{i}", at=(*_cell(*cell), START_HEIGHT), yaw=math.pi / 2 * (i % 4 - 1))
+            StartPose(tag=f"Start{i}", at=(*_cell(*cell), START_ELEVATION), yaw=math.pi / 2 * (i % 4 - 1))
             for i, cell in enumerate(START_CELLS, start=1)
         ),
     ),

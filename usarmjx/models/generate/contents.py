@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usarmjx.models.arena_spec import HelpSound, Loose, Segment, StartPose, Tag, Victim
+from usarmjx.models.arena_spec import START_ELEVATION, HelpSound, Loose, Segment, StartPose, Tag, Victim
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import Draw
 from usarmjx.models.generate.kinds import MOST_STARTS, Kind, counts
 from usarmjx.models.generate.plan import BASE, CELL, SIDES, THICKNESS, Cell, Plan, middle
 from usarmjx.models.generate.structures import ROOM, STONE, WOOD, Place, Rgba, block, mixed, void
 from usarmjx.models.raster import half_lengths
-from usarmjx.models.reach import START_ELEVATION, Size, placed
+from usarmjx.models.reach import Size, placed
 from usarmjx.models.spec import Shape
 from usarmjx.models.victims import rest_height
 from usarmjx.transforms import mat_from_angles
