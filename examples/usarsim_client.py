@@ -12,6 +12,7 @@ Metres, radians and seconds; x forward, y right, z down, yaw clockwise seen from
 import re
 import select
 import socket
+import struct
 import time
 from collections import deque
 from contextlib import AbstractContextManager
@@ -161,6 +162,18 @@ class UsarsimClient(AbstractContextManager):
     def drive(self, left: float, right: float, normalized: bool = False) -> None:
         """Turn the left and right wheels forward [rad/s, or percent when normalized]."""
         self.send("DRIVE", Left=left, Right=right, **({"Normalized": True} if normalized else {}))
+
+    def view(self, client: str, robot: str = "", camera: str = "") -> None:
+        """Show a robot's camera to an image client, by its address or `ImageClient.name`; none lets go."""
+        named = {"Robot": robot, "Name": camera, "Client": client}
+        self.send("SET", Type="Camera", **{key: value for key, value in named.items() if value})
+
+    def zoom(self, camera: str, fov: float) -> float:
+        """Set a camera's field of view [rad], 0 for its default, and return what it has become."""
+        self.send("SET", Type="Camera", Name=camera, FOV=fov)
+        answer = self._wait_for("RES", "an answer to SET")
+        fovs = dict(zip(answer.values("Name"), answer.values("FOV")))  # noqa: B905
+        return float(fovs[camera])
 
     def multidrive(self, joints: dict[str, float]) -> None:
         """Move joints, by name, to absolute positions [rad], all at the same time."""
@@ -397,3 +410,61 @@ class WirelessB(_Control):
         """Leave the wireless server: nobody can call any more."""
         super().close()
         self.door.__exit__()
+
+
+# Pictures (manual 14.5.3). The image server sends one, waits for OK, and sends the next.
+
+
+@dataclass(frozen=True)
+class Image:
+    """A picture: red, green and blue bytes of its pixels, rows from the top; or a JPEG file's bytes."""
+
+    width: int = 0
+    height: int = 0
+    rgb: bytes = b""
+    jpeg: bytes = b""
+
+
+class ImageClient(AbstractContextManager):
+    """A connection to the image server.
+
+        with ImageClient() as camera:
+            image = camera.picture()
+            pathlib.Path("picture.jpg").write_bytes(image.jpeg)
+
+    Which camera it is of is set by `view` of the robot's client.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0):
+        self._socket = socket.create_connection((host, port), timeout)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.name = "{}:{}".format(*self._socket.getsockname()[:2])
+        self._first = True
+
+    def picture(self) -> Image:
+        """Return the next picture; the first one that a camera takes may need some seconds."""
+        if not self._first:
+            self._socket.sendall(b"OK")
+        self._first = False
+        kind, size = struct.unpack(">BI", self._exactly(5))
+        data = self._exactly(size)
+        if kind:
+            return Image(jpeg=data)
+        width, height = struct.unpack(">HH", data[:4])
+        return Image(width, height, data[4:])
+
+    def _exactly(self, count: int) -> bytes:
+        data = bytearray()
+        while len(data) < count:
+            piece = self._socket.recv(count - len(data))
+            if not piece:
+                raise ConnectionError("the image server has closed the connection")
+            data += piece
+        return bytes(data)
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self) -> None:
+        """Leave the image server."""
+        self._socket.close()

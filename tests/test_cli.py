@@ -49,7 +49,8 @@ def test_serve_help_names_every_option():
     assert result.exit_code == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", result.output)
     options = ("arena", "worlds", "instance", "roster", "host", "port", "engine", "seed", "ini")
-    for option in (*options, "uu-per-metre"):
+    images = ("images", "image-port", "image-size", "image-fps", "image-format", "multi-view")
+    for option in (*options, "uu-per-metre", *images):
         assert f"--{option}" in plain
 
 

@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.cameras.mounts import cameras_of, find_camera
+from usarmjx.cameras.picture import Picture, check_size
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
-from usarmjx.control import Order, check_keys, steer
-from usarmjx.engines import PhysicsState, choose_engine, make_engine
-from usarmjx.errors import EngineError, UnknownNameError, UsageError
+from usarmjx.control import Order, check_keys, move_joints, steer
+from usarmjx.engines import Inputs, PhysicsState, choose_engine, make_engine
+from usarmjx.errors import EngineError, UsageError
 from usarmjx.models.arena_set import Site, turn_of
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.effecters import Opcode
@@ -26,6 +28,7 @@ from usarmjx.radio import boxes, every, kept_links, links_due, mail_of, present_
 from usarmjx.scene import Scene
 from usarmjx.sensors.base import Reading
 from usarmjx.transforms import Array
+from usarmjx.views import Eye, each, photo, pictures
 from usarmjx.world import World, control, first_episode, observe, restart, settle
 
 Readings = tuple[tuple[Reading, ...], ...]
@@ -47,7 +50,8 @@ class State(struct.PyTreeNode, kw_only=True):
     library: Site | None = None
 
 
-def _choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+def choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """Return new where masked (worlds,), else old (worlds, ...)."""
     return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
@@ -84,17 +88,21 @@ class Batch:
         self.scene = scene
         self.worlds = worlds
         kind = choose_engine(engine, "train")
-        self.engine = make_engine(kind, scene.spec, scene.physics, worlds, scene.moved)
+        self.engine = make_engine(kind, scene.spec, scene.physics, worlds, scene.moved, scene.varied)
         self._numbers = jnp.arange(first, first + worlds)
-        self._keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
+        self._keys = self._keys_of(seed)
         self._control = self._compile(jax.vmap(partial(control, scene)))
         self._settle = self._compile(jax.vmap(partial(settle, scene)))
-        self._restart = self._compile(jax.vmap(partial(restart, scene, shuffle=shuffle), in_axes=(0, None)))
+        self._settle_and_control = self._compile(self._both)
+        self._fresh = jax.vmap(partial(restart, scene, shuffle=shuffle), in_axes=(0, None))
+        self._restart = self._compile(self._restart_where)
         self._first = self._compile(
             jax.vmap(partial(first_episode, scene, shuffle=shuffle), in_axes=(0, 0, None))
         )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
         self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
+        self._look = self._compile(self._look_all, static_argnums=(2, 3))
+        self._photo = self._compile(self._photo_one, static_argnums=(3, 4))
         self._links = self._compile(self._look_at_links)
         self._send = self._compile(jax.vmap(partial(send, scene)))
         traceable = self.engine.traceable
@@ -105,22 +113,35 @@ class Batch:
         )
         """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
 
+    def _keys_of(self, seed: int) -> jax.Array:
+        return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
+
     @staticmethod
     def _compile(function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
         # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
         return jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static_argnums)
 
-    def reset(self) -> State:
-        """Return all worlds at the start of their first episode."""
-        library = None if self.scene.arenas is None else jax.tree.map(jnp.asarray, self.scene.arenas.sites)
-        worlds, qpos = self._first(self._keys, self._numbers, library)
+    def reset(self, seed: int | None = None, library: Site | None = None) -> State:
+        """Return all worlds at the start of their first episode.
+
+        Args:
+            seed: Of all random numbers; None: the batch's own.
+            library: Arenas to draw from instead of the scene's, of the same shapes.
+        """
+        if library is None and self.scene.arenas is not None:
+            library = jax.tree.map(jnp.asarray, self.scene.arenas.sites)
+        keys = self._keys if seed is None else self._keys_of(seed)
+        worlds, qpos = self._first(keys, self._numbers, library)
         everywhere = jnp.ones(self.worlds, bool)
         physics = self.engine.reset(self.engine.start(), everywhere, qpos)
         return State(physics=physics, worlds=worlds, library=library)
 
+    def _restart_where(self, worlds: World, library: Site | None, mask: jax.Array) -> tuple[World, jax.Array]:
+        fresh, qpos = self._fresh(worlds, library)
+        return jax.tree.map(partial(choose, mask), fresh, worlds), qpos
+
     def _reset_where(self, state: State, mask: jax.Array) -> State:
-        fresh, qpos = self._restart(state.worlds, state.library)
-        worlds = jax.tree.map(partial(_choose, mask), fresh, state.worlds)
+        worlds, qpos = self._restart(state.worlds, state.library, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
     def _step(self, state: State) -> State:
@@ -132,6 +153,30 @@ class Batch:
         if self.engine.traceable:
             return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
         return state if bool(finite.all()) else self._reset_where(state, ~finite)
+
+    def run(self, state: State, steps: int) -> State:
+        """Advance every world by some control steps, as `step` does, in fewer calls."""
+        if self.engine.traceable:
+            return jax.lax.fori_loop(0, steps, lambda _, s: self.step(s), state)
+        if steps < 1:
+            return state
+        physics, (worlds, inputs) = state.physics, self._control(state.worlds, self.physics(state))
+        for left in reversed(range(steps)):
+            physics = self.engine.advance(physics, inputs)
+            lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
+            settled, finite, (told, inputs) = self._settle_and_control(worlds, now, lost)
+            if not bool(finite.all()):
+                state = self._reset_where(state.replace(physics=physics, worlds=settled), ~finite)
+                return self.run(state, left)
+            worlds = told if left else settled
+        return state.replace(physics=physics, worlds=worlds)
+
+    def _both(
+        self, worlds: World, physics: PhysicsState, lost: jax.Array
+    ) -> tuple[World, jax.Array, tuple[World, Inputs]]:
+        """Settle a control step and begin the next one."""
+        worlds, finite = jax.vmap(partial(settle, self.scene))(worlds, physics, lost)
+        return worlds, finite, jax.vmap(partial(control, self.scene))(worlds, physics)
 
     def arena_of(self, state: State, world: int) -> ArenaSpec:
         """Return the arena that a world has in its present episode, if nobody replaced the library."""
@@ -240,17 +285,8 @@ class Batch:
             UnknownNameError: A joint that these robots do not have; lists those they have.
         """
         members, plan = state.worlds.teams[team], self.scene.teams[team].plan
-        target, orders = members.command.target, members.command.order
-        for name, value in targets.items():
-            joint = plan.joint(name)
-            if joint is None:
-                known = ", ".join(plan.parts[1:])
-                raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
-            target = target.at[..., joint].set(jnp.broadcast_to(value, members.active.shape))
-            orders = orders.at[..., joint].set(int(order))
-        return self.with_team(
-            state, team, members.replace(command=members.command.replace(target=target, order=orders))
-        )
+        command = move_joints(plan, members.command, targets, order)
+        return self.with_team(state, team, members.replace(command=command))
 
     def operate(
         self,
@@ -300,6 +336,74 @@ class Batch:
             return operate(self.scene, world, physics, where, opcode, value, asked)
 
         return jax.vmap(one)(worlds, physics, value, asked)
+
+    def _eye(self, team: int, camera: str | int | None, size: tuple[int, int]) -> Eye:
+        robot = self.scene.teams[team].robot
+        place = find_camera(robot, camera)
+        check_size(cameras_of(robot)[place], *size)
+        return team, cameras_of(robot)[place], place
+
+    def look(
+        self, state: State, team: int, camera: str | int | None = None, width: int = 64, height: int = 64
+    ) -> Picture:
+        """Return what a camera of each of a team's robots sees (worlds, robots, ...).
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            camera: Name or place of a camera of the class; None: the main one.
+            width: Pixels along a row.
+            height: Rows.
+
+        Raises:
+            UnknownNameError: The robots have no such camera; lists those they have.
+            UsageError: A picture of that size cannot be taken.
+        """
+        eye = self._eye(team, camera, (width, height))
+        return self._look(state.worlds, self.physics(state), eye, (width, height))
+
+    def photo(
+        self,
+        state: State,
+        world: int,
+        slot: int,
+        camera: str | int | None = None,
+        width: int = 320,
+        height: int = 240,
+    ) -> Picture:
+        """Return what a camera of the robot in one slot of one world sees; the others are as in `look`."""
+        team, member = self.scene.team_of(slot)
+        eye = self._eye(team, camera, (width, height))
+        return self._photo(state.worlds, self.physics(state), (world, member), eye, (width, height))
+
+    def _look_all(self, worlds: World, physics: PhysicsState, eye: Eye, size: tuple[int, int]) -> Picture:
+        return each(lambda world, now: pictures(self.scene, world, now, eye, size), worlds, physics)
+
+    def _photo_one(
+        self, worlds: World, physics: PhysicsState, who: tuple, eye: Eye, size: tuple[int, int]
+    ) -> Picture:
+        world, now = jax.tree.map(lambda x: x[who[0]], (worlds, physics))
+        return photo(self.scene, world, now, who[1], eye, size)
+
+    def zoom(
+        self, state: State, team: int, camera: str | int | None, fov: Array, where: Array = True
+    ) -> State:
+        """Set a camera's field of view, as SET does: within its limits, and 0 is the default (manual 9.4).
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            camera: Name or place of a camera of the class; None: the main one.
+            fov: Horizontal field of view [rad], broadcast to (worlds, robots).
+            where: Which robots shall do it, broadcast to (worlds, robots).
+
+        Raises:
+            UnknownNameError: The robots have no such camera; lists those they have.
+        """
+        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
+        place = find_camera(robot, camera)
+        told = jnp.where(where, cameras_of(robot)[place].clamp(fov, jnp), members.fov[..., place])
+        return self.with_team(state, team, members.replace(fov=members.fov.at[..., place].set(told)))
 
     @staticmethod
     def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState

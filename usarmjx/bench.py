@@ -1,8 +1,8 @@
 """How fast a step is: bare physics and the whole step of the same model, in one run.
 
 Bare is the engine alone under constant inputs (MJX's step mapped over the worlds, or `mj_step`); the
-whole step adds random commands, control, bookkeeping, all sensors, and resets of some worlds. Rates
-count robots times physics steps.
+whole step adds random commands, control, bookkeeping, all sensors that are due, and resets of some worlds.
+Rates count robots times physics steps. The share of the sensors is from the same step without them.
 """
 
 import statistics
@@ -120,13 +120,14 @@ def _bare(batch: Batch, key: jax.Array, state: State) -> Callable[[jax.Array, An
     return body
 
 
-def _whole(batch: Batch, key: jax.Array) -> Callable[[jax.Array, State], State]:
+def _whole(batch: Batch, key: jax.Array, *, sensing: bool = True) -> Callable[[jax.Array, State], State]:
     def body(i: jax.Array, state: State) -> State:
         now = jax.random.fold_in(key, i)
         for t, team in enumerate(batch.scene.teams):
             state = batch.drive(state, t, _random_values(batch, team, now))
         state = batch.step(state)
-        state, _ = batch.observe(state)
+        if sensing:
+            state, _ = batch.observe(state)
         if batch.scene.radio is not None:
             state, _ = batch.links(state)
         again = jax.random.uniform(jax.random.fold_in(now, 1), (batch.worlds,)) < RESET_SHARE
@@ -175,6 +176,7 @@ def measure(case: Case, file: Path | None = None) -> str:
     run = partial(timed, repeats=case.repeats)
     bare_first, bare, _ = run(_loop(batch, _bare(batch, key, state), case.steps), state.physics)
     whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
+    _, blind, state = run(_loop(batch, _whole(batch, key, sensing=False), case.steps), state)
     batch.check(state)
     work = case.worlds * scene.robots * case.substeps * case.steps
     status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.status))
@@ -187,19 +189,22 @@ def measure(case: Case, file: Path | None = None) -> str:
         "arena_geoms": len(scene.fixed_look.kind) + len(scene.moved_look.kind),
         "loose_objects": len(scene.arena.loose),
         "timestep": scene.physics.timestep,
-        "in_the_step": "contacts, random commands, control, all sensors of the robots every control step, "
+        "in_the_step": "contacts, random commands, control, all sensors of the robots when due, "
         f"resets of {RESET_SHARE:.0%} of worlds every control step; "
         + (
             "all links of the radio every control step, no rendering"
             if case.radio
             else "no radio, no rendering"
         ),
-        "rays_per_control_step": rays * case.worlds,
+        "rays_when_all_are_due": rays * case.worlds,
         "bare_robot_steps_per_s": bare_rate,
         "robot_steps_per_s": whole_rate,
         "whole_to_bare": whole_rate / bare_rate,
+        "sensors": {team.robot.name: [sensor.kind for sensor in team.suite.sensors] for team in scene.teams},
+        "sensors_share": 1 - statistics.median(blind) / statistics.median(whole),
         "bare_times_s": bare,
         "whole_times_s": whole,
+        "blind_times_s": blind,
         "compile_s": {"bare": bare_first - bare[0], "whole": whole_first - whole[0]},
         "cpu_mujoco_robot_steps_per_s": _baseline(scene, np.full(scene.model.nu, 1.0)),
         "faults": status,
@@ -216,6 +221,7 @@ def _summary(record: dict[str, Any]) -> str:
             f"bare physics  {record['bare_robot_steps_per_s']:12,.0f} robot-steps/s",
             f"whole step    {record['robot_steps_per_s']:12,.0f} robot-steps/s  ({record['in_the_step']})",
             f"ratio         {record['whole_to_bare']:12.2f}",
+            f"sensors       {record['sensors_share']:12.1%} of the whole step",
             f"mj_step       {record['cpu_mujoco_robot_steps_per_s']:12,.0f} robot-steps/s, bare, one core",
             f"compile [s]   bare {record['compile_s']['bare']:.1f}, whole {record['compile_s']['whole']:.1f}",
             f"faults        {record['faults']}",

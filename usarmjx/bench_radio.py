@@ -21,7 +21,7 @@ from usarmjx.bench_tools import append, heading, timed
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate, no_links
 from usarmjx.models.spec import OPAQUE
-from usarmjx.sensors.raycast import Block, Geoms
+from usarmjx.sensors.targets import Block, Geoms
 
 SIDE = 20.0
 """Arenas are this long and wide [m]."""

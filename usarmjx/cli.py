@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx import cli_arena
+from usarmjx import cli_arena, cli_play, cli_sensors, cli_train
 from usarmjx.cli_tools import Failure, SeedOption
 
 app = typer.Typer(
@@ -19,6 +19,9 @@ app = typer.Typer(
 bench_app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
 app.add_typer(cli_arena.app, name="arena")
+app.add_typer(cli_train.app)
+app.add_typer(cli_play.app)
+app.command("sensor-plots")(cli_sensors.sensor_plots)
 
 EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
 ArenaOption = Annotated[str, typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.")]
@@ -41,7 +44,9 @@ def _configure(files: list[Path] | None, uu_per_metre: float) -> None:
 
 @app.command("list")
 def list_everything(
-    what: Annotated[str, typer.Argument(help="everything, or robots: the full table.")] = "everything",
+    what: Annotated[
+        str, typer.Argument(help="everything; robots or sensors: the full tables.")
+    ] = "everything",
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:
@@ -50,8 +55,9 @@ def list_everything(
         _configure(ini, uu_per_metre)
         from usarmjx.catalogue import catalogue, robots_table
         from usarmjx.errors import UsageError
+        from usarmjx.sensor_tables import sensors_table
 
-        listings = {"everything": catalogue, "robots": robots_table}
+        listings = {"everything": catalogue, "robots": robots_table, "sensors": sensors_table}
         if what not in listings:
             raise UsageError(f"cannot list {what!r}; there is: {', '.join(listings)}")
         typer.echo(listings[what]())
@@ -107,14 +113,37 @@ def serve(
         list[str] | None,
         typer.Option(help="IP address that may be dialled for others than itself; may be repeated."),
     ] = None,
+    images: Annotated[bool, typer.Option(help="Serve the robots' cameras too.")] = True,
+    image_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Image server (pictures, and OK for the next).")
+    ] = 5003,
+    image_size: Annotated[
+        str | None,
+        typer.Option(help="Width and height of pictures; else 320x240, or what a MultiView needs."),
+    ] = None,
+    image_fps: Annotated[
+        float, typer.Option(min=0.1, max=100.0, help="Most pictures per second for each client.")
+    ] = 10.0,
+    image_format: Annotated[
+        str, typer.Option(help="raw (0), or JPEG: super, good, normal, average, bad (1 to 5).")
+    ] = "normal",
+    multi_view: Annotated[
+        bool,
+        typer.Option(
+            "--multi-view", help="All robots' first cameras in one picture, by [USARBot.MultiView] of --ini."
+        ),
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve one world of a batch over the Gamebots protocol, and its radio."""
+    """Serve one world of a batch over the Gamebots protocol, its radio and its cameras."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
     with Failure():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
-        from usarmjx.server.net import Settings
+        from usarmjx.server.image_net import SIZE, ImageServer, ImageSettings
+        from usarmjx.server.images import format_number, parse_size
+        from usarmjx.server.multi_view import read_multi_view
+        from usarmjx.server.net import Service, Settings
         from usarmjx.server.net import serve as run
         from usarmjx.server.wireless_net import WirelessSettings, check_addresses, make_wireless
         from usarmjx.server.worlds import make_world
@@ -127,6 +156,10 @@ def serve(
             position_port=position_port,
             allow=check_addresses(wireless_allow or ()),
         )
+        shared = read_multi_view(ini or ()) if multi_view else None
+        size = parse_size(image_size) if image_size else shared.size if shared else SIZE
+        number = format_number(image_format)
+        pictures = ImageSettings(host, image_port, size, image_fps, number, multi_view=shared)
         _configure(ini, uu_per_metre)
         world = make_world(
             arena,
@@ -137,7 +170,8 @@ def serve(
             seats=max_connections,
             seed=seed,
         )
-        services = [make_wireless(world, radio, air)] if wireless else []
+        services: list[Service] = [make_wireless(world, radio, air)] if wireless else []
+        services += [ImageServer(world, pictures)] if images else []
         run(world, Settings(host, port, max_connections, realtime_factor), services)
 
 
@@ -195,6 +229,59 @@ def bench_radio(
         typer.echo(measure_radio(case, json))
 
 
+@bench_app.command("rays")
+def bench_rays(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once.")] = 4,
+    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them scan.")] = 16,
+    robot: Annotated[str, typer.Option(help="Their class, which needs a range scanner.")] = "P2AT",
+    walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100,
+    steps: Annotated[int, typer.Option(min=1, help="Scans per repeat.")] = 10,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure laser scans of all robots, and the same by brute force."""
+    with Failure():
+        from usarmjx.bench_rays import RayCase, measure_rays
+
+        size = {"worlds": worlds, "robots": robots, "walls": walls, "steps": steps, "repeats": repeats}
+        typer.echo(measure_rays(RayCase(robot=robot, seed=seed, **size), json))
+
+
+@bench_app.command("camera")
+def bench_camera(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 16,
+    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them look.")] = 1,
+    robot: Annotated[str, typer.Option(help="Their class.")] = "P2AT",
+    arena: Annotated[str, typer.Option(help="Arena name, or a file.")] = "yellow",
+    size: Annotated[str, typer.Option(help="Width and height of a picture, as 64x64.")] = "64x64",
+    engine: EngineOption = "auto",
+    steps: Annotated[int, typer.Option(min=1, help="Rounds of pictures per repeat.")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
+    with Failure():
+        from usarmjx.bench_camera import CameraCase, measure_camera
+        from usarmjx.server.images import parse_size
+
+        width, height = parse_size(size)
+        case = CameraCase(
+            worlds=worlds,
+            robots=robots,
+            robot=robot,
+            arena=arena,
+            width=width,
+            height=height,
+            engine=engine,
+            steps=steps,
+            repeats=repeats,
+            seed=seed,
+        )
+        typer.echo(measure_camera(case, json))
+
+
 @bench_app.command("step")
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
@@ -209,10 +296,13 @@ def bench_step(
     steps: Annotated[int, typer.Option(min=1, help="Control steps per repeat.")] = 20,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
     seed: SeedOption = 0,
+    ini: IniOption = None,
+    uu_per_metre: UnitOption = 250.0,
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
     with Failure():
+        _configure(ini, uu_per_metre)
         from usarmjx.bench import Case, measure
 
         case = Case(

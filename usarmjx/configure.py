@@ -37,16 +37,17 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
     Raises:
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.
     """
+    paths = tuple(paths)
     loaded = load_robots(paths, ROBOTS, uu_per_metre, item_settings())
-    places = dict(loaded.places)
+    places, files = dict(loaded.places), ", ".join(map(str, paths))
     warnings = list(loaded.warnings)
     for robot in loaded.robots:
         try:
             suite_of(robot)
         except UsageError as error:
-            raise SpecError(f"{places.get(robot.name, 'ini files')}: robot {robot.name}: {error}") from error
+            raise SpecError(f"{places.get(robot.name, files)}: robot {robot.name}: {error}") from error
         mine = robot.name in places or not (robot.name in ROBOTS and overload(ROBOTS.get(robot.name)))
         if mine and (problem := overload(robot)):
-            warnings.append(f"{places.get(robot.name, 'ini files')}: {problem}")
+            warnings.append(f"{places.get(robot.name, files)}: {problem}")
     loaded.apply(ROBOTS)
     return replace(loaded, warnings=tuple(warnings))

@@ -61,11 +61,15 @@ class Circumstances(struct.PyTreeNode, kw_only=True):
         time: Simulated time [s] ().
         powered: Whether its battery lasts ().
         depth: How far its origin is below the surface of water [m] (); `drives.DRY` outside.
+        torque: Factor on what its motors can exert (); None: 1.
+        speed: Factor on how fast they turn (); None: 1.
     """
 
     time: Array
     powered: Array
     depth: Array
+    torque: Array | None = None
+    speed: Array | None = None
 
 
 class Driven(struct.PyTreeNode, kw_only=True):
@@ -200,6 +204,29 @@ def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: M
     )
 
 
+def move_joints(plan: BodyPlan, command: Command, targets: Mapping[str, Array], order: Order) -> Command:
+    """Return a command with joints told where to go, how fast to move or what to exert.
+
+    Args:
+        plan: Body plan of the robot class.
+        command: What it was told so far; arrays may have leading axes.
+        targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
+        order: What the numbers are.
+
+    Raises:
+        UnknownNameError: A joint that these robots do not have; lists those they have.
+    """
+    target, orders = command.target, command.order
+    for name, value in targets.items():
+        joint = plan.joint(name)
+        if joint is None:
+            known = ", ".join(plan.parts[1:])
+            raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
+        target = target.at[..., joint].set(value)
+        orders = orders.at[..., joint].set(int(order))
+    return command.replace(target=target, order=orders)
+
+
 def drive(
     plan: BodyPlan, command: Command, state: RobotState, act: Array, now: Circumstances, period: float
 ) -> Driven:
@@ -216,9 +243,10 @@ def drive(
     command = command.replace(
         target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
     )
-    ctrl, hold, act = _servo(plan, command, state, act, period)
+    ctrl, hold, act = _servo(plan, command, state, act, period, now)
     wrench = robot.drive.passive_wrench(state, now.depth)
-    wrench += jnp.where(now.powered, robot.drive.wrench(command.setpoint, state, now.depth), 0.0)
+    setpoint = command.setpoint if now.speed is None else command.setpoint * now.speed
+    wrench += jnp.where(now.powered, robot.drive.wrench(setpoint, state, now.depth), 0.0)
     if robot.drive.wheeled:
         wrench += jnp.where(now.time < command.flip_until, righting(plan, state, period), 0.0)
     # A key of a drive that aims joints has reached their targets already.
@@ -227,7 +255,7 @@ def drive(
 
 
 def _servo(
-    plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float
+    plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float, now: Circumstances
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the inputs and activations of a robot's actuators (`Driven`).
 
@@ -237,7 +265,12 @@ def _servo(
     servos, here = servos_of(plan.robot), plan.actuated
     q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
     speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
-    even, slack = q + servos.lead[here] * v, servos.slack[here]
+    slack = servos.slack[here]
+    if now.torque is not None:
+        torque, slack = torque * now.torque, slack * now.torque
+    if now.speed is not None:
+        speed, target = speed * now.speed, jnp.where(order == Order.VELOCITY, target * now.speed, target)
+    even = q + servos.lead[here] * v
     act = jnp.clip(act, even - slack, even + slack)
     wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
     rate = jnp.clip(wanted, -speed, speed)

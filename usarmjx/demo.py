@@ -166,7 +166,7 @@ def server(errors: Path, console: Console) -> Iterator[int]:
     """
     command = [sys.executable, "-m", "usarmjx", "serve", "--worlds", str(WORLDS), "--instance", "0"]
     command += ["--host", "127.0.0.1", "--port", "0", "--engine", "auto", "--realtime-factor", "0"]
-    command += ["--no-wireless"]  # it does not talk by radio, and the usual ports may be taken
+    command += ["--no-wireless", "--no-images"]  # it needs neither, and the usual ports may be taken
     with errors.open("w", encoding="utf-8") as log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT)
     try:

@@ -53,8 +53,8 @@ def plan(arena: ArenaSpec, path: Path) -> None:
     figure.savefig(path, format="png")
 
 
-def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True) -> list[Any]:
-    """Draw an arena's floor plan, if wanted with its `words`, and return the keys of a legend."""
+def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool = True) -> list[Any]:
+    """Draw an arena's floor plan, if wanted with its `words` and `starts`; return the keys of a legend."""
     (x0, x1), (y0, y1) = arena.extent
     margin = MARGIN * max(x1 - x0, y1 - y0)
     axes.set(
@@ -74,7 +74,8 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True) -> list[Any]:
     _draw_loose(axes, arena, 1.4 if words else 0.7)
     _draw_bones(axes, arena)
     _draw_marks(axes, arena, words)
-    _draw_starts(axes, arena, words)
+    if starts:
+        _draw_starts(axes, arena, words)
     _draw_scale(axes, (x0, y0 - margin), (x1 - x0) / 5)
     return _keys(arena)
 

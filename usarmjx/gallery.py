@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from usarmjx.cameras.paint import WATER_CLEAR, WATER_RGB, labels_of
 from usarmjx.floor_plan import draw_plan
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose import Physics, new_spec
@@ -28,7 +29,6 @@ VIEW = (math.radians(-62.0), math.radians(44.0))
 """Azimuth and elevation from which arenas are seen: as on the plan, x runs to the right."""
 SUN = (-0.45, -0.7, 0.85)
 """Behind the viewer's left shoulder."""
-WATER_RGB, WATER_CLEAR = np.array([0.25, 0.5, 0.65]), 0.55
 COVER = 0.5
 """Solids overhead are a roof, and left out, if together they cover more than this share of the plan."""
 TILES = (0.5, 1.0, 5.0, 10.0, 50.0)
@@ -86,10 +86,10 @@ def arena_solids(arena: ArenaSpec) -> Solids:
     model = new_spec(arena, Physics()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solids = solids_of(model, data, materials_of(model, arena))
+    solids = solids_of(model, data, materials_of(model, arena), labels_of(model, arena))
     corners = np.array([(water.low, water.high) for water in arena.waters]).reshape(-1, 2, 3)
     corners[..., 2] += arena.floor
-    return solids.add(boxes(corners[:, 0], corners[:, 1], WATER_RGB, WATER_CLEAR))
+    return solids.add(boxes(corners[:, 0], corners[:, 1], np.array(WATER_RGB), WATER_CLEAR))
 
 
 def _eye(arena: ArenaSpec, aspect: float) -> tuple[np.ndarray, np.ndarray]:

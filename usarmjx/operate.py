@@ -18,7 +18,8 @@ from usarmjx.models.parts import parts_of
 from usarmjx.models.plan import Bodies, BodyPlan, body_poses
 from usarmjx.models.spec import SKY, RobotSpec
 from usarmjx.scene import Scene, Team
-from usarmjx.sensors.raycast import Geoms, cast
+from usarmjx.sensors.raycast import Gaze, cast
+from usarmjx.sensors.targets import Geoms
 from usarmjx.transforms import Array, flip_vector
 from usarmjx.visible import arena_rows, collect
 from usarmjx.world import World, powered, team_states, time_of
@@ -159,7 +160,7 @@ def mount_point(effecter: Effecter, plan: BodyPlan, bodies: Bodies) -> Array:
 def ground_below(geoms: Geoms, point: jax.Array) -> jax.Array:
     """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
     down = jnp.array([[0.0, 0.0, -1.0]])
-    hits = cast(geoms, point[None], down, jnp.int32(NOBODY), frozenset({SKY}))
+    hits = cast(geoms, point[None], down, jnp.int32(NOBODY), Gaze(frozenset({SKY})))
     return point.at[2].add(-hits.distance[0])
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.comms.antenna import antenna_places
-from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.attenuation import Radio, RadioSettings, VariedRadio
 from usarmjx.comms.links import Links, evaluate, is_due, repeat
 from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver
 from usarmjx.comms.walls import arena_solids, bare, with_boxes
@@ -15,7 +15,7 @@ from usarmjx.models.doors import door_boxes
 from usarmjx.models.spec import SKY
 from usarmjx.rotations import mat_from_quat
 from usarmjx.scene import Scene
-from usarmjx.sensors.raycast import Geoms
+from usarmjx.sensors.targets import Geoms
 from usarmjx.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, team_states, time_of
 
 
@@ -28,6 +28,23 @@ def radio_of(scene: Scene) -> RadioSettings:
     if scene.radio is None:
         raise UsageError("this scene has no radio: give build_scene a radio=RadioSettings(...)")
     return scene.radio
+
+
+def radio_in(scene: Scene, world: World) -> Radio:
+    """Return the constants of a world's radios.
+
+    Raises:
+        UsageError: The scene has no radio.
+    """
+    usual, varied = radio_of(scene), world.varied
+    if varied is None:
+        return usual
+    drawn = {name: getattr(varied, f"radio_{name}") for name in ("pdo", "n", "cutoff", "atten_fac")}
+    if all(value is None for value in drawn.values()):
+        return usual
+    own = {name: getattr(usual, name) if value is None else value for name, value in drawn.items()}
+    same = {name: getattr(usual, name) for name in ("do", "max_obs", "shadowing", "loss_band")}
+    return VariedRadio(**own, **same)
 
 
 def mail_of(scene: Scene) -> MailSettings:
@@ -85,7 +102,7 @@ def present_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
     places, in_use = antennas(scene, world, physics)
     key, walls = episode_key(world, RADIO_STREAM), solids(scene, world, physics)
-    now = evaluate(radio_of(scene), walls, (places, in_use), _links(world), key, world.step)
+    now = evaluate(radio_in(scene, world), walls, (places, in_use), _links(world), key, world.step)
     due = links_due(scene, world)
     return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, kept_links(world))
 

@@ -20,14 +20,16 @@ from usarmjx.models.compose_arena import ARENA, BONE
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.moved import MovedGeoms
+from usarmjx.models.parts import parts_of
 from usarmjx.models.plan import BodyPlan, body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.tags import TagTable, tag_table
+from usarmjx.models.variation import Variation, VariedBodies, check_variation, varies
 from usarmjx.models.victims import VictimTable, victim_table
 from usarmjx.scene_geoms import Look, LooseGeoms, door_qpos, fixed_look, loose_geoms, moved_look
-from usarmjx.sensors.raycast import check_types
 from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.sensors.targets import check_types
 from usarmjx.transforms import Array
 
 PARKING_HEIGHT = 30.0
@@ -43,14 +45,23 @@ class Entry:
     """One robot of a roster.
 
     Attributes:
-        robot: Class name.
+        robot: Class name, or a description of one's own.
         name: Name on the wire; empty: the class name and the slot.
         parked: Whether the slot starts unused and waits for a client's INIT.
     """
 
-    robot: str
+    robot: str | RobotSpec
     name: str = ""
     parked: bool = False
+
+    @property
+    def spec(self) -> RobotSpec:
+        """The robot's description.
+
+        Raises:
+            UnknownNameError: No such class.
+        """
+        return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +150,7 @@ class Scene:
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over it; None: there are none.
         arenas: The arenas, of which each world has one; None: all have `arena`.
+        vary: What else differs between worlds and episodes; None: nothing.
     """
 
     arena: ArenaSpec
@@ -150,6 +162,7 @@ class Scene:
     radio: RadioSettings | None = None
     mail: MailSettings | None = None
     arenas: ArenaSet | None = None
+    vary: Variation | None = None
 
     @cached_property
     def victims(self) -> VictimTable:
@@ -181,6 +194,22 @@ class Scene:
             return None
         names = tuple(f"{BONE}{i}" for i in self.swinging)
         return MovedGeoms(names=names, longest=self.victims.size[self.swinging].max(-1), resized=False)
+
+    @cached_property
+    def varied(self) -> VariedBodies | None:
+        """The robots that vary between worlds; None: nothing varies."""
+        if self.vary is None:
+            return None
+        chassis = np.zeros(self.robots, int)
+        which = np.zeros(self.robots, bool)
+        owner, wheel = np.full(self.model.nbody, -1), np.zeros(self.model.nbody, bool)
+        for team in self.teams:
+            rolls = np.array([False, *(part.rolls for part in parts_of(team.robot))])
+            for slot, index in zip(team.slots, team.indices, strict=True):
+                chassis[slot], which[slot] = index.body[0], varies(self.vary, team.robot)
+                if which[slot]:
+                    owner[list(index.body)], wheel[list(index.body)] = slot, rolls
+        return VariedBodies(vary=self.vary, varies=which, chassis=chassis, owner=owner, wheel=wheel)
 
     @cached_property
     def _moved_names(self) -> tuple[str, ...]:
@@ -238,26 +267,29 @@ def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
 
 def build_scene(
     arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
-    roster: Sequence[str | Entry] = ("P2AT",),
+    roster: Sequence[str | RobotSpec | Entry] = ("P2AT",),
     physics: Physics | None = None,
     *,
     radio: RadioSettings | None = None,
     mail: MailSettings | None = None,
+    vary: Variation | None = None,
 ) -> Scene:
     """Compose an arena and its robots.
 
     Args:
         arena: Name, file (see `models.arena_files`) or description; or several descriptions, of which each
             world gets one at every reset.
-        roster: Class names or entries, in slot order; robots that are not parked need a start pose each.
+        roster: Class names, descriptions or entries, in slot order; robots that are not parked need a start
+            pose each.
         physics: Solver and time settings.
         radio: Constants of the robots' radios; None: they have none, and it costs nothing.
         mail: Sizes of the messages that they send each other over it; None: none.
+        vary: What else differs between worlds and episodes: domain randomisation; None: nothing.
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.
         SpecError: More robots than the arena has start poses; mail without a radio; arenas that cannot be
-            together in a batch, see `models.arena_set`.
+            together in a batch, see `models.arena_set`; a variation that does not go with a robot.
         UnsupportedGeomError: A geom that rays cannot hit, or that the radio cannot count as a wall.
     """
     physics = physics or Physics()
@@ -267,7 +299,7 @@ def build_scene(
     elif not isinstance(arena, ArenaSpec):
         arenas = arena_set(arena)
         arena = arenas.template
-    entries = tuple(Entry(robot=e) if isinstance(e, str) else e for e in roster)
+    entries = tuple(e if isinstance(e, Entry) else Entry(robot=e) for e in roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
     if radio is not None:
@@ -276,7 +308,9 @@ def build_scene(
     if active > len(arena.starts):
         raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
     spec = new_spec(arena, physics)
-    robots = [ROBOTS.get(entry.robot) for entry in entries]
+    robots = [entry.spec for entry in entries]
+    if vary is not None:
+        check_variation(vary, robots, radio is not None)
     for slot, robot in enumerate(robots):
         add_robot(spec, robot, prefix_of(slot), parking_place(arena, slot))
     cap_contacts(spec, physics, arena, robots)
@@ -292,16 +326,16 @@ def build_scene(
         radio=radio,
         mail=mail,
         arenas=arenas,
+        vary=vary,
     )
 
 
 def _teams(model: mujoco.MjModel, entries: tuple[Entry, ...]) -> tuple[Team, ...]:
-    slots: dict[str, list[int]] = {}
+    slots: dict[RobotSpec, list[int]] = {}
     for slot, entry in enumerate(entries):
-        slots.setdefault(ROBOTS.get(entry.robot).name, []).append(slot)
+        slots.setdefault(entry.spec, []).append(slot)
     teams = []
-    for name, members in slots.items():
-        robot = ROBOTS.get(name)
+    for robot, members in slots.items():
         teams.append(
             Team(
                 plan=body_plan(robot),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from usarmjx.cameras.paint import labels_of
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.compose_arena import DOOR, LOOSE
 from usarmjx.models.materials import materials_of
@@ -23,6 +24,8 @@ class Look:
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
         material: What they are made of; members of `spec.MATERIALS` (n,).
+        rgb: Their colours (n, 3).
+        label: What they are in a segmentation, see `cameras.paint` (n,).
     """
 
     geom: np.ndarray
@@ -31,6 +34,8 @@ class Look:
     mat: np.ndarray
     size: np.ndarray
     material: np.ndarray
+    rgb: np.ndarray
+    label: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,4 +110,6 @@ def _look(
         mat=mat.astype(np.float32),
         size=pieces.size,
         material=pieces.material,
+        rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
+        label=labels_of(model, arena)[geoms[pieces.geom]],
     )

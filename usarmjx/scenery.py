@@ -6,13 +6,12 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
+from usarmjx.cameras.paint import CLEAR, GLOSS, ROBOT, WATER, clears, glosses
 from usarmjx.models.pieces import pieces_of
-from usarmjx.models.spec import GLASS, MIRROR, OPAQUE, SKY
+from usarmjx.models.spec import OPAQUE, SKY
 
-CLEAR = 0.65
-"""How much of what is behind it glass shows."""
-GLOSS = 0.75
-"""How much of what a mirror shows is what it reflects."""
+__all__ = ["BOX", "CLEAR", "GLOSS", "PLANE", "Solids", "boxes", "solids_of"]
+
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -29,6 +28,7 @@ class Solids:
         rgb: Colours (n, 3).
         clear: Share of what is behind that is seen through them (n,).
         gloss: Share of what they reflect in how they look (n,).
+        label: What they are, see `cameras.paint`; an arena's solids show bricks (n,).
     """
 
     kind: np.ndarray
@@ -38,6 +38,7 @@ class Solids:
     rgb: np.ndarray
     clear: np.ndarray
     gloss: np.ndarray
+    label: np.ndarray
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -53,13 +54,19 @@ class Solids:
         return Solids(**both)
 
 
-def solids_of(model: mujoco.MjModel, data: mujoco.MjData, materials: Sequence[str] | None = None) -> Solids:
+def solids_of(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    materials: Sequence[str] | None = None,
+    labels: np.ndarray | None = None,
+) -> Solids:
     """Return what rays see of a model's geoms in their present poses; kinematics must be current.
 
     Args:
         model: The model.
         data: Its state.
         materials: What each geom is made of, see `materials_of`; None: all opaque. Sky is left out.
+        labels: What each geom is in a segmentation (ngeom,); None: all are robots.
     """
     named = np.array([OPAQUE] * model.ngeom if materials is None else materials, object)
     ids = np.flatnonzero(named != SKY)
@@ -73,8 +80,9 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData, materials: Sequence[st
         mat=mat,
         size=pieces.size,
         rgb=model.geom_rgba[ids, :3].astype(np.float32)[pieces.geom],
-        clear=np.array([CLEAR * (name == GLASS) for name in pieces.material], np.float32),
-        gloss=np.array([GLOSS * (name == MIRROR) for name in pieces.material], np.float32),
+        clear=clears(pieces.material),
+        gloss=glosses(pieces.material),
+        label=(np.full(model.ngeom, ROBOT) if labels is None else labels)[ids][pieces.geom],
     )
 
 
@@ -89,4 +97,5 @@ def boxes(low: np.ndarray, high: np.ndarray, rgb: np.ndarray, clear: float = 0.0
         rgb=np.tile(np.asarray(rgb, np.float32), (count, 1)),
         clear=np.full(count, clear, np.float32),
         gloss=np.zeros(count, np.float32),
+        label=np.full(count, WATER),
     )

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.cameras.mounts import cameras_of
 from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.mail import Mail, no_mail
 from usarmjx.control import Circumstances, Command, drive, idle
@@ -22,6 +23,7 @@ from usarmjx.models.effecters import Tags, no_tags
 from usarmjx.models.plan import body_poses
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
+from usarmjx.models.variation import Varied, draw, wheel_reach
 from usarmjx.scene import Scene, Team, origin_height, parking_place
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.raycast import NO_HITS
@@ -34,6 +36,16 @@ RUNAWAY_SPEED = 5.0
 counted as a fault of the physics [m/s]."""
 START_STREAM, NOISE_STREAM, PLACE_STREAM, RADIO_STREAM, MAIL_STREAM = 0, 1, 2, 3, 4
 """First fold of a world's key, by what the numbers are for."""
+VARY_STREAM = 7
+"""The same for domain randomisation; 5 and 6 are those of `train.task`."""
+
+
+class Trail(struct.PyTreeNode, kw_only=True):
+    """What a team's robots were told in the control steps before, the last one first (n, steps, ...)."""
+
+    target: jax.Array
+    order: jax.Array
+    setpoint: jax.Array
 
 
 class TeamState(struct.PyTreeNode, kw_only=True):
@@ -46,6 +58,8 @@ class TeamState(struct.PyTreeNode, kw_only=True):
         drowned: Whether water has killed its battery (n,).
         stock: What each of their effecters has left to release (n, effecters).
         memory: What their sensors remember.
+        fov: Horizontal field of view of each of their cameras [rad] (n, cameras).
+        trail: What they were told and may not have heard yet; None: they hear at once.
     """
 
     command: Command
@@ -54,6 +68,8 @@ class TeamState(struct.PyTreeNode, kw_only=True):
     drowned: jax.Array
     stock: jax.Array
     memory: Memory
+    fov: jax.Array
+    trail: Trail | None = None
 
 
 class Status(struct.PyTreeNode, kw_only=True):
@@ -86,6 +102,7 @@ class World(struct.PyTreeNode, kw_only=True):
         status: What went wrong.
         links: The radio links as last evaluated; None without a radio.
         mail: The robots' boxes; None without mail.
+        varied: What this world and its robots have otherwise than others; None: nothing.
     """
 
     key: jax.Array
@@ -98,6 +115,7 @@ class World(struct.PyTreeNode, kw_only=True):
     status: Status
     links: Links | None = None
     mail: Mail | None = None
+    varied: Varied | None = None
 
 
 def time_of(scene: Scene, world: World) -> jax.Array:
@@ -155,6 +173,9 @@ def restart(
         links=None if scene.radio is None else no_links(scene.robots),
         mail=None if scene.mail is None else no_mail(scene.mail, scene.robots),
     )
+    if scene.varied is not None:
+        drawn = draw(scene.varied.vary, scene.varied.varies, episode_key(world, VARY_STREAM))
+        world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
     teams = []
@@ -170,6 +191,8 @@ def restart(
                 drowned=jnp.zeros(n, bool),
                 stock=jnp.tile(jnp.array(team.stock, jnp.int32), (n, 1)),
                 memory=NO_MEMORY,
+                fov=jnp.tile(jnp.array([c.default for c in cameras_of(team.robot)], jnp.float32), (n, 1)),
+                trail=_silence(scene, command),
             )
         )
     world = world.replace(teams=tuple(teams))
@@ -197,6 +220,9 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
             if slot in active:
                 x, y, z, yaw = starts[order[active.index(slot)]]
                 height = origin_height(scene.arena, z, team.robot)
+                if world.varied is not None and world.varied.wheel is not None:
+                    # Larger wheels shall not start in the floor.
+                    height += jnp.maximum(world.varied.wheel[slot] - 1.0, 0.0) * wheel_reach(team.robot)
                 root = [x, y, height, jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
             else:
                 root = [*parking_place(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
@@ -207,7 +233,8 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
 def _map_robots(function: Any, sight: Sight, team: Team, key: jax.Array, *rest: Any) -> Any:  # noqa: ANN401
     """Map function(sight, *rest, key) over a team's robots, with a key folded by each robot's slot."""
     keys = jax.vmap(partial(jax.random.fold_in, key))(team.slots)
-    shared: Any = Sight(time=None, state=0, bodies=0, hits=0)  # type: ignore - axes, not values
+    noise = None if sight.noise is None else 0
+    shared: Any = Sight(time=None, state=0, bodies=0, hits=0, noise=noise)  # type: ignore - axes, not values
     return jax.vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sight, *rest, keys)
 
 
@@ -218,7 +245,8 @@ def feel(scene: Scene, world: World, physics: PhysicsState, team: Team) -> Sight
     blind = jax.tree.map(lambda x: jnp.zeros((len(team.slots), *x.shape)), NO_HITS)
     time = time_of(scene, world)
     around = surroundings(scene, world.site, world.tags, time)
-    return Sight(time=time, state=states, bodies=bodies, hits=blind, surroundings=around)
+    noise = None if world.varied is None or world.varied.noise is None else world.varied.noise[team.slots]
+    return Sight(time=time, state=states, bodies=bodies, hits=blind, surroundings=around, noise=noise)
 
 
 def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]:
@@ -235,10 +263,12 @@ def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[Sight, ...]
     return tuple(
         sight.replace(
             hits=jax.vmap(partial(team.suite.cast, geoms, around=sight.around))(
-                sight.bodies, jnp.asarray(team.slots)
+                sight.bodies,
+                jnp.asarray(team.slots),
+                jax.vmap(partial(team.suite.due, sight.time))(state.memory),
             )
         )
-        for team, sight in zip(scene.teams, sights, strict=True)
+        for team, sight, state in zip(scene.teams, sights, world.teams, strict=True)
     )
 
 
@@ -277,6 +307,7 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         pinned_dof=jnp.zeros(scene.model.nv, bool),
         qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
         places=places(scene, world.site, time),
+        varied=world.varied,
     )
     if world.site is not None:
         loose, missing = scene.loose_geoms, ~world.site.present
@@ -290,10 +321,13 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         depth = jax.vmap(partial(depth_in_water, scene.arena))(robots.pos)
         state = state.replace(drowned=state.drowned | (state.active & drowns(team.robot, depth)))
         awake = powered(scene, world, team, state)
-        now = Circumstances(time=jnp.broadcast_to(time, awake.shape), powered=awake, depth=depth)
+        torque, speed = (_of_team(world, team, name) for name in ("torque", "speed"))
+        clock = jnp.broadcast_to(time, awake.shape)
+        now = Circumstances(time=clock, powered=awake, depth=depth, torque=torque, speed=speed)
+        command, state = _heard(world, team, state)
 
         run = jax.vmap(partial(drive, team.plan, period=scene.physics.period))
-        driven = run(state.command, robots, physics.act[team.activation], now)
+        driven = run(command, robots, physics.act[team.activation], now)
         parked = ~state.active
         inputs = inputs.replace(
             ctrl=inputs.ctrl.at[team.actuator].set(driven.ctrl).at[team.hold].set(driven.hold),
@@ -308,6 +342,38 @@ def control(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, I
         teams.append(state)
     status = world.status.replace(refused=refused)
     return world.replace(teams=tuple(teams), status=status), inputs
+
+
+def _of_team(world: World, team: Team, name: str) -> jax.Array | None:
+    """Return a number of each of a team's robots (n,); None: it does not vary."""
+    values = None if world.varied is None else getattr(world.varied, name)
+    return None if values is None else values[team.slots]
+
+
+def _silence(scene: Scene, command: Command) -> Trail | None:
+    """Return the trail of robots that have not been told anything but the command."""
+    latency = None if scene.vary is None else scene.vary.latency
+    if latency is None:
+        return None
+
+    def before(value: Any) -> jax.Array:  # noqa: ANN401 - of either array module
+        return jnp.repeat(jnp.asarray(value)[:, None], latency[1], 1)
+
+    return Trail(
+        target=before(command.target), order=before(command.order), setpoint=before(command.setpoint)
+    )
+
+
+def _heard(world: World, team: Team, state: TeamState) -> tuple[Command, TeamState]:
+    """Return what a team's motors have heard of by now, and the state that remembers what they have not."""
+    latency, command = _of_team(world, team, "latency"), state.command
+    if latency is None or state.trail is None:
+        return command, state
+    told = Trail(target=command.target, order=command.order, setpoint=command.setpoint)
+    trail = jax.tree.map(lambda new, old: jnp.concatenate([new[:, None], old], 1), told, state.trail)
+    heard = jax.tree.map(lambda values: values[np.arange(len(team.slots)), latency], trail)
+    command = command.replace(target=heard.target, order=heard.order, setpoint=heard.setpoint)
+    return command, state.replace(trail=jax.tree.map(lambda values: values[:, :-1], trail))
 
 
 def _mark(mask: jax.Array, places: np.ndarray, where: jax.Array) -> jax.Array:

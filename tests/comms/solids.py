@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.comms.walls import count_walls
-from usarmjx.sensors.raycast import gather
+from usarmjx.sensors.targets import gather
 from usarmjx.transforms import mat_from_angles
 
 Geom = mujoco.mjtGeom

@@ -19,7 +19,7 @@ from usarmjx.models.compose_arena import BONE
 from usarmjx.models.pieces import FENDER_KIND
 from usarmjx.models.spec import Shape
 from usarmjx.scene import build_scene
-from usarmjx.sensors.raycast import FAR_AWAY, gather
+from usarmjx.sensors.targets import FAR_AWAY, gather
 
 NEAR = 1e-4  # m: segments this close to an edge, a corner or a face may count either way
 FEW = 0.01  # ... and are no more than this share of all

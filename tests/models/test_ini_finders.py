@@ -106,3 +106,13 @@ def test_the_rescue_example_mounts_all_finders_on_a_p2at():
     assert stock == P2AT.sensors
     assert [mount.kind for mount in added] == ["VictSensor", "Sound", "HumanMotion", "CO2Sensor"]
     assert (added[0].parent, added[0].at) == ("CameraPanTilt_Link2", (0.06, 0.0, -0.0087))
+
+
+def test_the_full_suite_example_has_every_sensor_of_the_benchmark():
+    file = Path(__file__).parents[2] / "examples" / "full_suite.ini"
+    stock_only: Registry = Registry("robot")
+    stock_only.add(P2AT.name, P2AT)
+    loaded = load_robots([file], stock_only, 250.0, item_settings())
+    assert not loaded.warnings
+    kinds = {sensor.kind for sensor in suite_of(loaded.robots[0]).sensors}
+    assert {"Sonar", "RangeScanner", "Odometry", "INS", "Encoder", "Touch", "RFID", "VictSensor"} <= kinds

@@ -218,8 +218,7 @@ CacheSizeMegs=32
     found = [warning.partition("a.ini:")[2] for warning in loaded.warnings]
     assert found[0].startswith("2: unknown key Wheight")
     assert found[1].startswith("4: unknown key: Sonar has no setting 'MaxRnage'; known: ")
-    assert found[2].startswith("6: [USARBot.MultiView] is ignored: ")
-    assert found[3].startswith("8: section [Engine.GameEngine] is not about robots")
+    assert found[2].startswith("8: section [Engine.GameEngine] is not about robots")
 
 
 def motors(robot, *names):

@@ -17,8 +17,9 @@ from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.motion import InsMemory
-from usarmjx.sensors.raycast import Block, Hits, cast_incidence, gather
+from usarmjx.sensors.raycast import Hits, cast_incidence
 from usarmjx.sensors.suite import Memory
+from usarmjx.sensors.targets import Block, gather
 from usarmjx.world import Status, TeamState, World, control, look, observe, team_states, time_of
 
 ROBOTS, WORLDS = 2, 3

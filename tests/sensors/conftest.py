@@ -15,8 +15,8 @@ from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT, P2AT_SCANNER
 from usarmjx.models.spec import Mount, RobotSpec, options
 from usarmjx.models.state import RobotState
 from usarmjx.sensors.base import Sight
-from usarmjx.sensors.raycast import FAR_AWAY, gather
 from usarmjx.sensors.suite import Memory, Suite, suite_of
+from usarmjx.sensors.targets import FAR_AWAY, gather
 from usarmjx.transforms import mat_from_angles, quat_from_angles
 
 BOXES, POSTS = 6, 2

@@ -17,9 +17,9 @@ from usarmjx.models.state import RobotState
 from usarmjx.models.tags import tag_table
 from usarmjx.models.victims import padded, segment_poses, victim_table
 from usarmjx.sensors.base import Sight
-from usarmjx.sensors.raycast import FAR_AWAY, gather
 from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.sensors.surroundings import Surroundings, survey
+from usarmjx.sensors.targets import FAR_AWAY, gather
 from usarmjx.transforms import mat_from_angles, quat_from_angles
 
 BOXES, VICTIMS, WALLS, TAGS = 34, 3, 6, 6
@@ -115,7 +115,7 @@ class Watch:
             joint_vel=zeros,
         )
         bodies, around = self._bodies(state), room.around(time)
-        hits = self._cast(room.geoms(around), bodies, jnp.int32(0), around)
+        hits = self._cast(room.geoms(around), bodies, jnp.int32(0), around=around)
         return Sight(time=jnp.float32(time), state=state, bodies=bodies, hits=hits, surroundings=around)
 
     def start(self, sight: Sight) -> Memory:

@@ -4,7 +4,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pymap3d
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.errors import SpecError
@@ -239,7 +242,9 @@ def test_with_fewer_than_four_satellites_there_is_no_fix(bench):
 
 
 def test_getconf_tells_the_scan_interval(bench):
-    (message,) = configuration(bench.robot, bench.suite.sensors, "GPS", "gps")
+    (message,) = configuration(
+        bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "GPS", "gps"
+    )
     assert format(message) == "CONF {Type GPS} {Name GPS} {ScanInterval 0.20}"  # captured
 
 
@@ -250,3 +255,77 @@ def test_defaults():
     assert (settings.max_noise, settings.min_noise) == (2.5, 0.75)
     mine = resolve(GpsSettings, options(maxNoise=5.0, minNoise=1.0, bWithTimeStamp=True), "GPS G")
     assert (mine.max_noise, mine.min_noise, mine.with_time_stamp) == (5.0, 1.0, True)
+
+
+# --- on the ellipsoid ---------------------------------------------------------------------------
+
+FLATNESS = 1e-3  # of the way: 500 m north shorten a degree of longitude by 1e-4 tan(latitude)
+
+
+def on_the_ellipsoid(origin: tuple, north: float, west: float) -> tuple[float, float]:
+    latitude, longitude, _ = pymap3d.enu2geodetic(-west, north, 0.0, *origin, 0.0)
+    return float(latitude), float(longitude)
+
+
+def metres_a_degree(latitude: float) -> tuple[float, float]:
+    """Of latitude and of longitude on WGS84."""
+    step = 1e-3
+    east, _, _ = pymap3d.geodetic2enu(latitude, step, 0.0, latitude, 0.0, 0.0)
+    _, north, _ = pymap3d.geodetic2enu(latitude + step, 0.0, 0.0, latitude, 0.0, 0.0)
+    return float(north) / step, float(east) / step
+
+
+def way_between(mine: GpsSettings, origin: tuple, north: float, west: float) -> float:
+    """How far apart our place and the ellipsoid's are [m]."""
+    found = coordinates(mine, (north, west), origin)
+    east, up, _ = pymap3d.geodetic2enu(*found, 0.0, *on_the_ellipsoid(origin, north, west), 0.0)
+    return math.hypot(float(east), float(up))
+
+
+@pytest.mark.oracle
+@settings(deadline=None)
+@given(bearing=st.floats(0, 2 * math.pi), far=st.floats(1.0, 500.0), longitude=st.floats(-179.9, 179.9))
+def test_the_originals_scales_are_those_of_the_ellipsoid_at_50_degrees_north(bearing, far, longitude):
+    north, west = far * math.cos(bearing), far * math.sin(bearing)
+    assert way_between(GpsSettings(), (50.0, longitude), north, west) < FLATNESS * far
+
+
+@pytest.mark.oracle
+@settings(deadline=None)
+@given(
+    latitude=st.floats(-75.0, 75.0),
+    longitude=st.floats(-179.9, 179.9),
+    bearing=st.floats(0, 2 * math.pi),
+    far=st.floats(1.0, 500.0),
+)
+def test_with_scales_of_its_own_any_place_is_that_of_the_ellipsoid(latitude, longitude, bearing, far):
+    scales = metres_a_degree(latitude)
+    mine = GpsSettings(latitude_scale=scales[0], longitude_scale=scales[1])
+    north, west = far * math.cos(bearing), far * math.sin(bearing)
+    assert way_between(mine, (latitude, longitude), north, west) < FLATNESS * far
+
+
+def test_negative_scales_turn_the_axes_round():
+    """Manual 10.13.1."""
+    plain, turned = GpsSettings(), GpsSettings(latitude_scale=-111200.0, longitude_scale=-71670.0)
+    for north, west in ((100.0, 0.0), (0.0, 100.0), (-30.0, 70.0)):
+        assert coordinates(turned, (north, west), (10.0, 20.0)) == pytest.approx(
+            coordinates(plain, (-north, -west), (10.0, 20.0)), abs=DEGREE_ATOL
+        )
+
+
+@settings(deadline=None)
+@given(
+    degree=st.integers(-720, 720),
+    minute=st.floats(-59.9999, 59.9999),
+    north=st.floats(-3e7, 3e7),
+    west=st.floats(-3e7, 3e7),
+)
+def test_every_place_has_a_latitude_and_a_longitude(degree, minute, north, west):
+    """Around the earth and over its poles: within 90 degrees, and in [-180, 180)."""
+    mine = located((degree % 90, minute), (degree, minute))
+    latitude, longitude = coordinates(mine, (north, west))
+    assert -90 <= latitude <= 90
+    assert -180 <= longitude < 180
+    _, around = coordinates(mine, (north, west + 360 * 71670.0))
+    assert abs((around - longitude + 180) % 360 - 180) < 1e-6  # a turn later it is the same place

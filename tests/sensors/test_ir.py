@@ -115,5 +115,7 @@ def test_all_of_a_robot_come_in_one_line(bench):
 
 
 def test_getconf_tells_the_ranges(bench):
-    (message,) = configuration(bench.robot, bench.suite.sensors, "IR", "Noisy")
+    (message,) = configuration(
+        bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "IR", "Noisy"
+    )
     assert format(message) == "CONF {Type IR} {Name Noisy} {MaxRange 3.0000} {MinRange 1.0000}"

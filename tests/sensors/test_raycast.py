@@ -11,7 +11,9 @@ import pytest
 
 from usarmjx.errors import UnsupportedGeomError
 from usarmjx.scene import build_scene
-from usarmjx.sensors.raycast import FAR_AWAY, KERNELS, Geoms, cast, cast_incidence, check_types, gather
+from usarmjx.sensors.kernels import KERNELS
+from usarmjx.sensors.raycast import cast, cast_incidence
+from usarmjx.sensors.targets import FAR_AWAY, Geoms, check_types, gather
 
 Geom = mujoco.mjtGeom
 

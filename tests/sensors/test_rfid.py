@@ -227,5 +227,7 @@ def test_lines_are_as_captured(watch):
 
 
 def test_getconf_tells_the_range(watch):
-    (message,) = configuration(watch.robot, watch.suite.sensors, "RFID", "Radius")
+    (message,) = configuration(
+        watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), "RFID", "Radius"
+    )
     assert format(message) == "CONF {Type RFID} {Name Radius} {MaxRange 3.0000}"

@@ -181,7 +181,9 @@ def test_lines_on_the_wire(bench):
     ],
 )
 def test_getconf(bench, kind, name, fields):
-    (message,) = configuration(bench.robot, bench.suite.sensors, kind, name)
+    (message,) = configuration(
+        bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), kind, name
+    )
     assert format(message) == (
         f"CONF {{Type {kind}}} {{Name {name}}} {{MaxRange 20.0000}} {{MinRange 0.1000}} {fields}"
     )

@@ -10,7 +10,7 @@ from tests.sensors.people import Room, Watch
 from usarmjx.models.arena_spec import HelpSound, Segment, Victim
 from usarmjx.models.spec import Mount, options
 from usarmjx.models.victims import box_names, rest_height, segment_poses
-from usarmjx.sensors.co2 import Co2Settings
+from usarmjx.sensors.base import Measuring
 from usarmjx.sensors.human_motion import MotionSettings, probability
 from usarmjx.sensors.settings import resolve
 from usarmjx.sensors.sound import SoundSettings
@@ -31,7 +31,11 @@ def watch():
         Mount(kind="HumanMotion", name="Motion", options=options(Noise=0.0)),
         Mount(kind="HumanMotion", name="Trembling", options=options(Noise=0.5)),
         Mount(kind="HumanMotion", name="Narrow", options=options(Noise=0.0, FOV=10.0, MaxRange=4.0)),
+        Mount(
+            kind="HumanMotion", name="Bent", options=options(Noise=0.0, OutputCurve=((0.0, 0.0), (1.0, 0.5)))
+        ),
         Mount(kind="CO2Sensor", name="CO2"),
+        Mount(kind="CO2Sensor", name="Rough", options=options(Noise=0.2)),
     )
     return Watch(mounts, "EarBench")
 
@@ -172,6 +176,12 @@ def test_a_probability_stays_one_with_noise(watch):
     assert draws.std() > 0.1
 
 
+def test_a_curve_distorts_the_probability(watch):
+    value = watch.once(Room(victims=(waving("v", 2.0, 0.0),)), at=(0, 0, HEIGHT), time=0.2)
+    assert value["Bent"] == pytest.approx(value["Motion"] / 2, rel=1e-5)
+    assert value["Motion"] > 0.1
+
+
 # --- CO2 ----------------------------------------------------------------------------------------
 
 
@@ -189,6 +199,17 @@ def test_breath_thins_out_with_the_square_of_the_distance(watch):
     assert watch.once(Room(victims=(victim, twin)), at=at)["CO2"] == pytest.approx(0.08, rel=1e-4)
 
 
+def test_noise_of_a_density_is_relative_and_within_its_amplitude(watch):
+    """A uniform one: 100 draws tell its deviation, 0.2 / sqrt(3), to 5 %; three times that."""
+    victim = Victim(name="v", at=(0.0, 0.0, 0.12))
+    mouth = head(victim)
+    sight = watch.sight(Room(victims=(victim,)), at=(mouth[0] + 1.0, mouth[1], mouth[2]))
+    memory = watch.start(sight)
+    draws = np.array([watch.read(sight, memory, seed)[1]["Rough"] for seed in range(100)]) / 0.04 - 1
+    assert np.abs(draws).max() <= 0.2001
+    assert draws.std() == pytest.approx(0.2 / math.sqrt(3), rel=0.15)
+
+
 # --- settings and lines -------------------------------------------------------------------------
 
 
@@ -197,7 +218,7 @@ def test_defaults_are_the_manuals():
     sound, motion = resolve(SoundSettings, (), "S"), resolve(MotionSettings, (), "M")
     assert (sound.noise, sound.weight, sound.output_curve) == (0.05, 0.4, ())
     assert (motion.max_range, motion.fov, motion.noise, motion.weight) == (1000.0, 60.0, 0.1, 0.4)
-    assert resolve(Co2Settings, (), "C").weight == 0.4
+    assert resolve(Measuring, (), "C").weight == 0.4
     assert (sound.with_time_stamp, motion.with_time_stamp) == (False, False)
 
 
@@ -222,7 +243,9 @@ def test_lines_are_those_of_the_manual_and_of_captures(watch):
 
 def test_getconf(watch):
     def conf(kind, name):
-        (message,) = configuration(watch.robot, watch.suite.sensors, kind, name)
+        (message,) = configuration(
+            watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), kind, name
+        )
         return format(message)
 
     assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy}"

@@ -111,5 +111,7 @@ def test_all_of_a_robot_come_in_one_line(bench):
 
 
 def test_getconf_tells_the_diameter(bench):
-    (message,) = configuration(bench.robot, bench.suite.sensors, "Touch", "Wide")
+    (message,) = configuration(
+        bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "Touch", "Wide"
+    )
     assert format(message) == "CONF {Type Touch} {Name Wide} {Diameter 0.0400}"

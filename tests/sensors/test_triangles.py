@@ -13,7 +13,8 @@ from usarmjx.models.pieces import TRIANGLE_KIND, fitted, pieces_of
 from usarmjx.models.spec import HeightField, Mesh, Shape
 from usarmjx.scene import build_scene
 from usarmjx.sensors.kernels import KERNELS
-from usarmjx.sensors.raycast import cast, cast_incidence, gather
+from usarmjx.sensors.raycast import cast, cast_incidence
+from usarmjx.sensors.targets import gather
 
 RAY_ATOL = 1e-4  # m: float32 over a few metres, and what a range sensor may be off
 COSINE_ATOL = 1e-4  # a triangle's normal does not depend on where it is met: float32 of a product

@@ -227,7 +227,7 @@ def test_it_reports_every_fourth_tick(watch):
 
 def test_a_step_of_zero_is_refused():
     mount = Mount(kind="VictSensor", name="V", options=options(VerticalStep=0.0))
-    with pytest.raises(SpecError, match="expected numbers above 0"):
+    with pytest.raises(SpecError, match=r"VictSensor V: setting VerticalStep is 0\.0, expected a number"):
         Watch((mount,), "Stepless")
 
 
@@ -252,7 +252,9 @@ def test_lines_are_those_of_the_manual_and_of_captures():
 
 
 def test_getconf_tells_range_and_fields_of_view(watch):
-    (message,) = configuration(watch.robot, watch.suite.sensors, "VictSensor", "Exact")
+    (message,) = configuration(
+        watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), "VictSensor", "Exact"
+    )
     assert format(message) == (
         "CONF {Type VictSensor} {Name Exact} {MaxRange 6.0000} {HorizontalFOV 0.6981} {VerticalFOV 0.6981}"
     )

@@ -5,10 +5,12 @@ import pytest
 
 from tests.arenas import FLAT
 from usarmjx.batch import Batch
+from usarmjx.cameras.paint import ROBOT
 from usarmjx.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.scene import PARKING_HEIGHT, Entry, build_scene
 from usarmjx.server.claim import ClaimedWorld
+from usarmjx.server.host import Shot
 
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
 STAND = 0.26  # m: a P2AT's origin above the floor (manual 5.3.6)
@@ -188,3 +190,28 @@ def test_a_world_that_goes_bad_loses_its_robots_and_time_goes_on(world, batch, c
 def test_an_instance_out_of_range_is_an_error(batch, instance):
     with pytest.raises(UsageError, match=f"instance {instance} is not among worlds 0 to 2"):
         ClaimedWorld(batch, instance)
+
+
+def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
+    """From 3 m behind; every length in a pinhole's picture goes with 1 / tan(fov / 2)."""
+    seer = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    other = world.spawn(P2AT, "R2", (3.0, 0.0, STAND), LEVEL)
+    run(world, 10)
+    counts = []
+    for fov in (1.0, 0.5):
+        assert world.zoom(seer, 0, fov)
+        (picture,) = world.expose([Shot(seer, 0, 96, 72)])()
+        assert picture.rgb.shape == (72, 96, 3)
+        counts.append((picture.segmentation == ROBOT + other.slot).sum())
+    assert counts[0] > 50
+    # It is about 10 and 20 pixels wide: its rim is a fifth of it.
+    assert counts[1] / counts[0] == pytest.approx((np.tan(0.5) / np.tan(0.25)) ** 2, rel=0.2)
+    take = world.expose([Shot(seer, 0, 96, 72)])
+    world.remove(other)
+    run(world, 1)
+    assert (take()[0].segmentation == ROBOT + other.slot).sum() == counts[1], "the moment it was held still"
+    world.remove(seer)
+    again = world.spawn(P2AT, "R3", (0.0, 0.0, STAND), LEVEL)
+    team, place = world._batch.scene.team_of(again.slot)
+    assert again.slot == seer.slot
+    assert world._state.worlds.teams[team].fov[SERVED, place, 0] == pytest.approx(again.cameras[0].default)

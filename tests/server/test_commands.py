@@ -18,7 +18,11 @@ from usarmjx.server.commands import (
     MisPkg,
     MultiDrive,
     Set,
+    SetFov,
     SetJoint,
+    SetView,
+    SetViewports,
+    Trace,
     WheelCommand,
     parse_command,
 )
@@ -154,11 +158,6 @@ UNDERSTOOD = [
         Set("Odometry", "Odometry", "RESET"),
         id="Player's reset without Params",
     ),
-    pytest.param(
-        "SET {Type Camera} {Name Camera} {Opcode Zoom} {0.5}",
-        Set("Camera", "Camera", "Zoom"),
-        id="Player's malformed zoom",
-    ),
     pytest.param("DRIVE {Left 1,00} {Right -2,50}", skid(1.0, -2.0), id="decimal comma of LCM's proxy"),
     pytest.param(
         "DRIVE {Left 50.0} {Right 50.0} {Normalized True} {Light False} {Flip False}",
@@ -277,6 +276,58 @@ UNDERSTOOD = [
         "SET {Type Joint} {Name W} {Opcode 12}", SetJoint("W", 12, 0.0, None), id="KRobot.uc: no Params is 0"
     ),
     pytest.param("GETGEO {Name F1} {Type Sonar}", GetGeo("Sonar", "F1"), id="one item"),
+    pytest.param(
+        "SET {Type Viewports} {Config QuadView}", SetViewports("QuadView"), id="manual 9.4 viewports config"
+    ),
+    pytest.param(
+        "SET {Type Viewports} {Config QuadView} {Viewport1 Camera1} {Viewport2 Camera2} {Viewport3 Disable} "
+        "{Viewport4 Disable}",
+        SetViewports("QuadView", ((1, "Camera1"), (2, "Camera2"), (3, "Disable"), (4, "Disable"))),
+        id="manual 9.4 viewports cameras",
+    ),
+    pytest.param(
+        "SET {TypeViewports} {Viewport1 Disable}",
+        SetViewports("", ((1, "Disable"),)),
+        id="manual 9.4, a slip",
+    ),
+    pytest.param(
+        "SET {Type Camera} {Name Camera} {FOV 1}", SetFov((("Camera", 1.0),)), id="manual 9.4 field of view"
+    ),
+    pytest.param(
+        "SET {Type Camera} {FOV 1} {Name A} {Name B} {FOV 0}",
+        SetFov((("A", 1.0), ("B", 0.0))),
+        id="fields of view in any order",
+    ),
+    pytest.param(
+        "SET {Type Camera}{Robot R1}{Name Camera}{Client 10.0.0.2}",
+        SetView("10.0.0.2", "R1", "Camera"),
+        id="SPQR viewpoint",
+    ),
+    pytest.param(
+        "SET {Type Camera} {Client 10.0.0.2}", SetView("10.0.0.2"), id="manual 9.4 viewpoint released"
+    ),
+    pytest.param(
+        "SET {Type Camera} {Robot R1} {Name C} {Client 10.0.0.2} {FOV 1}",
+        SetView("10.0.0.2", "R1", "C"),
+        id="a viewpoint does not zoom",
+    ),
+    pytest.param(
+        "SET {Type Camera} {Name Camera} {Opcode Zoom} {Params 0.5}",
+        Set("Camera", "Camera", "Zoom", "0.5"),
+        id="the older form of zooming",
+    ),
+    pytest.param(
+        "SET {Type Camera} {Name Camera} {Opcode Zoom} {0.5}",
+        Set("Camera", "Camera", "Zoom", "0.5"),
+        id="Player zooms without Params",
+    ),
+    pytest.param(
+        "SET {Type Lamp} {Name L} {Opcode Dim} {FOV 1}", Set("Lamp", "L", "Dim"), id="FOV of no camera"
+    ),
+    pytest.param("Trace {On true} {Interval 1.5} {Color Green}", Trace(True, 1.5, "Green"), id="trace"),
+    pytest.param("TRACE {On 1} {Color 6}", Trace(True, 0.0, "Purple"), id="trace by number"),
+    pytest.param("Trace {On True} {Interval -1} {Color 7}", Trace(True), id="trace of no such colour"),
+    pytest.param("Trace", Trace(False), id="trace with the manual's defaults"),
     pytest.param("GETCONF {Name F1} {Type Sonar}", GetConf("Sonar", "F1"), id="one item CONF"),
 ]
 
@@ -292,18 +343,15 @@ IGNORED = [
     ("DRIVE {WheelNumber 0} {WheelSpeed 1} {WheelSpeed 2}", "belongs to no WheelNumber"),
     ("MULTIDRIVE", "anything to do"),
     ("MULTIDRIVE {FRFlipper}", "anything to do"),
-    ("Trace {On true} {Interval 1} {Color Red}", "'TRACE' is not supported"),
     ("PAUSE {TIME 10}", "'PAUSE' is not supported"),  # PYRO
     ("GET / HTTP/1.1", "'GET' is not supported"),
     ("SET {Type Joint} {Opcode Angle} {Params 1.25}", "without a Name"),
     ("SET {Type Joint} {Name UpperArm} {Params 1.25}", "opcode ''; known: angle, velocity, torque"),
     ("SET {Type Joint} {Name UpperArm} {Opcode 3} {Params 1.25}", "opcode '3'"),
     ("SET {Type Joint} {Name UpperArm} {Opcode Spin} {Params 1.25}", "opcode 'Spin'"),
-    ("SET {Type Viewports} {Config QuadView}", "'Viewports'"),
-    ("SET {TypeViewports} {Viewport1 Disable}", "without a Type"),  # manual 9.4, a slip
-    ("SET {Type Camera}{Robot R1}{Name Camera}{Client 10.0.0.2}", "viewpoint"),  # SPQR
-    ("SET {Type Camera} {Client 10.0.0.2}", "viewpoint"),
-    ("SET {Type Camera} {Name Camera} {FOV 1}", "field of view"),
+    ("SET {Type Camera} {FOV 1}", "lacks the other"),
+    ("SET {Type Camera} {Name C} {FOV 1} {Name D}", "lacks the other"),
+    ("SET {Type Camera} {Robot R1} {Name Camera}", "without a Client"),
     ("INIT {Name R1}", "without a ClassName"),
     ("INIT {ClassName USARBot.}", "without a ClassName"),
     ("MISPKG {Link 1} {Value 1}", "without a Name"),
@@ -391,5 +439,5 @@ def test_every_opcode_of_a_joint_by_name_and_by_number(opcode, order):
 
 def test_the_registry_lists_what_a_client_can_ask():
     assert COMMANDS.names() == sorted(
-        ["INIT", "GETSTARTPOSES", "DRIVE", "MULTIDRIVE", "MISPKG", "SET", "GETGEO", "GETCONF"]
+        ["INIT", "GETSTARTPOSES", "DRIVE", "MULTIDRIVE", "MISPKG", "SET", "TRACE", "GETGEO", "GETCONF"]
     )

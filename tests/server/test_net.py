@@ -237,7 +237,8 @@ def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
 def processes(tmp_path_factory):
     """Two servers of their own, started together: (process, port) by the signal that will end each."""
     cache = str(tmp_path_factory.mktemp("cache"))
-    command = [sys.executable, "-m", "usarmjx", "serve", "--port", "0", "--engine", "c", "--no-wireless"]
+    command = [sys.executable, "-m", "usarmjx", "serve", "--port", "0", "--engine", "c"]
+    command += ["--no-wireless", "--no-images"]
     running = {
         number: subprocess.Popen(
             command,

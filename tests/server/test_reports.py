@@ -484,6 +484,20 @@ MANUAL = [
         {},
         id="manual 9.3 RES",
     ),
+    pytest.param(
+        r.res_camera(426.76, [("Camera", math.pi / 4, "OK"), ("Camera2", math.pi / 4, "OK")]),
+        "RES {Time 426.76} {Type Camera} {Name Camera} {FOV 0.7853} {Status OK} {Name Camera2} {FOV 0.7853}"
+        " {Status OK}",
+        {},
+        id="manual 9.3 RES Camera",
+    ),
+    pytest.param(
+        r.res_viewports(56.68, ("SingleView", "OK"), [("Camera", "OK"), *[("Disabled", "OK")] * 3]),
+        "RES {Time 56.68} {Type Viewports} {Config SingleView} {Status OK} {Viewport1 Camera} {Status OK}"
+        " {Viewport2 Disabled} {Status OK} {Viewport3 Disabled} {Status OK} {Viewport4 Disabled} {Status OK}",
+        {},
+        id="manual 9.3 RES Viewports",
+    ),
 ]
 
 

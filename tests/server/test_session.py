@@ -21,7 +21,11 @@ from usarmjx.server.commands import (
     MisPkg,
     MultiDrive,
     Set,
+    SetFov,
     SetJoint,
+    SetView,
+    SetViewports,
+    Trace,
     WheelCommand,
 )
 from usarmjx.server.descriptions import geo_nothing
@@ -48,6 +52,10 @@ LINES = {
     MisPkg("Arm", (LinkCommand(1, 0.5),)): b"MISPKG {Name Arm} {Link 1} {Value 0.5}\r\n",
     Set("Odometry", "O", "RESET"): b"SET {Type Odometry} {Name O} {Opcode RESET}\r\n",
     SetJoint("Arm", 0, 1.0, None): b"SET {Type Joint} {Name Arm} {Opcode Angle} {Params 1}\r\n",
+    SetFov((("Camera", 1.0),)): b"SET {Type Camera} {Name Camera} {FOV 1}\r\n",
+    SetViewports("QuadView"): b"SET {Type Viewports} {Config QuadView}\r\n",
+    SetView("10.0.0.2", "R1", "Camera"): b"SET {Type Camera} {Robot R1} {Name Camera} {Client 10.0.0.2}\r\n",
+    Trace(True): b"Trace {On True}\r\n",
     GetGeo("Sonar"): b"GETGEO {Type Sonar}\r\n",
     GetConf("Sonar"): b"GETCONF {Type Sonar}\r\n",
 }
@@ -87,10 +95,11 @@ def test_the_server_speaks_first():
 
 # Which commands count in which phase, written out a second time on purpose.
 LEGAL = {
-    Phase.GREETED: {Init, GetStartPoses},
+    Phase.GREETED: {Init, GetStartPoses, SetView},
     Phase.ACTIVE: {
         *(GetStartPoses, GetGeo, GetConf),
         *(Drive, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
+        *(SetFov, SetViewports, SetView, Trace),
     },
     Phase.CLOSED: set(),
 }

@@ -86,13 +86,14 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     monkeypatch.setattr("usarmjx.server.net.serve", lambda *args: seen.update(services=args[2]))
     ini = tmp_path / "USARComServer.ini"
     ini.write_text("[USARBotAPI.ComServer]\nListenPort=4567\n[USARBotAPI.ComConnection]\neCutoff=-70\n")
-    assert CliRunner().invoke(app, ["serve", "--radio-ini", str(ini)]).exit_code == 0
+    words = ["serve", "--no-images", "--radio-ini", str(ini)]
+    assert CliRunner().invoke(app, words).exit_code == 0
     (service,) = seen["services"]
     assert service._settings.wss_port == 4567
     assert service._ether.cutoff == -70.0
-    assert CliRunner().invoke(app, ["serve", "--radio-ini", str(ini), "--wss-port", "9"]).exit_code == 0
+    assert CliRunner().invoke(app, [*words, "--wss-port", "9"]).exit_code == 0
     assert seen["services"][0]._settings.wss_port == 9
-    assert CliRunner().invoke(app, ["serve", "--no-wireless"]).exit_code == 0
+    assert CliRunner().invoke(app, ["serve", "--no-wireless", "--no-images"]).exit_code == 0
     assert seen["services"] == []
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from usarmjx.errors import SpecError
 from usarmjx.models.ini import IniFile, Line, read_ini
@@ -70,6 +71,23 @@ class RadioSettings:
         _check(self, "do", self.do > 0, "a distance above 0")
         for name in ("n", "atten_fac", "period", "shadowing", "loss_band"):
             _check(self, name, getattr(self, name) >= 0, "a number from 0")
+
+
+class VariedRadio(struct.PyTreeNode, kw_only=True):
+    """Constants of one world's radios where they differ between worlds: see `RadioSettings`."""
+
+    pdo: Array
+    do: float = struct.field(pytree_node=False)
+    n: Array
+    cutoff: Array
+    max_obs: int = struct.field(pytree_node=False)
+    atten_fac: Array
+    shadowing: float = struct.field(pytree_node=False)
+    loss_band: float = struct.field(pytree_node=False)
+
+
+Radio = RadioSettings | VariedRadio
+"""What the functions of links take."""
 
 
 def _check(settings: RadioSettings, name: str, fits: bool, allowed: str) -> None:
@@ -134,7 +152,7 @@ def _read(line: Line, field: str, debug: object) -> float | bool:
     return int(value)
 
 
-def received_power(settings: RadioSettings, distance: Array, walls: Array) -> jax.Array:
+def received_power(settings: Radio, distance: Array, walls: Array) -> jax.Array:
     """Return the power that arrives [dBm], by the formula of manual 3.2.4.
 
     Below the reference distance the same formula goes on, so that power rises above `pdo`; under 1 mm it

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.models.pieces import COLUMN_KIND, TRIANGLE_KIND
-from usarmjx.sensors.raycast import Block
+from usarmjx.sensors.targets import Block
 
 Triple = tuple[jax.Array, jax.Array, jax.Array]
 """Components x, y, z; apart, so that no array of segments times geoms is stored."""

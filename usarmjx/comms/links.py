@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.comms.attenuation import RadioSettings, received_power
+from usarmjx.comms.attenuation import Radio, received_power
 from usarmjx.comms.walls import count_walls
-from usarmjx.sensors.raycast import Geoms
+from usarmjx.sensors.targets import Geoms
 from usarmjx.transforms import Array
 
 SHORTEST = 1e-12
@@ -72,7 +72,7 @@ def _square(values: jax.Array, robots: int, diagonal: float) -> jax.Array:
     return jnp.where(np.eye(robots, dtype=bool), jnp.asarray(diagonal, values.dtype), values[place])
 
 
-def shadowing(settings: RadioSettings, key: jax.Array, robots: int) -> jax.Array:
+def shadowing(settings: Radio, key: jax.Array, robots: int) -> jax.Array:
     """Return by how much surroundings strengthen or weaken each pair's link [dB] (pairs,).
 
     Log-normal: normal in decibels. A pair keeps its number as long as the key is the same, whoever else
@@ -87,7 +87,7 @@ def shadowing(settings: RadioSettings, key: jax.Array, robots: int) -> jax.Array
     return settings.shadowing * jax.vmap(draw)(*map(jnp.asarray, pairs_of(robots)))
 
 
-def delivery_chance(settings: RadioSettings, power: jax.Array) -> jax.Array:
+def delivery_chance(settings: Radio, power: jax.Array) -> jax.Array:
     """Return the probability that a message gets through at a power [dBm] (...)."""
     margin = power - settings.cutoff
     if settings.loss_band == 0:
@@ -96,7 +96,7 @@ def delivery_chance(settings: RadioSettings, power: jax.Array) -> jax.Array:
 
 
 def pair_powers(
-    settings: RadioSettings, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
+    settings: Radio, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
 ) -> tuple[jax.Array, jax.Array]:
     """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
 
@@ -117,7 +117,7 @@ def pair_powers(
 
 
 def evaluate(
-    settings: RadioSettings,
+    settings: Radio,
     geoms: Geoms,
     robots: tuple[jax.Array, jax.Array],
     before: Links,

@@ -32,7 +32,7 @@ from usarmjx.models.compose import Physics, new_spec
 from usarmjx.models.materials import materials_of
 from usarmjx.models.pieces import HFIELD, MESH, pieces_of
 from usarmjx.models.spec import OPAQUE, SKY
-from usarmjx.sensors.raycast import Block, Geoms, gather
+from usarmjx.sensors.targets import Block, Geoms, gather
 from usarmjx.transforms import Array
 
 TINY = 1e-12

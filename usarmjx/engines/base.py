@@ -8,9 +8,11 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.engines.varied import VariedModel
 from usarmjx.errors import UnsupportedFeatureError
 from usarmjx.models.compose import Physics
 from usarmjx.models.moved import MovedGeoms
+from usarmjx.models.variation import Varied, VariedBodies
 from usarmjx.transforms import Array
 
 GeomType = mujoco.mjtGeom
@@ -55,6 +57,7 @@ class Inputs(struct.PyTreeNode, kw_only=True):
         pinned_dof: The same for the velocities (worlds, nv).
         qpos: Positions of the pinned coordinates; the others are ignored (worlds, nq).
         places: Where the arena's geoms are that are data; None: there are none.
+        varied: Numbers that differ between worlds, which lead their axes; None: there are none.
     """
 
     ctrl: Array
@@ -64,6 +67,7 @@ class Inputs(struct.PyTreeNode, kw_only=True):
     pinned_dof: Array
     qpos: Array
     places: Places | None = None
+    varied: Varied | None = None
 
 
 class Engine(ABC):
@@ -74,6 +78,8 @@ class Engine(ABC):
         physics: Solver and time settings.
         worlds: Number of copies.
         moved: Geoms of the arena that are data, of which every `Inputs` tells the places; None: there are
+            none.
+        bodies: Robots that vary between worlds, of which every `Inputs` tells the numbers; None: there are
             none.
 
     Raises:
@@ -86,12 +92,19 @@ class Engine(ABC):
     """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
 
     def __init__(
-        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved: MovedGeoms | None = None,
+        bodies: VariedBodies | None = None,
     ) -> None:
         self.physics = physics
         self.worlds = worlds
         self.moved = moved
+        self.bodies = bodies
         self.model = self.compile(spec)
+        self.varied = None if bodies is None else VariedModel(self.model, bodies, self.name == "c")
         check_features(self.model, self.name)
         # A geom that lies in its body's frame would be taken for one that always does.
         names = () if self.moved is None else self.moved.names

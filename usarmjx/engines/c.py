@@ -11,11 +11,18 @@ import numpy as np
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.compose import Physics
 from usarmjx.models.moved import MovedGeoms
+from usarmjx.models.variation import VariedBodies
 from usarmjx.threads import cores
 from usarmjx.transforms import Array
 
-EVERYTHING = mujoco.mjtState.mjSTATE_INTEGRATION
+STATE = mujoco.mjtState
+EVERYTHING = STATE.mjSTATE_INTEGRATION
 """All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
+
+
+VISIBLE = (STATE.mjSTATE_QPOS, STATE.mjSTATE_QVEL, STATE.mjSTATE_ACT)
+FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+"""The warnings about buffers that are too small."""
 
 
 class CState(NamedTuple):
@@ -49,10 +56,20 @@ def move_geoms(
         model.geom_rbound[ids] = np.linalg.norm(size, axis=-1)
 
 
+def parts(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
+    """Return where the parts of `EVERYTHING` are in a state of it."""
+    places, start = {}, 0
+    for bit in range(int(mujoco.mjtState.mjNSTATE)):
+        part = mujoco.mjtState(1 << bit)
+        if EVERYTHING & part:
+            end = start + mujoco.mj_stateSize(model, part)
+            places[part], start = slice(start, end), end
+    return places
+
+
 def buffer_warnings(data: mujoco.MjData) -> int:
     """Return how often this data's contact or constraint buffer was too small."""
-    full = (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL)
-    return int(sum(data.warning[w].number for w in full))
+    return int(data.warning.number[FULL].sum())
 
 
 def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:
@@ -68,19 +85,27 @@ class CEngine(Engine):
     traceable = False
 
     def __init__(
-        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved: MovedGeoms | None = None,
+        bodies: VariedBodies | None = None,
     ) -> None:
-        super().__init__(spec, physics, worlds, moved)
+        super().__init__(spec, physics, worlds, moved, bodies)
+        self._parts = parts(self.model)
         count = min(worlds, cores())
-        # Each thread has its own model, as the arena of the world that it steps is part of it.
-        self._models = [self.model if moved is None else self.model.__copy__() for _ in range(count)]
+        # Each thread has its own model, as what differs in the world that it steps is part of it.
+        same = moved is None and bodies is None
+        self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
+        self._fields = None if self.varied is None else jax.jit(self.varied.fields)
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model, with silent resets off."""
         model = c_model(spec.compile())
-        if self.moved is not None:
+        if self.moved is not None or (self.bodies is not None and self.bodies.vary.wheel is not None):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         return model
 
@@ -102,33 +127,49 @@ class CEngine(Engine):
 
     def advance(self, own: CState, inputs: Inputs) -> CState:
         """Step every world by one control step."""
-        new = CState(*(array.copy() for array in own))
         told = jax.tree.map(np.asarray, inputs)
+        fields = self._varied_fields(inputs)
+        everything, overflow = self._applied(own, told), np.zeros(self.worlds, np.int32)
 
         def work(thread: int) -> None:
             model, data = self._models[thread], self._datas[thread]
+            before = buffer_warnings(data)
+            varied = [(getattr(model, name), values) for name, values in fields.items()]
             for world in range(thread, self.worlds, len(self._datas)):
-                mujoco.mj_setState(model, data, own.everything[world], EVERYTHING)
-                self._apply(data, told, world)
+                mujoco.mj_setState(model, data, everything[world], EVERYTHING)
+                for array, values in varied:
+                    array[:] = values[world]
                 if told.places is not None:
                     here = told.places
                     size = None if here.size is None else here.size[world]
                     move_geoms(model, self.moved_ids, here.pos[world], here.quat[world], size)
-                before = buffer_warnings(data)
                 mujoco.mj_step(model, data, nstep=self.physics.substeps)
-                new.overflow[world] = buffer_warnings(data) - before
-                self._save(data, new, world)
+                mujoco.mj_getState(model, data, everything[world], EVERYTHING)
+                warnings = buffer_warnings(data)
+                overflow[world], before = warnings - before, warnings
 
         if self._pool is None:
             work(0)
         else:
             list(self._pool.map(work, range(len(self._datas))))
-        return new
+        qpos, qvel, act = (everything[:, self._parts[part]].copy() for part in VISIBLE)
+        return CState(everything=everything, qpos=qpos, qvel=qvel, act=act, overflow=overflow)
 
-    def _apply(self, data: mujoco.MjData, told: Inputs, world: int) -> None:
-        data.ctrl[:], data.act[:] = told.ctrl[world], told.act[world]
-        data.xfrc_applied[:] = told.xfrc_applied[world]
-        _pin(data, told.pinned[world], told.pinned_dof[world], told.qpos[world])
+    def _varied_fields(self, inputs: Inputs) -> dict[str, np.ndarray]:
+        """Return the model's fields that differ between worlds (worlds, ...)."""
+        if self._fields is None or inputs.varied is None:
+            return {}
+        return {name: np.asarray(values) for name, values in self._fields(inputs.varied).items()}
+
+    def _applied(self, own: CState, told: Inputs) -> np.ndarray:
+        """Return the integration states with the inputs in them (worlds, n)."""
+        new, at = own.everything.copy(), self._parts
+        new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = told.ctrl, told.act
+        new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = told.xfrc_applied.reshape(self.worlds, -1)
+        np.copyto(new[:, at[STATE.mjSTATE_QPOS]], told.qpos, where=told.pinned)
+        for part in (STATE.mjSTATE_QVEL, STATE.mjSTATE_WARMSTART):
+            np.copyto(new[:, at[part]], 0.0, where=told.pinned_dof)
+        return new
 
     def place(self, own: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
         """Put the pinned coordinates at qpos, at rest."""
@@ -143,19 +184,19 @@ class CEngine(Engine):
     def reset(self, own: CState, mask: Array, qpos: Array) -> CState:
         """Put the masked worlds at rest at qpos; the others are untouched."""
         new = CState(*(array.copy() for array in own))
-        data = self._datas[0]
+        data, qpos = self._datas[0], np.asarray(qpos)
         for world in np.flatnonzero(np.asarray(mask)):
             mujoco.mj_resetData(self.model, data)
-            data.qpos[:] = np.asarray(qpos[world])
+            data.qpos[:] = qpos[world]
             self._save(data, new, int(world))
         return new
 
     def state(self, own: CState) -> PhysicsState:
         """Return positions, velocities and activations in single precision."""
         return PhysicsState(
-            qpos=jnp.asarray(own.qpos, jnp.float32),
-            qvel=jnp.asarray(own.qvel, jnp.float32),
-            act=jnp.asarray(own.act, jnp.float32),
+            qpos=jnp.asarray(np.float32(own.qpos)),
+            qvel=jnp.asarray(np.float32(own.qvel)),
+            act=jnp.asarray(np.float32(own.act)),
         )
 
     def overflow(self, own: CState, inputs: Inputs) -> jnp.ndarray:

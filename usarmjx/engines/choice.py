@@ -10,6 +10,7 @@ import mujoco
 from usarmjx.engines.base import Engine
 from usarmjx.models.compose import Physics
 from usarmjx.models.moved import MovedGeoms
+from usarmjx.models.variation import VariedBodies
 from usarmjx.registry import Registry
 
 ENGINES: Registry[tuple[str, str]] = Registry("engine")
@@ -35,7 +36,12 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
 
 
 def make_engine(
-    name: str, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+    name: str,
+    spec: mujoco.MjSpec,
+    physics: Physics,
+    worlds: int,
+    moved: MovedGeoms | None = None,
+    bodies: VariedBodies | None = None,
 ) -> Engine:
     """Build an engine by name; the other arguments are those of `Engine`.
 
@@ -46,4 +52,4 @@ def make_engine(
     """
     module, kind = ENGINES.get(name)
     engine: type[Engine] = getattr(import_module(module), kind)
-    return engine(spec, physics, worlds, moved)
+    return engine(spec, physics, worlds, moved, bodies)

@@ -1,7 +1,7 @@
 """MJX on JAX's own kernels (`jax`) or on NVIDIA Warp's (`warp`)."""
 
 import sys
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from usarmjx.errors import EngineError
 from usarmjx.models.compose import Physics
 from usarmjx.models.compose_arena import with_short_boxes
 from usarmjx.models.moved import MovedGeoms
+from usarmjx.models.variation import VariedBodies
 from usarmjx.transforms import Array
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
@@ -32,6 +33,11 @@ LONGEST_BOX = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 
 
+def own_device() -> Any:  # noqa: ANN401 - a device of jax
+    """Return the device of this process, of several; MJX would take that of the first. None: there is one."""
+    return jax.local_devices()[0] if jax.process_count() > 1 else None
+
+
 class MjxEngine(Engine):
     """What both have in common: one mapped step over all worlds."""
 
@@ -39,16 +45,21 @@ class MjxEngine(Engine):
     impl: ClassVar[str]
 
     def __init__(
-        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved: MovedGeoms | None = None,
+        bodies: VariedBodies | None = None,
     ) -> None:
-        super().__init__(spec, physics, worlds, moved)
+        super().__init__(spec, physics, worlds, moved, bodies)
         self.mx = self._put_model(self.model)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
-        return mjx.put_model(model, impl=self.impl)
+        return mjx.put_model(model, impl=self.impl, device=own_device())
 
     def _make_data(self) -> mjx.Data:
-        return mjx.make_data(self.model, impl=self.impl)
+        return mjx.make_data(self.model, impl=self.impl, device=own_device())
 
     def start(self) -> mjx.Data:
         """Return every world at the model's reference configuration."""
@@ -58,17 +69,27 @@ class MjxEngine(Engine):
         """Step every world by one control step."""
         data = self.place(own, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
-        if inputs.places is None:
+        fields = self._fields(inputs)
+        if not fields:
             model, axes = self.mx, None
         else:
-            fields = self._moved_fields(inputs.places)
             model = self.mx.tree_replace(fields)
             axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
         step = jax.vmap(mjx.step, in_axes=(axes, 0))
         return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(model, d), data)
 
+    def _fields(self, inputs: Inputs) -> dict[str, jax.Array]:
+        """Return the model's fields that differ between worlds (worlds, ...)."""
+        fields = {} if inputs.places is None else self._moved_fields(inputs.places)
+        if self.varied is None or inputs.varied is None:
+            return fields
+        fields = self.varied.fields(inputs.varied, fields)
+        # MJX-Warp has some fields in another shape than MuJoCo.
+        shapes = {name: (self.worlds, *getattr(self.mx, name).shape) for name in fields}
+        return {name: jnp.reshape(value, shapes[name]) for name, value in fields.items()}
+
     def _moved_fields(self, places: Places) -> dict[str, jax.Array]:
-        """Return the model's fields that differ between worlds (worlds, ngeom, ...)."""
+        """Return the fields of geoms that are data (worlds, ngeom, ...)."""
         ids = np.array(self.moved_ids)
 
         def everywhere(value: jax.Array, here: Array) -> jax.Array:
@@ -128,11 +149,16 @@ class JaxEngine(MjxEngine):
     _short: "ShortBoxes | None" = None
 
     def __init__(
-        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved: MovedGeoms | None = None,
+        bodies: VariedBodies | None = None,
     ) -> None:
         threads.check()
         cylinder_box.register()
-        super().__init__(spec, physics, worlds, moved)
+        super().__init__(spec, physics, worlds, moved, bodies)
         cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
         groups = collision_driver._geom_groups(self.model)  # private, as the table that cylinder_box fills
@@ -153,7 +179,8 @@ class JaxEngine(MjxEngine):
             model = with_short_boxes(spec, LONGEST_BOX)
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         masses = model.body_subtreemass[free]
-        if len(free) and masses.max() > UNEQUAL * masses.min():
+        lightest, heaviest = (1.0, 1.0) if self.bodies is None else self.bodies.vary.mass or (1.0, 1.0)
+        if len(free) and heaviest * masses.max() > UNEQUAL * lightest * masses.min():
             model.opt.iterations = max(model.opt.iterations, UNEQUAL_ITERATIONS)
         return model
 
@@ -165,8 +192,7 @@ class JaxEngine(MjxEngine):
         contact = own._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
-        moved = {} if inputs.places is None else self._moved_fields(inputs.places)
-        radius = moved.get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
+        radius = self._fields(inputs).get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
         for pairs in self._capped:
             apart = own.geom_xpos[:, pairs[:, 0]] - own.geom_xpos[:, pairs[:, 1]]
             reach = radius[:, pairs].sum(-1)
@@ -185,7 +211,12 @@ class WarpEngine(MjxEngine):
     impl = "warp"
 
     def __init__(
-        self, spec: mujoco.MjSpec, physics: Physics, worlds: int, moved: MovedGeoms | None = None
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved: MovedGeoms | None = None,
+        bodies: VariedBodies | None = None,
     ) -> None:
         try:
             import warp  # noqa: F401 - optional
@@ -193,7 +224,7 @@ class WarpEngine(MjxEngine):
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
-        super().__init__(spec, physics, worlds, moved)
+        super().__init__(spec, physics, worlds, moved, bodies)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
         # Its kernels print a line per world and step when the solver uses all its iterations; that alone
@@ -205,7 +236,11 @@ class WarpEngine(MjxEngine):
         # A contact of the elliptic cone with sliding friction has three constraint rows. Rows are counted
         # per world, contacts over all worlds, so a world has room for three times the average.
         return mjx.make_data(
-            self.model, impl=self.impl, naconmax=self.worlds * contacts, njmax=3 * 3 * contacts
+            self.model,
+            impl=self.impl,
+            device=own_device(),
+            naconmax=self.worlds * contacts,
+            njmax=3 * 3 * contacts,
         )
 
     def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:

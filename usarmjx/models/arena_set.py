@@ -36,21 +36,26 @@ class Site(struct.PyTreeNode, kw_only=True):
         pos: Centres of the boxes but for the victims', in the arena's axes [m] (boxes, 3).
         quat: Orientations (boxes, 4).
         size: Half lengths [m] (boxes, 3).
+        rgb: Colours (boxes, 3).
         victims: The victims.
         tags: The RFID tags.
         starts: Start poses: x, y, z [m] and yaw [rad] (starts, 4).
         loose: Where loose objects start, in the world: position [m] and quaternion (objects, 7).
         present: Which of them there are (objects,).
+        lamps: Where its lamps are, in the world [m], and their colour times brightness at 1 m; zero for those
+            that it does not have (lamps, 6).
     """
 
     pos: Array
     quat: Array
     size: Array
+    rgb: Array
     victims: VictimTable
     tags: TagTable
     starts: Array
     loose: Array
     present: Array
+    lamps: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +110,7 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
             pos=placed[..., :3],
             quat=placed[..., 3:7],
             size=placed[..., 7:],
+            rgb=_colours(boxed),
             victims=jax.tree.map(lambda *rows: np.stack(rows), *tables),
             tags=jax.tree.map(lambda *rows: np.stack(rows), *tags),
             starts=_starts(arenas),
@@ -112,6 +118,7 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
             present=np.array([[one is not None for one in row] for row in lying], bool).reshape(
                 len(arenas), len(objects)
             ),
+            lamps=_lamps(arenas),
         ),
     )
 
@@ -218,3 +225,17 @@ def _starts(arenas: Sequence[ArenaSpec]) -> np.ndarray:
         return (*start.at, start.yaw)
 
     return np.array([[row(start) for start in arena.starts[:fewest]] for arena in arenas], np.float32)
+
+
+def _colours(boxed: Sequence[Sequence[Shape | None]]) -> np.ndarray:
+    rows = [[(0.0, 0.0, 0.0) if shape is None else shape.rgba[:3] for shape in row] for row in boxed]
+    return np.array(rows, np.float32).reshape(len(rows), -1, 3)
+
+
+def _lamps(arenas: Sequence[ArenaSpec]) -> np.ndarray:
+    rows = np.zeros((len(arenas), max(len(arena.lights) for arena in arenas), 6), np.float32)
+    for row, arena in zip(rows, arenas, strict=True):
+        for lamp, light in zip(row, arena.lights, strict=False):
+            lamp[:3] = np.add(light.at, (0.0, 0.0, arena.floor))
+            lamp[3:] = np.multiply(light.rgb, light.brightness)
+    return rows

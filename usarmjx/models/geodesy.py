@@ -10,9 +10,18 @@ Place = tuple[float, float]
 """Latitude and longitude [degrees], north and east positive."""
 
 
-def degrees_of(origin: Place, at: tuple[float, float]) -> Place:
-    """Return latitude and longitude [degrees] of a place x, y [m] in an arena whose origin lies there."""
-    return origin[0] + at[0] / LATITUDE_SCALE, origin[1] - at[1] / LONGITUDE_SCALE
+SCALES = (LATITUDE_SCALE, LONGITUDE_SCALE)
+
+
+def degrees_of(origin: Place, at: tuple[float, float], scales: tuple[float, float] = SCALES) -> Place:
+    """Return latitude and longitude [degrees] of a place x, y [m] in an arena whose origin lies there.
+
+    Args:
+        origin: Where the arena's origin lies.
+        at: The place.
+        scales: Metres of a degree of latitude and of longitude; negative ones turn the axis round.
+    """
+    return origin[0] + at[0] / scales[0], origin[1] - at[1] / scales[1]
 
 
 def metres_of(origin: Place, at: Place) -> tuple[float, float]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from usarmjx.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.ini import Line, Struct, Value
-from usarmjx.models.ini_keys import ITEM_CLASSES, ITEM_IGNORED, OLD_PARTS, UU_ANGLES
+from usarmjx.models.ini_keys import ITEM_CLASSES, ITEM_IGNORED, OLD_PARTS, SETTINGS_IGNORED, UU_ANGLES
 from usarmjx.models.ini_read import (
     UU_PER_RADIAN,
     Units,
@@ -16,7 +17,7 @@ from usarmjx.models.ini_read import (
     fail,
     vector_of,
 )
-from usarmjx.models.settings import field_name, resolve
+from usarmjx.models.settings import checked, field_name
 from usarmjx.models.spec import CHASSIS, Mount, Options, RobotSpec
 
 ITEM_LISTS = {"Sensors": "sensors", "Effecters": "effecters", "Cameras": "cameras"}
@@ -66,7 +67,7 @@ def read_setting(kind: str, key: str, line: Line, value: Value, settings: Settin
     option = ((key, _setting_value(line, key, value)),)
     if settings is not None and kind in settings:
         try:
-            resolve(settings[kind], option, kind)
+            checked(settings[kind], option, kind)
         except UnknownNameError:
             raise
         except UsageError as error:
@@ -98,6 +99,10 @@ def read_settings(
     """Return keys of an item as options; those that it does not have become warnings."""
     found: list[tuple[str, object]] = []
     for key, line, value in pairs:
+        reason = SETTINGS_IGNORED.get((kind, key.lower()))
+        if reason is not None:
+            notes.add(line, f"{key} is ignored: {reason}")
+            continue
         try:
             found += read_setting(kind, key, line, value, settings)
         except UnknownNameError as error:
@@ -105,20 +110,33 @@ def read_settings(
     return tuple(found)
 
 
-def read_mount(line: Line, units: Units, settings: Settings | None, notes: Notes) -> Mount | None:
+def read_mount(
+    line: Line,
+    units: Units,
+    settings: Settings | None,
+    notes: Notes,
+    classes: Mapping[str, tuple[str, Options]] = MappingProxyType({}),
+) -> Mount | None:
     """Return the item that a line of Sensors, Effecters or Cameras mounts (manual 12.1.2, 14.4.2.5).
 
     Names within the brackets that are not of the manual's structure are settings of this one item (ours).
     None, with a warning, for a class that is known but not built.
+
+    Args:
+        line: The line.
+        units: Of its Position and Direction.
+        settings: What there is to set.
+        notes: Takes the warnings.
+        classes: Type and defaults of the item classes of the files' own, by name in lower case.
 
     Raises:
         SpecError: Something is missing or wrong; names file and line.
     """
     struct = as_struct(line)
     written = as_class(line, struct.get("ItemClass"), "ItemClass")
-    kind = kind_of(written, settings)
+    kind, inherited = classes.get(written.lower(), (kind_of(written, settings), ()))
     if kind is None:
-        fail(line, f"unknown ItemClass {written!r}", f"one of {', '.join(ITEM_CLASSES)}")
+        fail(line, f"unknown ItemClass {written!r}", f"one of {', '.join((*ITEM_CLASSES, *classes))}")
     name = as_name(line, struct.get("ItemName"), "ItemName")
     if settings is not None and kind not in settings:
         notes.add(line, f"{name} is left out: there is no {kind} yet")
@@ -133,8 +151,16 @@ def read_mount(line: Line, units: Units, settings: Settings | None, notes: Notes
         at=units.place(vector_of(line, struct, "Position")),
         direction=units.angles(vector_of(line, struct, "Direction")),
         parent=_parent(line, struct),
-        options=read_settings(kind, own, settings, notes),
+        options=merged(inherited, read_settings(kind, own, settings, notes)),
     )
+
+
+def merged(before: Options, after: Options) -> Options:
+    """Return options of which those that come after override those before."""
+    if not before:
+        return after
+    named = {field_name(key): (key, value) for key, value in (*before, *after)}
+    return tuple(named.values())
 
 
 def _is_field(key: str) -> bool:

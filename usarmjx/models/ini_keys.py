@@ -66,11 +66,8 @@ KNOWN_IGNORED = {
     "bDebug": "there is no Unreal log",
     "bBarCode": "it drew into the Unreal client's window",
     "bDisplayTeamBeacon": "it drew into the Unreal client's window",
-    "isStereo": "a stereo camera is two cameras",
-    "stereoSpacing": "a stereo camera is two cameras, apart by their Position",
-    "uuStereoSpacing": "a stereo camera is two cameras, apart by their Position",
 }
-"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, 3.2.6.2, KRobot.uc) that change nothing, and why."""
+"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) that change nothing, and why."""
 
 JOINT_IGNORED = {
     "BrakeTorque": "wheels brake with all the torque of their motor",
@@ -81,10 +78,14 @@ JOINT_IGNORED = {
 ITEM_IGNORED = {"uuDirection": "it is the original's own note of Direction in Unreal units"}
 """The same for a mounted item (14.4.2.5)."""
 
-SECTIONS_IGNORED = {
-    "MultiView": "views of several robots are the image server's, which has options for them",
-}
-"""Other sections of USARBot.ini, by the name behind `USARBot.`."""
+_WHEELS = (
+    "an INS has no wheels: the manual's 10.6.2 describes the key, which comes from 10.4.2, without showing it"
+)
+SETTINGS_IGNORED = {("INS", "righttire"): _WHEELS, ("INS", "lefttire"): _WHEELS}
+"""The same for settings of a type of item, by type and key in lower case."""
+
+SECTIONS_ELSEWHERE = ("MultiView",)
+"""Sections of USARBot.ini that are not about robots and that something else reads: the image server."""
 
 LINK_IGNORED = {
     name: "it refers to a class of an Unreal package; Location, Orientation and the limits are given directly"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from usarmjx.errors import SpecError, UsageError
 from usarmjx.models.ini import read_ini
+from usarmjx.models.ini_classes import read_classes
 from usarmjx.models.ini_items import Notes, Settings, examples, with_defaults
 from usarmjx.models.ini_packages import known_packages, read_packages, redefine
 from usarmjx.models.ini_read import UU_PER_METRE, as_class, fail
@@ -68,13 +69,15 @@ def load_robots(
     files = [read_ini(Path(path)) for path in paths]
     notes = Notes()
     definitions = read_packages(files, uu_per_metre, notes)
-    found = sort_sections(files, robots, settings, uu_per_metre, notes)
+    classes = read_classes(files, robots.names(), settings, notes)
+    found = sort_sections(files, robots, settings, uu_per_metre, notes, classes)
     sources = Sources(
         robots=robots,
         definitions=definitions,
         packages=known_packages(robots, definitions),
         settings=settings,
         notes=notes,
+        classes=classes,
     )
     builder = _Builder(found.robots, sources)
     built = {name: builder.build(name) for name in found.robots}
@@ -135,7 +138,7 @@ class _Builder:
             if name.lower() in self.orders:
                 return self.build(name.lower(), waiting)
             if name not in robots:
-                fail(line, f"unknown BaseClass {name!r}", f"one of {known}")
+                fail(line, f"unknown BaseClass {name!r}", f"one of {known}, or an item class")
             return _with_packages(robots.get(name), self.sources)
         if not order.joints:
             raise SpecError(

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from usarmjx.models.ini import IniFile, Line, Section
+from usarmjx.models.ini_classes import ItemClasses
 from usarmjx.models.ini_figures import LENGTHS, SETTERS
 from usarmjx.models.ini_items import ITEM_LISTS, Notes, Settings, kind_of, read_settings
-from usarmjx.models.ini_keys import KNOWN_IGNORED, SECTIONS_IGNORED
+from usarmjx.models.ini_keys import KNOWN_IGNORED, SECTIONS_ELSEWHERE
 from usarmjx.models.ini_packages import PREFIX
 from usarmjx.models.ini_read import Units, as_bool
 from usarmjx.models.ini_spec import Orders
+from usarmjx.models.ini_stereo import STEREO_KEYS
 from usarmjx.models.ini_tracks import TRACKS
 from usarmjx.models.spec import Options, RobotSpec
 from usarmjx.registry import Registry
@@ -44,8 +46,11 @@ def sort_sections(
     settings: Settings | None,
     uu_per_metre: float,
     notes: Notes,
+    classes: ItemClasses,
 ) -> Sorted:
     """Return what the files say, in order; sections and keys that mean nothing become warnings.
+
+    The sections of item classes of the files' own are left out.
 
     Raises:
         SpecError: A value of the wrong kind; names file and line.
@@ -54,7 +59,7 @@ def sort_sections(
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
             section = file.section(name)
-            if name.startswith(PREFIX) or not section.lines:
+            if name.startswith(PREFIX) or not section.lines or name.removeprefix(ROBOT_PREFIX) in classes:
                 continue
             if name.startswith(ROBOT_PREFIX):
                 _take_section(found, section, robots, settings, Units(uu_per_metre=uu_per_metre), notes)
@@ -72,14 +77,13 @@ def _take_section(
     notes: Notes,
 ) -> None:
     name = section.name[len(ROBOT_PREFIX) :]
-    ignored = {known.lower(): reason for known, reason in SECTIONS_IGNORED.items()}
     robot, end = _track_of(name, robots)
+    if name.lower() in map(str.lower, SECTIONS_ELSEWHERE):
+        return
     if name in robots:
         _take_orders(found, name, section, units, notes)
     elif (kind := kind_of(name, settings)) is not None:
         _take_defaults(found, kind, section.lines, settings, notes)
-    elif name.lower() in ignored:
-        notes.add(section.lines[0], f"[{section.name}] is ignored: {ignored[name.lower()]}")
     elif robot:
         _take_track(found.tracks.setdefault(robot, {}), end, section, notes)
     else:
@@ -128,7 +132,7 @@ def _take_orders(found: Sorted, name: str, section: Section, units: Units, notes
     joints = [line for line in section.lines if line.key.lower() in map(str.lower, JOINT_KEYS)]
     if joints:
         orders.joints = _numbered(joints, orders.units)
-    single = {key.lower() for key in (*SETTERS, *LENGTHS, *OTHER_KEYS)}
+    single = {key.lower() for key in (*SETTERS, *LENGTHS, *STEREO_KEYS, *OTHER_KEYS)}
     listed = {key.lower() for key in (*LISTS, *ADDS, *JOINT_KEYS)}
     ignored = {key.lower(): reason for key, reason in KNOWN_IGNORED.items()}
     for line in section.lines:

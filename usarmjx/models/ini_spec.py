@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from usarmjx.errors import SpecError, UsageError
 from usarmjx.models.ini import Line
+from usarmjx.models.ini_classes import ItemClasses
 from usarmjx.models.ini_drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini_figures import apply_figures
 from usarmjx.models.ini_items import ITEM_LISTS, Notes, Settings, read_mount, settle_parent
@@ -13,6 +14,7 @@ from usarmjx.models.ini_joints import build_parts
 from usarmjx.models.ini_packages import Definitions, read_package, templates
 from usarmjx.models.ini_pairs import Pair, read_pairs
 from usarmjx.models.ini_read import Units, as_number, as_vector, fail
+from usarmjx.models.ini_stereo import with_stereo
 from usarmjx.models.measure import measured
 from usarmjx.models.parts import parts_of
 from usarmjx.models.spec import CHASSIS, MissionPackage, Mount, RobotSpec, Shape
@@ -60,6 +62,7 @@ class Sources:
         packages: All mission packages, with those definitions.
         settings: Settings of each type of item.
         notes: Takes the warnings.
+        classes: Item classes of the ini files.
     """
 
     robots: Registry[RobotSpec]
@@ -67,6 +70,7 @@ class Sources:
     packages: Mapping[str, MissionPackage]
     settings: Settings | None
     notes: Notes
+    classes: ItemClasses
 
 
 def build_robot(orders: Orders, base: RobotSpec | None, sources: Sources) -> RobotSpec:
@@ -91,6 +95,7 @@ def build_robot(orders: Orders, base: RobotSpec | None, sources: Sources) -> Rob
     robot = _with_packages(orders, robot, sources)
     try:
         robot = _with_items(orders, robot, {pair.name: pair for pair in pairs}, sources)
+        robot = with_stereo(robot, orders.figures, orders.units, sources.notes)
         parts_of(robot)
         return replace(measured(robot), mass=robot.mass) if pairs else robot
     except UsageError as error:
@@ -162,16 +167,18 @@ def _with_packages(orders: Orders, robot: RobotSpec, sources: Sources) -> RobotS
     return replace(robot, packages=tuple(packages.values()))
 
 
+def _mounts(orders: Orders, key: str, sources: Sources) -> list[tuple[Line, Mount]]:
+    """Return what a key lists, with the lines; without what is not built."""
+    read = [
+        (line, read_mount(line, units, sources.settings, sources.notes, sources.classes))
+        for line, units in (*orders.lists.get(key, ()), *orders.lists.get(f"Add{key}", ()))
+    ]
+    return [(line, mount) for line, mount in read if mount is not None]
+
+
 def _with_items(orders: Orders, robot: RobotSpec, places: Mapping[str, Pair], sources: Sources) -> RobotSpec:
     """Return a robot with its items: effecters first, for they bring parts that others sit on."""
-    read = {
-        key: [
-            (line, mount)
-            for line, units in (*orders.lists.get(key, ()), *orders.lists.get(f"Add{key}", ()))
-            if (mount := read_mount(line, units, sources.settings, sources.notes)) is not None
-        ]
-        for key in ITEM_LISTS
-    }
+    read = {key: _mounts(orders, key, sources) for key in ITEM_LISTS}
     for key in ("Effecters", "Sensors", "Cameras"):
         items = () if key in orders.lists else getattr(robot, ITEM_LISTS[key])
         others = replace(robot, effecters=()) if key == "Effecters" else robot

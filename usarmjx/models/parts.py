@@ -7,6 +7,7 @@ import numpy as np
 
 from usarmjx.errors import SpecError
 from usarmjx.models.effecters import effecters_of
+from usarmjx.models.housings import housings
 from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec, Shape
 from usarmjx.transforms import Vec3, mat_from_angles
 
@@ -94,7 +95,7 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
             lost = ", ".join(f"{part.name} (on {part.parent})" for part in waiting)
             raise SpecError(f"robot {robot.name}: parts without a parent: {lost}; parts: {', '.join(names)}")
         waiting.remove(ready)
-        parts.append(replace(ready, shapes=(*ready.shapes, *_effecter_shapes(robot, ready.name))))
+        parts.append(replace(ready, shapes=(*ready.shapes, *_item_shapes(robot, ready.name))))
         there.add(ready.name)
     _check_joints(robot, parts)
     return tuple(parts)
@@ -113,14 +114,14 @@ def _check_joints(robot: RobotSpec, parts: list[Part]) -> None:
         raise SpecError(f"robot {robot.name}: no motor at {', '.join(missing)}")
 
 
-def _effecter_shapes(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
+def _item_shapes(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
     effecters = (effecter for effecter in effecters_of(robot) if effecter.mount.parent == parent)
-    return tuple(shape for effecter in effecters for shape in effecter.shapes())
+    return (*(shape for effecter in effecters for shape in effecter.shapes()), *housings(robot, parent))
 
 
 def chassis_shapes(robot: RobotSpec) -> tuple[Shape, ...]:
-    """Return the solids of the chassis, with what effecters add to it."""
-    return (*robot.chassis, *_effecter_shapes(robot, CHASSIS))
+    """Return the solids of the chassis, with what effecters and shown sensors add to it."""
+    return (*robot.chassis, *_item_shapes(robot, CHASSIS))
 
 
 def joint_names(robot: RobotSpec) -> tuple[str, ...]:

@@ -55,6 +55,7 @@ class BodyPlan:
         geom_size: MuJoCo sizes (geoms, 3).
         geom_pos: Geom centres in their body (geoms, 3).
         geom_mat: Geom orientations in their body (geoms, 3, 3).
+        geom_rgb: Their colours (geoms, 3).
         actuated: Which joints have a motor, as places in the order of joints (actuators,).
         mass: Mass of the built model [kg].
         clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
@@ -73,6 +74,7 @@ class BodyPlan:
     geom_size: np.ndarray
     geom_pos: np.ndarray
     geom_mat: np.ndarray
+    geom_rgb: np.ndarray
     actuated: np.ndarray
     mass: float
     clearance: float
@@ -119,6 +121,7 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
         geom_size=pieces.size,
         geom_pos=piece_pos.astype(np.float32),
         geom_mat=piece_mat.astype(np.float32),
+        geom_rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),
         clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena

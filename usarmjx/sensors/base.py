@@ -3,9 +3,10 @@
 The batch maps these functions over robots and worlds; nothing here knows of either.
 """
 
+import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +15,17 @@ from flax import struct
 
 from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies, BodyPlan
+from usarmjx.models.settings import NOT_NEGATIVE
 from usarmjx.models.spec import SKY, Mount
 from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
-from usarmjx.sensors.raycast import Hits
+from usarmjx.sensors.quantities import Quantity, total
+from usarmjx.sensors.raycast import BUNDLE, Hits
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
 from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles
+
+NOISY = ("noise", "sigma", "max_noise", "min_noise")
+"""Settings that are sizes of random errors; `precision` is the inverse of one."""
 
 
 class Sight(struct.PyTreeNode, kw_only=True):
@@ -31,6 +37,7 @@ class Sight(struct.PyTreeNode, kw_only=True):
         bodies: Poses of its bodies.
         hits: What the rays of the sensors met (rays,).
         surroundings: Victims and tags of its world; None: there are none.
+        noise: Factor on the noise of its sensors (); None: 1.
     """
 
     time: Array
@@ -38,6 +45,7 @@ class Sight(struct.PyTreeNode, kw_only=True):
     bodies: Bodies
     hits: Hits
     surroundings: Surroundings | None = None
+    noise: Array | None = None
 
     @property
     def around(self) -> Surroundings:
@@ -62,7 +70,7 @@ class Common:
     """Settings that all sensors have (manual 10).
 
     Attributes:
-        hidden_sensor: Whether the sensor itself is invisible to pictures.
+        hidden_sensor: Whether the sensor itself is not to be seen; see `models.housings`.
         with_time_stamp: Whether its messages carry the time.
         weight: Adds to the payload [kg].
         scan_interval: Time between two measurements [s]; 0 measures whenever asked.
@@ -70,8 +78,27 @@ class Common:
 
     hidden_sensor: bool = True
     with_time_stamp: bool = False
-    weight: float = 0.4
-    scan_interval: float = 0.0
+    weight: Annotated[float, NOT_NEGATIVE] = 0.4
+    scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def wrong(self) -> str:
+        """Return what settings do not go together, "" if all do; each for itself has its `Limits`."""
+        return ""
+
+
+@dataclass(frozen=True)
+class Measuring(Common):
+    """Settings of sensors whose measure has noise, see `sensors.noise.noisy`.
+
+    Attributes:
+        noise: Relative amplitude of the uniform noise.
+        mean: Mean of the relative Gaussian noise.
+        sigma: Its standard deviation (manual 10.6.2: any sensor may have it).
+    """
+
+    noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    mean: float = 0.0
+    sigma: Annotated[float, NOT_NEGATIVE] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +110,11 @@ class Sensor(ABC):
         grouped: Whether all of the type share one message (bUseGroup).
         needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
         passes: Materials that its rays go through.
+        bundle: So many rays after each other go about the same way; see `raycast.nearest`.
         looks_around: Whether it asks for the surroundings.
+        defaults: The class of its settings.
+        tells: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
+            Messages are made from it, but for those of the manual's sensors, which are as captured.
         plan: The robot class.
         mounts: Where the sensors sit.
         settings: Their settings, one each.
@@ -93,8 +124,10 @@ class Sensor(ABC):
     grouped: ClassVar[bool] = False
     needs_incidence: ClassVar[bool] = False
     passes: ClassVar[frozenset[str]] = frozenset({SKY})
+    bundle: ClassVar[int] = BUNDLE
     looks_around: ClassVar[bool] = False
     defaults: ClassVar[type] = Common
+    tells: ClassVar[tuple[Quantity, ...]] = ()
 
     plan: BodyPlan
     mounts: tuple[Mount, ...]
@@ -127,6 +160,23 @@ class Sensor(ABC):
         del opcode, params, sight, memory
         return None
 
+    def with_noise(self, factor: Array) -> "Sensor":
+        """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""
+        scaled = []
+        for settings in self.settings:
+            noise = {name: getattr(settings, name, 0.0) for name in NOISY}
+            noise = {name: value * factor for name, value in noise.items() if value}
+            precision = getattr(settings, "precision", None)
+            if precision is not None:
+                noise["precision"] = precision / factor
+            scaled.append(replace(settings, **noise))
+        return replace(self, settings=tuple(scaled))
+
+    @property
+    def reach(self) -> float:
+        """How far away what its rays meet matters to it [m]."""
+        return math.inf
+
     @property
     def manual(self) -> bool:
         """Whether the sensor measures only when told to (SCAN)."""
@@ -144,6 +194,16 @@ class Sensor(ABC):
             raise SpecError(
                 f"all {self.kind} sensors report together and need the same ScanInterval and bWithTimeStamp"
             )
+
+    def check_value(self, shape: tuple[int, ...]) -> None:
+        """Compare the shape of what `read` returns with what the sensor tells of.
+
+        Raises:
+            SpecError: They differ.
+        """
+        wanted = total(self.tells) * (len(self.mounts) if self.grouped else 1)
+        if self.tells and math.prod(shape) != wanted:
+            raise SpecError(f"{self.kind}: a value of shape {shape} was read, expected {wanted} numbers")
 
     def bodies_of_mounts(self) -> np.ndarray:
         """Return the body that each mount sits on (mounts,).

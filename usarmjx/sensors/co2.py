@@ -6,24 +6,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.noise import relative_uniform
+from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.noise import noisy
 
 EXHALED = 4.0
 """CO2 in breath beyond that of air, percent by volume."""
 MOUTH = 0.1
 """Distance from a mouth up to which there is nothing but breath [m] (chosen)."""
-
-
-@dataclass(frozen=True)
-class Co2Settings(Common):
-    """Ours.
-
-    Attributes:
-        noise: Relative amplitude of the uniform noise.
-    """
-
-    noise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +25,7 @@ class Co2(Sensor):
 
     kind = "CO2Sensor"
     looks_around = True
-    defaults = Co2Settings
+    defaults = Measuring
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Smell once."""
@@ -47,7 +36,7 @@ class Co2(Sensor):
             jnp.asarray(around.breathes), EXHALED * (MOUTH / jnp.maximum(far, MOUTH)) ** 2, 0.0
         )
         density = jnp.minimum(breath.sum(), EXHALED)
-        return memory, relative_uniform(key, density, self.settings[0].noise)
+        return memory, noisy(key, density[None], self.settings)[0]
 
 
 SENSORS.add(Co2.kind, Co2)

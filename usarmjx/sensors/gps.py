@@ -7,15 +7,16 @@ float32 would keep half a metre.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.errors import SpecError
-from usarmjx.models.geodesy import Place, degrees_of
+from usarmjx.models.geodesy import LATITUDE_SCALE, LONGITUDE_SCALE, Place, degrees_of
 from usarmjx.models.plan import Bodies
+from usarmjx.models.settings import NOT_NEGATIVE
 from usarmjx.models.spec import Options, options
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.transforms import Array
@@ -39,12 +40,26 @@ class GpsSettings(Common):
         min_noise: Largest error of a coordinate with twelve [m].
         zero_zero_location: LatitudeDegree, LatitudeMinute, LongitudeDegree and LongitudeMinute of the
             world's origin; south and west are negative. One that is left out is 0.
+        latitude_scale: Metres of a degree of latitude; a negative one turns the x axis round. Ours, as the
+            next, for the scale factors of manual 10.13.1's GPSStart.
+        longitude_scale: Metres of a degree of longitude.
     """
 
     scan_interval: float = 0.2
-    max_noise: float = 2.5
-    min_noise: float = 0.75
+    max_noise: Annotated[float, NOT_NEGATIVE] = 2.5
+    min_noise: Annotated[float, NOT_NEGATIVE] = 0.75
     zero_zero_location: Options = GAITHERSBURG
+    latitude_scale: float = LATITUDE_SCALE
+    longitude_scale: float = LONGITUDE_SCALE
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        if self.min_noise > self.max_noise:
+            return f"minNoise is {self.min_noise:g}, expected at most maxNoise, {self.max_noise:g}"
+        for key, scale in (("LatitudeScale", self.latitude_scale), ("LongitudeScale", self.longitude_scale)):
+            if abs(scale) < 1.0:
+                return f"{key} is {scale:g}, expected at least 1 or at most -1 metres a degree"
+        return ""
 
 
 def sky() -> np.ndarray:
@@ -82,7 +97,7 @@ def reference(location: Options) -> tuple[float, float]:
     numbers = []
     for key in known:
         value = values.get(key.lower(), 0.0)
-        if not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise SpecError(f"ZeroZeroLocation: {key} is {value!r}, expected a number")
         numbers.append(float(value))
     north, north_minute, east, east_minute = numbers
@@ -109,7 +124,8 @@ def coordinates(
             nothing (manual 10.5.2).
     """
     origin = reference(settings.zero_zero_location) if origin is None else origin
-    latitude, longitude = map(_wrapped, degrees_of(origin, (position[0], position[1])))
+    scales = settings.latitude_scale, settings.longitude_scale
+    latitude, longitude = map(_wrapped, degrees_of(origin, (position[0], position[1]), scales))
     if abs(latitude) > 90:
         latitude = math.copysign(180, latitude) - latitude
     return latitude, longitude
@@ -133,7 +149,10 @@ class Gps(Sensor):
     def check(self) -> None:
         """Find what is wrong; see `Sensor.check`."""
         super().check()
-        reference(self.settings[0].zero_zero_location)
+        try:
+            reference(self.settings[0].zero_zero_location)
+        except SpecError as error:
+            raise SpecError(f"{self.kind} {self.mounts[0].name}: {error}") from error
 
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """One line to each satellite, however the robot is turned."""

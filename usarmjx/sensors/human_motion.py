@@ -3,16 +3,17 @@
 import math
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.models.plan import Bodies
+from usarmjx.models.settings import POSITIVE, Limits
 from usarmjx.models.spec import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
 from usarmjx.sensors.surroundings import Surroundings
 from usarmjx.transforms import Array
 
@@ -25,21 +26,24 @@ HALF_DISTANCE, HALF_SPEED, HALF_SWING = 5.0, 0.2, 0.1
 
 
 @dataclass(frozen=True)
-class MotionSettings(Common):
+class MotionSettings(Measuring):
     """Manual 10.12.2.
 
     Attributes:
         max_range: Farthest that a victim is noticed [m].
         fov: Full angle of the cone that it sees. The manual has 60 and says that 65535 is a full turn, which
             makes no sense of the 60: up to 360 it is in degrees, beyond that in Unreal's units.
-        noise: Relative amplitude of the uniform noise.
         output_curve: Points of the distortion curve; none: undistorted.
     """
 
-    max_range: float = 1000.0
-    fov: float = 60.0
+    max_range: Annotated[float, POSITIVE] = 1000.0
+    fov: Annotated[float, Limits(low=0.0, high=65535.0, beyond=True)] = 60.0
     noise: float = 0.1
     output_curve: Curve = ()
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        return curve_problem(self.output_curve)
 
     @property
     def cone(self) -> float:
@@ -131,7 +135,7 @@ class HumanMotion(Sensor):
         speed, swing = (jnp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
         found = jnp.isfinite(far[first])
         likely = jnp.where(found, probability(jnp.where(found, far[first], 0.0), speed, swing), 0.0)
-        told = output_curve(relative_uniform(key, likely, settings.noise), settings.output_curve)
+        told = output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
         return memory, jnp.clip(told, 0.0, 1.0)
 
 

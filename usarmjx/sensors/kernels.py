@@ -1,10 +1,13 @@
 """Where rays meet geoms, one small kernel per kind of geom, and at what angle.
 
-Each kernel takes a ray in the geom's frame, origin and direction as (3, ...) arrays, and the geom's size
-as (3, ...), and returns the distance to its surface (...), infinite for a miss.
+Each kernel takes a ray in the geom's frame, origin and direction as three arrays (...), and the geom's
+size numbers as three, and returns the distance to its surface (...), infinite for a miss. Arrays (3, ...)
+will do too; programs for GPUs (`raycast_gpu`) know no axes of length 3.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +22,13 @@ SEAM = 3e-5
 PITCH, BAR = 0.05, 0.01
 """A grid fender's bars lie this far apart, middle to middle, and are this wide [m] (chosen)."""
 
+UNBOUNDED = 1e9
+"""Half length of what has no end [m]."""
+
 GeomType = mujoco.mjtGeom
+
+Three = Sequence[Any] | jax.Array
+"""Components along x, y and z."""
 
 
 def _nearest(*candidates: jax.Array) -> jax.Array:
@@ -31,42 +40,47 @@ def _nearest(*candidates: jax.Array) -> jax.Array:
     return out
 
 
-def ray_plane(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_plane(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a plane through the frame's origin with normal z; sizes 0 mean unbounded."""
     t = jnp.where(direction[2] < -TINY, -origin[2] / jnp.where(direction[2] < -TINY, direction[2], -1), -1)
-    inside = jnp.ones_like(t, bool)
+    inside = t >= 0
     for axis in (0, 1):
         inside &= (size[axis] <= 0) | (jnp.abs(origin[axis] + t * direction[axis]) <= size[axis])
-    return jnp.where(inside & (t >= 0), t, jnp.inf)
+    return jnp.where(inside, t, jnp.inf)
 
 
-def ray_box(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_box(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a box with half lengths `size`: the slab method."""
-    near, far = jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)
+    near: Any = -math.inf
+    far: Any = math.inf
     for axis in range(3):
-        step = jnp.where(jnp.abs(direction[axis]) < TINY, TINY, direction[axis])
-        a, b = (-size[axis] - origin[axis]) / step, (size[axis] - origin[axis]) / step
+        share = 1.0 / jnp.where(jnp.abs(direction[axis]) < TINY, TINY, direction[axis])
+        a, b = (-size[axis] - origin[axis]) * share, (size[axis] - origin[axis]) * share
         near, far = jnp.maximum(near, jnp.minimum(a, b)), jnp.minimum(far, jnp.maximum(a, b))
     return jnp.where(near <= far, _nearest(near, far), jnp.inf)
 
 
-def _ball(origin: jax.Array, direction: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _dot(a: Three, b: Three) -> jax.Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _ball(origin: Three, direction: Three, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Both crossings of a sphere, NaN-free: infinite when the ray misses."""
-    middle = -(origin * direction).sum(0)
+    middle = -_dot(origin, direction)
     # The squared distance of the centre from the ray, by the foot point: |o|^2 - m^2 would cancel.
-    foot = origin + middle * direction
-    under = radius**2 - (foot * foot).sum(0)
+    foot = [o + middle * d for o, d in zip(origin, direction, strict=True)]
+    under = radius**2 - _dot(foot, foot)
     root = jnp.sqrt(jnp.maximum(under, 0.0))
     hit = under >= 0
     return jnp.where(hit, middle - root, jnp.inf), jnp.where(hit, middle + root, jnp.inf)
 
 
-def ray_sphere(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_sphere(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a sphere of radius `size[0]`."""
     return _nearest(*_ball(origin, direction, size[0]))
 
 
-def _tube(origin: jax.Array, direction: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _tube(origin: Three, direction: Three, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Both crossings of an unbounded tube about z."""
     flat = direction[0] ** 2 + direction[1] ** 2
     safe = jnp.maximum(flat, TINY)
@@ -82,7 +96,7 @@ def _within(t: jax.Array, z: jax.Array, low: jax.Array | float, high: jax.Array 
     return jnp.where((z >= low) & (z <= high), t, jnp.inf)
 
 
-def ray_cylinder(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_cylinder(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
@@ -95,29 +109,30 @@ def ray_cylinder(origin: jax.Array, direction: jax.Array, size: jax.Array) -> ja
     return _nearest(*sides, *caps)
 
 
-def ray_capsule(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_capsule(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a capsule about z with radius `size[0]` and half length `size[1]` of its tube."""
     radius, half = size[0], size[1]
     hits = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
     for end, low, high in ((half, half, jnp.inf), (-half, -jnp.inf, -half)):
-        shifted = jnp.stack([origin[0] + 0 * end, origin[1] + 0 * end, origin[2] - end])
+        shifted = (origin[0], origin[1], origin[2] - end)
         for t in _ball(shifted, direction, radius):
             hits.append(_within(t, origin[2] + t * direction[2], low, high))
     return _nearest(*hits)
 
 
-def ray_ellipsoid(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_ellipsoid(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to an ellipsoid with radii `size`: a unit ball where every axis is measured in its radius."""
-    start, along = origin / size, direction / size
-    stretch = (along * along).sum(0)
-    middle = -(start * along).sum(0) / stretch
-    foot = start + middle * along  # as in `_ball`
-    under = 1.0 - (foot * foot).sum(0)
+    start = [o / s for o, s in zip(origin, size, strict=True)]
+    along = [d / s for d, s in zip(direction, size, strict=True)]
+    stretch = _dot(along, along)
+    middle = -_dot(start, along) / stretch
+    foot = [s + middle * a for s, a in zip(start, along, strict=True)]  # as in `_ball`
+    under = 1.0 - _dot(foot, foot)
     half = jnp.sqrt(jnp.maximum(under, 0.0) / stretch)
     return jnp.where(under >= 0, _nearest(middle - half, middle + half), jnp.inf)
 
 
-def ray_triangle(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_triangle(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a triangle in the plane z = 0, seen from both sides; see `pieces.TRIANGLE_KIND`."""
     length, x3, y3 = size[0], size[1], size[2]
     t = -origin[2] / jnp.where(jnp.abs(direction[2]) < TINY, TINY, direction[2])
@@ -130,14 +145,14 @@ def ray_triangle(origin: jax.Array, direction: jax.Array, size: jax.Array) -> ja
     return jnp.where(inside & (t >= 0), t, jnp.inf)
 
 
-def in_hole(point: jax.Array, size: jax.Array) -> jax.Array:
+def in_hole(point: Three, size: Three) -> jax.Array:
     """Whether a point (3, ...) on the surface of a grid fender lies in one of its holes (...).
 
     Bars run along the axes of the box, one of them through the middle of each face. A face narrower than
     the distance of two bars has no holes.
     """
     free = [
-        (jnp.abs(point[i] - PITCH * jnp.round(point[i] / PITCH)) > BAR / 2) & (size[i] >= PITCH / 2)
+        (jnp.abs(point[i] - PITCH * jnp.floor(point[i] / PITCH + 0.5)) > BAR / 2) & (size[i] >= PITCH / 2)
         for i in range(3)
     ]
     over = [jnp.abs(point[i]) - size[i] for i in range(3)]
@@ -146,7 +161,7 @@ def in_hole(point: jax.Array, size: jax.Array) -> jax.Array:
     return jnp.where(on_x, free[1] & free[2], jnp.where(on_y, free[0] & free[2], free[0] & free[1]))
 
 
-def ray_fender(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
+def ray_fender(origin: Three, direction: Three, size: Three) -> jax.Array:
     """Distance to a box that is a grid: where a ray meets it first decides whether it passes it whole.
 
     So does, for a ray from inside, where it leaves.
@@ -154,11 +169,11 @@ def ray_fender(origin: jax.Array, direction: jax.Array, size: jax.Array) -> jax.
     t = ray_box(origin, direction, size)
     met = jnp.isfinite(t)
     reach = jnp.where(met, t, 0.0)
-    point = jnp.stack([origin[i] + reach * direction[i] for i in range(3)])
+    point = [origin[i] + reach * direction[i] for i in range(3)]
     return jnp.where(met & ~in_hole(point, size), t, jnp.inf)
 
 
-KERNELS: dict[int, Callable[[jax.Array, jax.Array, jax.Array], jax.Array]] = {
+KERNELS: dict[int, Callable[[Three, Three, Three], jax.Array]] = {
     int(GeomType.mjGEOM_PLANE): ray_plane,
     int(GeomType.mjGEOM_BOX): ray_box,
     int(GeomType.mjGEOM_SPHERE): ray_sphere,
@@ -170,21 +185,56 @@ KERNELS: dict[int, Callable[[jax.Array, jax.Array, jax.Array], jax.Array]] = {
 }
 
 
-def surface_cosine(kind: int, point: jax.Array, direction: jax.Array, size: jax.Array) -> jax.Array:
-    """|cos| between a ray and the normal of the surface it meets at `point`, both in the geom's frame."""
+def extent(kind: int, size: Three) -> tuple[Three, Three]:
+    """Middle and half lengths of the box about a geom, along the axes of its frame."""
+    zero = 0.0 * size[0]
+    middle = (zero, zero, zero)
+    if kind == GeomType.mjGEOM_PLANE:
+        wide, long = (jnp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
+        return middle, (wide, long, zero)
+    if kind == GeomType.mjGEOM_SPHERE:
+        return middle, (size[0], size[0], size[0])
+    if kind == GeomType.mjGEOM_CAPSULE:
+        return middle, (size[0], size[0], size[0] + size[1])
+    if kind == GeomType.mjGEOM_CYLINDER:
+        return middle, (size[0], size[0], size[1])
+    if kind == TRIANGLE_KIND:
+        low, high = jnp.minimum(size[1], 0.0), jnp.maximum(size[0], size[1])
+        return ((low + high) / 2, size[2] / 2, zero), ((high - low) / 2, jnp.abs(size[2]) / 2, zero)
+    return middle, size
+
+
+def ball(kind: int, size: Three) -> jax.Array:
+    """Radius of a ball about a geom's position that holds it."""
+    if kind == TRIANGLE_KIND:
+        return jnp.maximum(jnp.abs(size[0]), jnp.hypot(size[1], size[2]))
+    _, half = extent(kind, size)
+    return jnp.sqrt(_dot(half, half))
+
+
+def surface_normal(kind: int, point: jax.Array, size: jax.Array) -> jax.Array:
+    """Unit normal of the surface at a point on it; all in the geom's frame, (..., 3).
+
+    Flat geoms, which have two sides, say z.
+    """
+    up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), point.shape)
     if kind in (GeomType.mjGEOM_PLANE, TRIANGLE_KIND):
-        normal = jnp.array([0.0, 0.0, 1.0])
-    elif kind in (GeomType.mjGEOM_BOX, FENDER_KIND):
-        normal = jax.nn.one_hot(jnp.argmax(jnp.abs(point) - size), 3)
-    elif kind == GeomType.mjGEOM_ELLIPSOID:
-        normal = point / size**2
-        normal = normal / jnp.maximum(jnp.linalg.norm(normal), TINY)
-    else:
-        tube = kind != GeomType.mjGEOM_SPHERE
-        axis_point = jnp.array([0.0, 0.0, 1.0]) * jnp.clip(point[2], -size[1], size[1]) * tube
-        normal = point - axis_point
-        normal = normal / jnp.maximum(jnp.linalg.norm(normal), TINY)
-        if kind == GeomType.mjGEOM_CYLINDER:
-            on_cap = size[1] - jnp.abs(point[2]) < size[0] - jnp.hypot(point[0], point[1])
-            normal = jnp.where(on_cap, jnp.array([0.0, 0.0, 1.0]), normal)
-    return jnp.abs(jnp.dot(normal, direction))
+        return up
+    if kind in (GeomType.mjGEOM_BOX, FENDER_KIND):
+        side = jax.nn.one_hot(jnp.argmax(jnp.abs(point) - size, -1), 3, dtype=point.dtype)
+        return side * jnp.sign(point)
+    if kind == GeomType.mjGEOM_ELLIPSOID:
+        return _unit(point / size**2)
+    if kind == GeomType.mjGEOM_SPHERE:
+        return _unit(point)
+    half = size[..., 1]
+    along = jnp.clip(point[..., 2], -half, half)
+    normal = _unit(point - up * along[..., None])
+    if kind == GeomType.mjGEOM_CYLINDER:
+        on_cap = half - jnp.abs(point[..., 2]) < size[..., 0] - jnp.hypot(point[..., 0], point[..., 1])
+        normal = jnp.where(on_cap[..., None], up * jnp.sign(point[..., 2:]), normal)
+    return normal
+
+
+def _unit(vector: jax.Array) -> jax.Array:
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), TINY)

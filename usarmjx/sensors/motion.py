@@ -4,7 +4,7 @@ Values are in MuJoCo's axes; the server turns them into USARSim's.
 """
 
 from dataclasses import dataclass
-from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +12,15 @@ import numpy as np
 from flax import struct
 
 from usarmjx.errors import SpecError
+from usarmjx.models.settings import NOT_NEGATIVE, POSITIVE, STEP, Limits
 from usarmjx.models.spec import Mount
 from usarmjx.rotations import mat_from_rotation_vector, rotation_vector
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.noise import relative_normal, relative_uniform
+from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor, Sight
+from usarmjx.sensors.noise import noisy, relative_normal
 from usarmjx.transforms import angles_from_mat, mat_from_angles
+
+SHARE = Limits(low=-1.0, beyond=True)
+"""An error as a share: what is measured stays above 0."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,21 @@ class OdometrySettings(Common):
         encoder_resolution: Smallest wheel angle it can tell [rad].
         left_tire: Wheel that stands for the left side; empty: the left-most.
         right_tire: Wheel that stands for the right side; empty: the right-most.
+        diameter_error: By what share of it the wheels' measured diameter is too large. Ours, as the next:
+            the manual names both errors (10.4.1) and no keys for them.
+        separation_error: By what share of it the measured distance of the wheels is too large.
+        mean: Mean of the relative noise on the way of each wheel.
+        sigma: Its standard deviation (manual 10.6.2: any sensor may have it).
     """
 
     scan_interval: float = 0.2
-    encoder_resolution: float = 0.01
+    encoder_resolution: Annotated[float, STEP] = 0.01
     left_tire: str = "LeftFWheel"
     right_tire: str = "RightFWheel"
+    diameter_error: Annotated[float, SHARE] = 0.0
+    separation_error: Annotated[float, SHARE] = 0.0
+    mean: float = 0.0
+    sigma: Annotated[float, NOT_NEGATIVE] = 0.0
 
 
 class OdometryMemory(struct.PyTreeNode, kw_only=True):
@@ -78,11 +91,13 @@ class Odometry(Sensor):
     def read(self, sight: Sight, memory: OdometryMemory, key: jax.Array) -> tuple[OdometryMemory, jax.Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
         ticks = self._ticks(sight)
-        robot = self.plan.robot
-        left, right = (ticks - memory.ticks) * self.settings[0].encoder_resolution * robot.wheel_radius
+        robot, settings = self.plan.robot, self.settings[0]
+        radius = robot.wheel_radius * (1 + settings.diameter_error)
+        ways = (ticks - memory.ticks) * settings.encoder_resolution * radius
+        left, right = relative_normal(key, ways, settings.mean, settings.sigma)
         x, y, heading = memory.pose
         advance = (left + right) / 2
-        turned = heading + (right - left) / robot.wheel_separation
+        turned = heading + (right - left) / (robot.wheel_separation * (1 + settings.separation_error))
         pose = jnp.stack([x + advance * jnp.cos(heading), y + advance * jnp.sin(heading), wrap(turned)])
         return OdometryMemory(pose=pose, ticks=ticks), pose
 
@@ -112,9 +127,9 @@ class InsSettings(Common):
     weight: float = 0.1
     scan_interval: float = 0.2
     mean: float = 0.0
-    sigma: float = 0.1
+    sigma: Annotated[float, NOT_NEGATIVE] = 0.1
     drifting: bool = False
-    precision: float = 1000.0
+    precision: Annotated[float, POSITIVE] = 1000.0
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):
@@ -198,15 +213,14 @@ class Ins(Sensor):
 
 
 @dataclass(frozen=True)
-class EncoderSettings(Common):
+class EncoderSettings(Measuring):
     """Manual 10.7.2.
 
     Attributes:
         resolution: Angle of one tick [rad].
-        noise: Relative amplitude of the uniform noise.
     """
 
-    resolution: float = 0.01745
+    resolution: Annotated[float, STEP] = 0.01745
     noise: float = 0.005
 
 
@@ -245,11 +259,8 @@ class Encoder(Sensor):
     def read(self, sight: Sight, memory: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(sight) - memory
-        keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(self.settings)))
-        noise, resolution = (
-            np.array([getattr(s, n) for s in self.settings], np.float32) for n in ("noise", "resolution")
-        )
-        return memory, jnp.trunc(jax.vmap(relative_uniform)(keys, angles, noise) / resolution)
+        resolution = np.array([settings.resolution for settings in self.settings], np.float32)
+        return memory, jnp.trunc(noisy(key, angles, self.settings) / resolution)
 
     def order(
         self, opcode: str, params: tuple[float, ...], sight: Sight, memory: jax.Array

@@ -1,8 +1,15 @@
 """Noise and distortion that the manual lets every sensor have (section 10)."""
 
+import math
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from usarmjx.sensors.base import Measuring
 from usarmjx.transforms import Array
 
 Curve = tuple[tuple[float, float], ...]
@@ -14,9 +21,39 @@ def relative_uniform(key: jax.Array, data: jax.Array, amplitude: Array | float) 
     return data * (1 + jax.random.uniform(key, data.shape, minval=-amplitude, maxval=amplitude))
 
 
-def relative_normal(key: jax.Array, data: jax.Array, mean: float, sigma: float) -> jax.Array:
+def relative_normal(key: jax.Array, data: jax.Array, mean: Array | float, sigma: Array | float) -> jax.Array:
     """Return data * (1 + N(mean, sigma)): noise proportional to the rate of change (manual 10.6)."""
     return data * (1 + mean + sigma * jax.random.normal(key, data.shape))
+
+
+def sizes(settings: Sequence[Measuring], name: str) -> Array:
+    """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
+    values = [getattr(s, name) for s in settings]
+    if any(isinstance(value, jax.Array) for value in values):
+        return jnp.stack([jnp.asarray(value, jnp.float32) for value in values])
+    return np.array(values, np.float32)
+
+
+def noisy(key: jax.Array, data: jax.Array, settings: Sequence[Measuring]) -> jax.Array:
+    """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
+
+    Keys are folded by place: a sensor's noise does not depend on those after it.
+    """
+    noise, mean, sigma = (sizes(settings, name) for name in ("noise", "mean", "sigma"))
+    keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
+    told = jax.vmap(relative_uniform)(keys, data, noise)
+    if not any(isinstance(row, jax.Array) or row.any() for row in (mean, sigma)):
+        return told
+    others = jax.vmap(lambda one: jax.random.fold_in(one, 1))(keys)
+    return jax.vmap(relative_normal)(others, told, mean, sigma)
+
+
+def curve_problem(points: Curve) -> str:
+    """Return what is wrong with the points of an OutputCurve, "" if nothing is."""
+    pairs = all(len(point) == 2 and all(map(math.isfinite, point)) for point in points)
+    if pairs and all(a[0] < b[0] for a, b in pairwise(points)):
+        return ""
+    return f"the points of OutputCurve are {points!r}, expected finite ones with growing inputs"
 
 
 def output_curve(data: jax.Array, points: Curve) -> jax.Array:

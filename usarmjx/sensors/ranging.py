@@ -2,35 +2,46 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies
+from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.models.spec import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
+
+MOST_BEAMS = 65_536
+"""More than this no scan has: its resolution is a slip."""
 
 
 @dataclass(frozen=True)
-class RangeSettings(Common):
+class RangeSettings(Measuring):
     """Settings of everything that measures a distance.
 
     Attributes:
         min_range: Shortest distance reported [m].
         max_range: Longest distance, reported when nothing is hit [m].
-        noise: Relative amplitude of the uniform noise.
         output_curve: Points of the distortion curve; none: undistorted.
     """
 
-    min_range: float = 0.1
-    max_range: float = 5.0
-    noise: float = 0.0
+    min_range: Annotated[float, NOT_NEGATIVE] = 0.1
+    max_range: Annotated[float, POSITIVE] = 5.0
     output_curve: Curve = ()
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        if self.min_range > self.max_range:
+            return f"MinRange is {self.min_range:g}, expected at most MaxRange, {self.max_range:g}"
+        return curve_problem(self.output_curve)
+
+
+def farthest(settings: tuple[RangeSettings, ...]) -> float:
+    """Return the longest distance that any of some sensors reports [m]."""
+    return max(one.max_range for one in settings)
 
 
 def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
@@ -39,14 +50,12 @@ def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Ar
     Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
     the reading is MaxRange exactly; the distortion curve comes last.
     """
-    low, high, noise = (
-        np.array([[getattr(s, name)] for s in settings], np.float32)
-        for name in ("min_range", "max_range", "noise")
+    low, high = (
+        np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range")
     )
-    keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
     hit = distance < high
-    noisy = jax.vmap(relative_uniform)(keys, jnp.where(hit, distance, 0.0), noise)
-    ranges = jnp.where(hit, jnp.clip(noisy, low, high), high)
+    told = noisy(key, jnp.where(hit, distance, 0.0), settings)
+    ranges = jnp.where(hit, jnp.clip(told, low, high), high)
     curves = [s.output_curve for s in settings]
     if any(curves):
         return jnp.stack([output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
@@ -65,8 +74,8 @@ class SonarSettings(RangeSettings):
 
     with_time_stamp: bool = True
     noise: float = 0.05
-    beam_angle: float = 0.3491
-    max_incidence: float = math.radians(75)
+    beam_angle: Annotated[float, HALF_TURN] = 0.3491
+    max_incidence: Annotated[float, HALF_TURN] = math.radians(75)
 
 
 # The lines of a beam: its axis, four half way out on the diagonals, four on the cone itself, as
@@ -91,7 +100,13 @@ class Sonar(Sensor):
     kind = "Sonar"
     grouped = True
     needs_incidence = True
+    bundle = 2 * len(BEAM)
     defaults = SonarSettings
+
+    @property
+    def reach(self) -> float:
+        """Farther away than MaxRange it sees nothing [m]."""
+        return farthest(self.settings)
 
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """All beams' lines, beam by beam."""
@@ -126,6 +141,11 @@ class Ir(Sensor):
     passes = frozenset({SKY, GLASS})
     defaults = IrSettings
 
+    @property
+    def reach(self) -> float:
+        """Farther away than MaxRange it sees nothing [m]."""
+        return farthest(self.settings)
+
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """Each sensor's line, along its x axis."""
         pos, mat = self.mount_poses(bodies)
@@ -151,10 +171,16 @@ class ScannerSettings(RangeSettings):
     with_time_stamp: bool = True  # captured lines carry the time, though the manual's ini says False
     scan_interval: float = 0.5
     max_range: float = 1000.0
-    resolution: float = 800 * 2 * math.pi / 65536
-    scan_fov: float = math.pi
+    resolution: Annotated[float, STEP] = 800 * 2 * math.pi / 65536
+    scan_fov: Annotated[float, TURN] = math.pi
     pitch: bool = False
     yaw: bool = True
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        if self.pitch == self.yaw:
+            return "a range scanner scans in one plane: exactly one of bYaw and bPitch must be true"
+        return super().wrong() or too_many(self.beams)
 
     @property
     def beams(self) -> int:
@@ -167,16 +193,16 @@ def steps(fov: float, resolution: float) -> int:
     return int(fov / resolution + 1e-3)
 
 
+def too_many(beams: int) -> str:
+    """Return what is wrong with a scan of so many beams, "" if nothing is."""
+    return f"that makes {beams} beams, expected up to {MOST_BEAMS}" if beams > MOST_BEAMS else ""
+
+
 def fan(settings: ScannerSettings) -> np.ndarray:
     """Return the unit directions of a scan about the x axis (beams, 3), from right to left.
 
     In the tilt plane the first beam is the lowest. The order is that of real servers' messages.
-
-    Raises:
-        SpecError: Neither or both of the planes are asked for.
     """
-    if settings.pitch == settings.yaw:
-        raise SpecError("a range scanner scans in one plane: exactly one of bYaw and bPitch must be true")
     angle = -settings.scan_fov / 2 + np.arange(settings.beams) * settings.resolution
     along, aside, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
     columns = (along, aside, zero) if settings.yaw else (along, zero, aside)
@@ -190,10 +216,10 @@ class RangeScanner(Sensor):
     kind = "RangeScanner"
     defaults = ScannerSettings
 
-    def check(self) -> None:
-        """Find what is wrong; see `Sensor.check`."""
-        super().check()
-        self.lines()
+    @property
+    def reach(self) -> float:
+        """Farther away than MaxRange it sees nothing [m]."""
+        return farthest(self.settings)
 
     @property
     def manual(self) -> bool:

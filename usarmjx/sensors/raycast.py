@@ -1,4 +1,4 @@
-"""The raycaster that all sensors share: what there is to hit, and casts that pass what a sensor sees through.
+"""The raycaster that all sensors share: casts in bundles that pass what a sensor sees through.
 
 MJX's own `ray` misses cylinders and height fields without a word. Conventions are those of C MuJoCo's
 `mj_ray`: the distance to the first surface crossed, from inside a solid too, in units of the direction's
@@ -6,7 +6,10 @@ length (directions here are unit vectors, so metres); a plane is seen from its f
 are seen as their triangles, see `models.pieces`.
 """
 
+import math
 from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,58 +17,19 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import UnsupportedGeomError
-from usarmjx.models.pieces import HFIELD, MESH
-from usarmjx.models.spec import OPAQUE
-from usarmjx.sensors.kernels import KERNELS, surface_cosine
+from usarmjx.models.pieces import TRIANGLE_KIND
+from usarmjx.sensors.bundles import Cone, bundled, cones, entry, entry_ball
+from usarmjx.sensors.kernels import KERNELS, ball, surface_normal
+from usarmjx.sensors.raycast_gpu import Slab, nearest_of_bundles, pack
+from usarmjx.sensors.targets import Block, Geoms
 from usarmjx.transforms import Array
 
-FAR_AWAY = 1e6
-"""Where padding geoms are parked [m]."""
-
-GeomType = mujoco.mjtGeom
-
-
-Sort = tuple[int, str]
-"""Kind and material of geoms: those of one sort make a block."""
-
-
-class Block(struct.PyTreeNode, kw_only=True):
-    """Geoms of one kind and material.
-
-    Attributes:
-        pos: Centres, of triangles the first corners [m] (geoms, 3).
-        mat: Orientations (geoms, 3, 3).
-        size: MuJoCo's size numbers, or those that `models.pieces` tells of [m] (geoms, 3).
-        owner: Robot slot that the geom belongs to; -1 for the arena (geoms,).
-    """
-
-    pos: Array
-    mat: Array
-    size: Array
-    owner: Array
-
-
-class Geoms(struct.PyTreeNode, kw_only=True):
-    """All that rays can hit in one world.
-
-    Attributes:
-        blocks: The geoms, by kind and material.
-        types: What kind each block is of: MuJoCo's type, or a kind of `models.pieces`.
-        materials: What each block is made of; a member of `spec.MATERIALS`.
-    """
-
-    blocks: tuple[Block, ...]
-    types: tuple[int, ...] = struct.field(pytree_node=False)
-    materials: tuple[str, ...] = struct.field(pytree_node=False)
-
-    def seen(self, passes: frozenset[str]) -> tuple[tuple[int, Block], ...]:
-        """Return kinds and blocks without those of materials that rays pass."""
-        return tuple(
-            (kind, block)
-            for kind, block, material in zip(self.types, self.blocks, self.materials, strict=True)
-            if material not in passes
-        )
+BUNDLE = 32
+"""Rays after each other that go about the same way, if nobody says otherwise."""
+ROUND = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
+"""Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
+MANY = 100_000
+"""Rays times geoms from which on leaving out geoms pays on a CPU."""
 
 
 class Hits(struct.PyTreeNode, kw_only=True):
@@ -85,59 +49,226 @@ NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
 """Of a robot that casts no rays."""
 
 
-def check_types(geom_types: Sequence[int], names: Sequence[str]) -> None:
-    """Refuse geoms that no kernel can hit.
+class Gaze(NamedTuple):
+    """How rays are cast; static.
 
-    Raises:
-        UnsupportedGeomError: Names the types and the geoms.
+    Attributes:
+        passes: Materials that they go through, without any cost.
+        bundle: So many rays after each other start and go about the same way. What is nowhere near their cone
+            costs them next to nothing.
+        reach: What is farther is not met [m].
     """
-    known = {*KERNELS, MESH, HFIELD}  # the latter two as triangles
-    bad = [(int(t), name) for t, name in zip(geom_types, names, strict=True) if int(t) not in known]
-    if bad:
-        types = sorted({GeomType(t).name for t, _ in bad})
-        raise UnsupportedGeomError(f"no ray kernel for {types}; used by {[name for _, name in bad]}")
+
+    passes: frozenset[str] = frozenset()
+    bundle: int = BUNDLE
+    reach: float = math.inf
 
 
-def sort_places(kind: np.ndarray, material: Sequence[str]) -> dict[Sort, np.ndarray]:
-    """Return the places of geoms of each kind (n,) and material (n,), sorted by these."""
-    places: dict[Sort, list[int]] = {}
-    for i, sort in enumerate(zip(map(int, kind), material, strict=True)):
-        places.setdefault(sort, []).append(i)
-    return {sort: np.array(places[sort]) for sort in sorted(places)}
+ANYTHING = Gaze()
 
 
-def gather(
-    kind: np.ndarray, pos: Array, mat: Array, size: Array, owner: Array, material: Sequence[str] | None = None
-) -> Geoms:
-    """Sort geoms into blocks by kind and material, in the order given within each.
+class First(NamedTuple):
+    """What rays meet first.
 
-    Args:
-        kind: Their kinds (n,).
-        pos: Positions [m] (n, 3).
-        mat: Orientations (n, 3, 3).
-        size: Size numbers [m] (n, 3).
-        owner: Owners (n,).
-        material: What each is made of; None: all opaque.
+    Attributes:
+        distance: How far away, infinite where there is nothing [m] (rays,).
+        which: Place of the geom among those of all blocks, one block after the other; -1 for none (rays,).
     """
-    places = sort_places(kind, [OPAQUE] * len(kind) if material is None else material)
-    return Geoms(
-        blocks=tuple(Block(pos=pos[i], mat=mat[i], size=size[i], owner=owner[i]) for i in places.values()),
-        types=tuple(sort[0] for sort in places),
-        materials=tuple(sort[1] for sort in places),
-    )
+
+    distance: jax.Array
+    which: jax.Array
+
+    def closer(self, distance: jax.Array, which: jax.Array) -> "First":
+        """Return what is closer, this or something else."""
+        better = distance < self.distance
+        return First(jnp.where(better, distance, self.distance), jnp.where(better, which, self.which))
+
+    def met(self) -> "First":
+        """Return it with an infinite distance where nothing was met."""
+        return First(jnp.where(self.which < 0, jnp.inf, self.distance), self.which)
 
 
-def _distances(
-    kind: int, block: Block, origin: jax.Array, direction: jax.Array, viewer: jax.Array
-) -> jax.Array:
-    """Distance of every geom of a block along one ray (geoms,), the viewer's own left out."""
+class Part(NamedTuple):
+    """Geoms of a kind that rays do not pass, the place of the first of them, and whether they are compact."""
+
+    kind: int
+    block: Block
+    first: int
+    compact: bool
+
+
+def distance_to(kind: int, geom: Block, origin: jax.Array, direction: jax.Array) -> jax.Array:
+    """Distance of rays (..., 3) from geoms, whose axes go before those of the rays' components [m] (...)."""
     # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
     # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
-    offset, mat = origin - block.pos, block.mat
-    local = jnp.stack([sum(mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)])
-    along = jnp.stack([sum(mat[:, j, i] * direction[j] for j in range(3)) for i in range(3)])
-    t = KERNELS[kind](local, along, block.size.T)
-    return jnp.where(block.owner == viewer, jnp.inf, t)
+    offset, mat = origin - geom.pos, geom.mat
+    local = [sum(mat[..., j, i] * offset[..., j] for j in range(3)) for i in range(3)]
+    along = [sum(mat[..., j, i] * direction[..., j] for j in range(3)) for i in range(3)]
+    return KERNELS[kind](local, along, jnp.moveaxis(geom.size, -1, 0))
+
+
+def parts(geoms: Geoms, passes: frozenset[str] = frozenset()) -> list[Part]:
+    """Return the geoms that rays do not pass; what is compact comes last, as the rest may hide it."""
+    firsts = np.cumsum([0, *(len(block.owner) for block in geoms.blocks)]).tolist()
+    compact = geoms.compact or (False,) * len(geoms.blocks)
+    everything = [
+        (Part(kind, block, first, small or kind in ROUND), material)
+        for kind, block, first, small, material in zip(
+            geoms.types, geoms.blocks, firsts, compact, geoms.materials, strict=False
+        )
+    ]
+    return sorted((part for part, material in everything if material not in passes), key=lambda p: p.compact)
+
+
+def nearest(
+    geoms: Geoms,
+    origin: jax.Array,
+    direction: jax.Array,
+    viewer: jax.Array,
+    gaze: Gaze = ANYTHING,
+    wanted: jax.Array | None = None,
+) -> First:
+    """Return what each ray meets first.
+
+    Args:
+        geoms: What there is to hit.
+        origin: Starts of the rays [m] (rays, 3).
+        direction: Unit vectors (rays, 3).
+        viewer: Slot of the robot that looks; its own geoms are transparent to it ().
+        gaze: How.
+        wanted: Whether anybody wants to know (); if not, nothing is met. None: yes.
+    """
+    seen = parts(geoms, gaze.passes)
+    if jax.default_backend() == "gpu":
+        how = partial(gpu, wanted=wanted)
+    else:
+        how = culled if len(origin) * sum(len(part.block.owner) for part in seen) > MANY else one_by_one
+    return how(seen, origin, direction, viewer, gaze)
+
+
+def one_by_one(
+    seen: Sequence[Part],
+    origin: jax.Array,
+    direction: jax.Array,
+    viewer: jax.Array,
+    gaze: Gaze = ANYTHING,
+) -> First:
+    """As `nearest`: all rays against one geom after the other.
+
+    On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
+    """
+    first = First(jnp.full(len(origin), gaze.reach), jnp.full(len(origin), -1))
+    for kind, block, before, _ in seen:
+
+        def closer(first: First, one: tuple[Block, jax.Array], kind: int = kind) -> tuple[First, None]:
+            geom, place = one
+            t = distance_to(kind, geom, origin, direction)
+            return first.closer(jnp.where(geom.owner != viewer, t, jnp.inf), place), None
+
+        first, _ = jax.lax.scan(closer, first, (block, before + jnp.arange(len(block.owner))))
+    return first.met()
+
+
+def culled(
+    seen: Sequence[Part],
+    origin: jax.Array,
+    direction: jax.Array,
+    viewer: jax.Array,
+    gaze: Gaze = ANYTHING,
+) -> First:
+    """As `nearest`: each bundle of rays against the geoms that its cone meets, one after the other."""
+    start, along = bundled(origin, gaze.bundle), bundled(direction, gaze.bundle)
+    cone = cones(start, along)
+    first = First(jnp.full(along.shape[:2], gaze.reach), jnp.full(along.shape[:2], -1))
+    for kind, block, before, compact in seen:
+        count = len(block.owner)
+        near = jax.vmap(partial(_entries, kind, block, compact=compact))(cone)
+        met = (near < gaze.reach) & (block.owner != viewer)
+        rank = jnp.cumsum(met, 1)
+        most = rank[:, -1].max()
+
+        def more(carry: tuple[jax.Array, First], most: jax.Array = most) -> jax.Array:
+            return carry[0] < most
+
+        def test(
+            carry: tuple[jax.Array, First],
+            kind: int = kind,
+            block: Block = block,
+            rank: jax.Array = rank,
+            before: int = before,
+            count: int = count,
+        ) -> tuple[jax.Array, First]:
+            turn, first = carry
+            # The geom that is next for each bundle: where the count of those met steps up.
+            place = jax.vmap(lambda row: jnp.searchsorted(row, turn + 1))(rank)
+            geom = jax.tree.map(lambda x: x[jnp.minimum(place, count - 1)][:, None], block)
+            t = distance_to(kind, geom, start, along)
+            return turn + 1, first.closer(
+                jnp.where((place < count)[:, None], t, jnp.inf), (before + place)[:, None]
+            )
+
+        _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
+    return First(*(x.reshape(-1)[: len(origin)] for x in first)).met()
+
+
+def _entries(kind: int, block: Block, cone: Cone, *, compact: bool) -> jax.Array:
+    """Return how far away one cone meets each geom (geoms,)."""
+    offset, mat = [cone.tip[j] - block.pos[:, j] for j in range(3)], block.mat
+    if compact:
+        radius = ball(kind, tuple(block.size.T))
+        return entry_ball([-x for x in offset], cone.axis, radius, cone.thick, cone.slope)
+    tip = [sum(mat[:, j, i] * offset[j] for j in range(3)) for i in range(3)]
+    axis = [sum(mat[:, j, i] * cone.axis[j] for j in range(3)) for i in range(3)]
+    return entry(kind, tuple(block.size.T), tip, axis, cone.thick, cone.slope)
+
+
+def gpu(
+    seen: Sequence[Part],
+    origin: jax.Array,
+    direction: jax.Array,
+    viewer: jax.Array,
+    gaze: Gaze = ANYTHING,
+    wanted: jax.Array | None = None,
+    interpret: bool = False,
+) -> First:
+    """As `nearest`: see `raycast_gpu`."""
+    slabs = [
+        (Slab(part.kind, len(part.block.owner), part.first, part.compact), pack(part.kind, part.block))
+        for part in seen
+    ]
+    cast_at_all = jnp.ones((), bool) if wanted is None else wanted
+    found = nearest_of_bundles(
+        slabs,
+        (origin, direction),
+        (viewer, cast_at_all),
+        bundle=gaze.bundle,
+        reach=gaze.reach,
+        interpret=interpret,
+    )
+    return First(*found).met()
+
+
+def joined(geoms: Geoms) -> Block:
+    """Return all geoms as one block, one block after the other."""
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *geoms.blocks)
+
+
+def normals(geoms: Geoms, first: First, origin: jax.Array, direction: jax.Array) -> jax.Array:
+    """Return the unit normals of the surfaces that rays meet, in world axes and towards the rays (rays, 3).
+
+    They are zero where nothing was met.
+    """
+    geom = jax.tree.map(lambda x: x[jnp.maximum(first.which, 0)], joined(geoms))
+    reach = jnp.where(first.which >= 0, first.distance, 0.0)[:, None]
+    offset = origin + reach * direction - geom.pos
+    point = jnp.stack([sum(geom.mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)], -1)
+    normal, before = jnp.zeros_like(point), 0
+    for kind, block in zip(geoms.types, geoms.blocks, strict=True):
+        mine = (first.which >= before) & (first.which < before + len(block.owner))
+        normal = jnp.where(mine[:, None], surface_normal(kind, point, geom.size), normal)
+        before += len(block.owner)
+    turned = jnp.stack([sum(geom.mat[:, i, j] * normal[:, j] for j in range(3)) for i in range(3)], -1)
+    return jnp.where((turned * direction).sum(-1, keepdims=True) > 0, -turned, turned)
 
 
 def cast(
@@ -145,26 +276,12 @@ def cast(
     origin: jax.Array,
     direction: jax.Array,
     viewer: jax.Array,
-    passes: frozenset[str] = frozenset(),
+    gaze: Gaze = ANYTHING,
+    wanted: jax.Array | None = None,
 ) -> Hits:
-    """Return the distance to the first surface that each ray meets (rays,); no angles.
-
-    Args:
-        geoms: What there is to hit.
-        origin: Starts of the rays [m] (rays, 3).
-        direction: Unit vectors (rays, 3).
-        viewer: Slot of the robot that looks; its own geoms are transparent to it ().
-        passes: Materials that the rays go through; static, and without any cost.
-    """
-
-    def one(start: jax.Array, along: jax.Array) -> jax.Array:
-        nearest = jnp.asarray(jnp.inf)
-        for kind, block in geoms.seen(passes):
-            nearest = jnp.minimum(nearest, _distances(kind, block, start, along, viewer).min())
-        return nearest
-
-    distance = jax.vmap(one)(origin, direction)
-    return Hits(distance=distance, cosine=jnp.zeros_like(distance))
+    """Return the distance to the first surface that each ray meets (rays,); no angles. See `nearest`."""
+    first = nearest(geoms, origin, direction, viewer, gaze, wanted)
+    return Hits(distance=first.distance, cosine=jnp.zeros_like(first.distance))
 
 
 def cast_incidence(
@@ -172,27 +289,10 @@ def cast_incidence(
     origin: jax.Array,
     direction: jax.Array,
     viewer: jax.Array,
-    passes: frozenset[str] = frozenset(),
+    gaze: Gaze = ANYTHING,
+    wanted: jax.Array | None = None,
 ) -> Hits:
-    """As `cast`, with the angle at which each ray meets its surface.
-
-    The nearest geom of each block is picked first and its distance computed again: one reduction over
-    all geoms, a handful of operations for the angle.
-    """
-
-    def one(start: jax.Array, along: jax.Array) -> Hits:
-        nearest, cosine = jnp.asarray(jnp.inf), jnp.asarray(0.0)
-        for kind, block in geoms.seen(passes):
-            geom = block
-            if len(block.owner) > 1:
-                best = jnp.argmin(_distances(kind, block, start, along, viewer))
-                geom = jax.tree.map(lambda x, i=best: jax.lax.dynamic_index_in_dim(x, i), block)
-            distance = _distances(kind, geom, start, along, viewer)[0]
-            local, turned = geom.mat[0].T @ (start - geom.pos[0]), geom.mat[0].T @ along
-            reach = jnp.where(jnp.isfinite(distance), distance, 0.0)
-            angle = surface_cosine(kind, local + reach * turned, turned, geom.size[0])
-            cosine = jnp.where(distance < nearest, angle, cosine)
-            nearest = jnp.minimum(nearest, distance)
-        return Hits(distance=nearest, cosine=cosine)
-
-    return jax.vmap(one)(origin, direction)
+    """As `cast`, with the angle at which each ray meets its surface."""
+    first = nearest(geoms, origin, direction, viewer, gaze, wanted)
+    normal = normals(geoms, first, origin, direction)
+    return Hits(distance=first.distance, cosine=jnp.abs((normal * direction).sum(-1)))

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import SpecError
 from usarmjx.models.plan import Bodies
+from usarmjx.models.settings import NOT_NEGATIVE, OneOf
 from usarmjx.models.spec import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.surroundings import Surroundings
@@ -19,7 +19,7 @@ from usarmjx.transforms import Array
 MOST = 16
 """Most tags that a sensor reads at once, the nearest; so many rays look for obstacles."""
 RADIUS, OBSTACLE, ATTENUATION = "Radius", "Obstacle", "Attenuation"
-MODES = (RADIUS, OBSTACLE, ATTENUATION)
+MODES = OneOf((RADIUS, OBSTACLE, ATTENUATION))
 RISE = 0.01
 """Rays end this far above a tag [m]: it lies on the ground, and is not hidden by it."""
 SLACK = 0.02
@@ -43,26 +43,19 @@ class RfidSettings(Common):
         always_read_rfi_dmem: Whether each report tells what is written on the tags.
     """
 
-    sensing_mode: str = ATTENUATION
-    max_range: float = 3.0
-    max_single_shot_range: float = 6.0
+    sensing_mode: Annotated[str, MODES] = ATTENUATION
+    max_range: Annotated[float, NOT_NEGATIVE] = 3.0
+    max_single_shot_range: Annotated[float, NOT_NEGATIVE] = 6.0
     d_bm_tx_power: float = 36.0
     d_bm_rx_sensibility: float = -88.0
-    d_b_obstacle_attenuation: float = 3.5
+    d_b_obstacle_attenuation: Annotated[float, NOT_NEGATIVE] = 3.5
     trace_rfi_ds: bool = False
     always_read_rfi_dmem: bool = False
 
     @property
     def mode(self) -> str:
-        """The member of `MODES` that is meant.
-
-        Raises:
-            SpecError: There is no such mode.
-        """
-        for mode in MODES:
-            if mode.lower() == self.sensing_mode.lower():
-                return mode
-        raise SpecError(f"RFID: SensingMode is {self.sensing_mode!r}, expected one of {', '.join(MODES)}")
+        """The member of `MODES` that is meant."""
+        return next(mode for mode in MODES if mode.lower() == self.sensing_mode.lower())
 
 
 def signal(settings: RfidSettings, distance: Array, blocked: Array, xp: ModuleType = jnp) -> Array:
@@ -122,20 +115,15 @@ def _nearest(around: Surroundings, pos: jax.Array) -> _Tags:
 
 @dataclass(frozen=True, eq=False)
 class Rfid(Sensor):
-    """Reads tags around it; value: (MOST, 5), the nearest first.
+    """Reads tags around it; value: read or not, ID and x, y, z [m] of the 16 nearest tags (16, 5).
 
-    For each tag: whether it was read, its ID, and where it is, in the sensor's axes [m].
+    The nearest (`MOST`) come first. Where they are is in the sensor's axes.
     """
 
     kind = "RFID"
     looks_around = True
     passes = frozenset({SKY, GLASS})
     defaults = RfidSettings
-
-    def check(self) -> None:
-        """Find what is wrong; see `Sensor.check`."""
-        super().check()
-        _ = self.settings[0].mode
 
     def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
         """One ray to each of the nearest tags, unless obstacles do not matter."""

@@ -2,13 +2,22 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
 
+from usarmjx.models.settings import HALF_TURN, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Sight
-from usarmjx.sensors.ranging import Ir, RangeScanner, RangeSettings, ScannerSettings, report, steps
+from usarmjx.sensors.ranging import (
+    Ir,
+    RangeScanner,
+    RangeSettings,
+    ScannerSettings,
+    report,
+    steps,
+    too_many,
+)
 
 
 @dataclass(frozen=True)
@@ -45,10 +54,14 @@ class Scanner3DSettings(RangeSettings):
     with_time_stamp: bool = True  # as the range scanner
     scan_interval: float = 0.4
     max_range: float = 1000.0
-    vertical_fov: float = 0.4363
-    vertical_resolution: float = 0.0145
-    horizontal_fov: float = 1.0472
-    horizontal_resolution: float = 0.0209
+    vertical_fov: Annotated[float, HALF_TURN] = 0.4363
+    vertical_resolution: Annotated[float, STEP] = 0.0145
+    horizontal_fov: Annotated[float, TURN] = 1.0472
+    horizontal_resolution: Annotated[float, STEP] = 0.0209
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        return super().wrong() or too_many(math.prod(self.shape))
 
     @property
     def fov(self) -> tuple[float, float]:

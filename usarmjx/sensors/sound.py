@@ -6,24 +6,27 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.noise import Curve, output_curve, relative_uniform
+from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
 
 CLOSEST = 0.1
 """Sources sound no louder from nearer than this [m]."""
 
 
 @dataclass(frozen=True)
-class SoundSettings(Common):
-    """Manual 10.11.2.
+class SoundSettings(Measuring):
+    """Manual 10.11.2; noise is on the loudness.
 
     Attributes:
-        noise: Relative amplitude of the uniform noise on the loudness.
         output_curve: Points of the distortion curve of the loudness; none: undistorted.
     """
 
     noise: float = 0.05
     output_curve: Curve = ()
+
+    def wrong(self) -> str:
+        """Return what settings do not go together."""
+        return curve_problem(self.output_curve)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ class Sound(Sensor):
         far = jnp.maximum(jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1), CLOSEST)
         loud = jnp.asarray(around.loudness) / far**2
         best = jnp.argmax(loud)
-        heard = output_curve(relative_uniform(key, loud[best], settings.noise), settings.output_curve)
+        heard = output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
         lasts = jnp.where(loud[best] > 0, jnp.asarray(around.duration)[best], 0.0)
         return memory, jnp.stack([heard, lasts])
 

@@ -23,9 +23,10 @@ from usarmjx.errors import UnknownNameError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
-from usarmjx.sensors.raycast import NO_HITS, Geoms, Hits, cast, cast_incidence
+from usarmjx.sensors.raycast import NO_HITS, Gaze, Hits, cast, cast_incidence
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
+from usarmjx.sensors.targets import Geoms
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
@@ -75,13 +76,29 @@ class Suite:
             [along for _, along in pairs]
         )
 
-    def cast(self, geoms: Geoms, bodies: Bodies, slot: jax.Array, around: Surroundings = NOTHING) -> Hits:
-        """Cast all rays of the robot in `slot` (); angles of incidence only where a sensor needs them."""
+    def due(self, time: jax.Array, memory: Memory) -> jax.Array:
+        """Return which sensors measure at a time [s] () (sensors,)."""
+        return time >= memory.due - CLOCK_SLACK
+
+    def cast(
+        self,
+        geoms: Geoms,
+        bodies: Bodies,
+        slot: jax.Array,
+        due: jax.Array | None = None,
+        around: Surroundings = NOTHING,
+    ) -> Hits:
+        """Cast the rays of the robot in `slot` (); angles of incidence only where a sensor needs them.
+
+        Rays of sensors that are not due (sensors,) may be left out, and meet nothing then; None: all are due.
+        """
         hits = []
-        for sensor, count in zip(self.sensors, self.ray_counts, strict=True):
+        for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
             if count:
                 caster = cast_incidence if sensor.needs_incidence else cast
-                hits.append(caster(geoms, *sensor.aim(bodies, around), slot, sensor.passes))
+                rays = sensor.aim(bodies, around)
+                how = Gaze(sensor.passes, sensor.bundle, sensor.reach)
+                hits.append(caster(geoms, *rays, slot, how, None if due is None else due[i]))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def start(self, sight: Sight, key: jax.Array) -> Memory:
@@ -89,12 +106,20 @@ class Suite:
 
         No rays are cast for it: `sight.hits` is not used.
         """
-        own = tuple(s.start(sight, jax.random.fold_in(key, i)) for i, s in enumerate(self.sensors))
+        sensors = self._as_noisy_as(sight)
+        own = tuple(s.start(sight, jax.random.fold_in(key, i)) for i, s in enumerate(sensors))
         rays = jnp.zeros(sum(self.ray_counts))
         seen = sight.replace(hits=Hits(distance=rays, cosine=rays))
         blank = jax.eval_shape(self._read_all, seen, own, key)[1]
+        for sensor, value in zip(self.sensors, blank, strict=True):
+            sensor.check_value(value.shape)
         due = jnp.array([jnp.inf if sensor.manual else 0.0 for sensor in self.sensors]) + sight.time
         return Memory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
+
+    def _as_noisy_as(self, sight: Sight) -> tuple[Sensor, ...]:
+        """Return the sensors of a robot whose noise may be more or less than usual."""
+        factor = sight.noise
+        return self.sensors if factor is None else tuple(s.with_noise(factor) for s in self.sensors)
 
     def _read_all(
         self, sight: Sight, own: tuple[Any, ...], key: jax.Array
@@ -102,7 +127,8 @@ class Suite:
         # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
         ends = np.cumsum(self.ray_counts)
         pairs = []
-        for i, (sensor, count, end) in enumerate(zip(self.sensors, self.ray_counts, ends, strict=True)):
+        sensors = self._as_noisy_as(sight)
+        for i, (sensor, count, end) in enumerate(zip(sensors, self.ray_counts, ends, strict=True)):
             mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], sight.hits)
             pairs.append(sensor.read(sight.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
         return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
@@ -111,7 +137,7 @@ class Suite:
         """Measure what is due; the others keep their last reading, marked as not fresh."""
         interval = np.array([s.settings[0].scan_interval for s in self.sensors], np.float32)
         manual = np.array([sensor.manual for sensor in self.sensors])
-        fresh = sight.time >= memory.due - CLOCK_SLACK
+        fresh = self.due(sight.time, memory)
         own, values = self._read_all(sight, memory.own, key)
 
         def pick(i: int, new: Any, old: Any) -> Any:  # noqa: ANN401 - any PyTree

@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.models.plan import Bodies
+from usarmjx.models.settings import POSITIVE
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.ranging import BEAM
 
@@ -27,7 +28,7 @@ class TouchSettings(Common):
         diameter: Of the button [m].
     """
 
-    diameter: float = 0.01
+    diameter: Annotated[float, POSITIVE] = 0.01
 
 
 def button(diameter: float) -> np.ndarray:

@@ -16,9 +16,11 @@ from usarmjx.server import commands as wire
 from usarmjx.server import reports
 from usarmjx.server.found import access
 from usarmjx.server.frames import angles, vector
-from usarmjx.server.grammar import Message, to_vector
+from usarmjx.server.grammar import Message, to_vector, truncated
 from usarmjx.server.host import HostWorld, Robot
 from usarmjx.server.session import RobotSession
+from usarmjx.server.traces import Trail
+from usarmjx.server.viewports import FAILED, OK
 from usarmjx.server.wording import (
     configuration,
     geometry,
@@ -51,6 +53,7 @@ class Client:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
         self.next_report = 0.0
+        self._trail: Trail | None = None
         self._next_log = 0.0
         self._world = world
         self._peer = peer
@@ -63,6 +66,10 @@ class Client:
             wire.SetJoint: self._set_joint,
             wire.MisPkg: self._move_package,
             wire.Set: self._set,
+            wire.SetFov: self._zoom,
+            wire.SetViewports: self._arrange,
+            wire.SetView: self._tie,
+            wire.Trace: self._trace,
             wire.GetGeo: self._geometry,
             wire.GetConf: self._configuration,
         }
@@ -94,11 +101,12 @@ class Client:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
         try:
             pos, turn = self._place(init, spec)
+            view = self._world.free_view(spec)
             robot = self._world.spawn(spec, init.name or self._free_name(spec), pos, turn)
         except UsageError as error:
             log.warning("%s: INIT refused: %s", self._peer, error)
             return False
-        self.robot = robot
+        robot.view, self.robot = view, robot
         self.next_report = robot.born + spec.msg_timer
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
@@ -243,10 +251,13 @@ class Client:
             self.session.send(self._access_tag(robot, sensor, command))
             return
         values = self._numbers(command.params)
-        status = "Failed"
+        status = FAILED
         if values is not None:
+            camera = robot.camera(command.name) if command.type.lower() == "camera" else None
             if sensor is not None:
                 status = self._order_sensor(robot, sensor, command.opcode, values)
+            elif camera is not None:
+                status = self._order_camera(robot, camera, command.opcode, values)
             else:
                 status = self._operate(robot, command, values)
         self.session.send(reports.res(self._world.time, command.type, command.name, status))
@@ -256,6 +267,61 @@ class Client:
         if opcode.upper() == "POSE" and len(values) == 6:
             values = (*vector(values[:3]), *angles(values[3:]))
         return "OK" if self._world.order(robot, sensor, opcode, values) else "Failed"
+
+    def _order_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
+        """Carry out the older form of zooming; the Status is the field of view [rad]."""
+        if opcode.lower() != "zoom" or not values:
+            return FAILED
+        self._world.zoom(robot, camera, values[0])
+        return truncated(robot.fovs[camera])
+
+    def _zoom(self, command: wire.SetFov) -> None:
+        robot = self._present
+        if self.battery_empty:
+            return
+        statuses = [OK] * len(robot.cameras)
+        for name, fov in command.cameras:
+            camera = robot.camera(name)
+            if camera is None:
+                log.warning("%s: %s has no camera %r", self._peer, robot.spec.name, name)
+            else:
+                statuses[camera] = OK if self._world.zoom(robot, camera, fov) else FAILED
+        names = [camera.mount.name for camera in robot.cameras]
+        lines = zip(names, robot.fovs, statuses, strict=True)
+        self.session.send(reports.res_camera(self._world.time, lines))
+
+    def _arrange(self, command: wire.SetViewports) -> None:
+        robot = self._present
+        if self.battery_empty:
+            return
+        names = [camera.mount.name for camera in robot.cameras]
+        status, statuses = robot.viewports.arrange(names, command.config, command.cameras)
+        shown = zip(robot.viewports.shown, statuses, strict=True)
+        config = (robot.viewports.config, status)
+        self.session.send(reports.res_viewports(self._world.time, config, shown))
+
+    def _tie(self, command: wire.SetView) -> None:
+        """Tie an image client's view to a camera, or let go; nobody is told, as ever."""
+        if not command.robot:
+            self._world.ties.release(command.client)
+            return
+        try:
+            self._world.ties.tie(command.client, command.robot, command.name)
+        except PeerError as error:
+            log.warning("%s: %s", self._peer, error)
+
+    def _trace(self, command: wire.Trace) -> None:
+        self._trail = Trail(command, self._trail.last if self._trail else None)
+
+    def leave_trace(self) -> None:
+        """Drop a point of the robot's trace if it is time to; to be called after every control step."""
+        if (
+            self._trail is not None
+            and self._trail.due(self._world.time)
+            and not (self.robot is None or self.lost)
+        ):
+            x, y, z = (float(value) for value in self._world.state(self.robot).pos)
+            self._world.traces.drop(self._trail, (x, y, z), self._world.time)
 
     def _access_tag(self, robot: Robot, sensor: int, command: wire.Set) -> Message:
         """Read or write an RFID tag; return the RES."""
@@ -290,7 +356,8 @@ class Client:
     def _configuration(self, command: wire.GetConf) -> None:
         if not self.battery_empty:
             robot = self._present
-            for message in configuration(robot.spec, robot.suite.sensors, command.type, command.name):
+            known = (robot.spec, robot.suite.sensors, robot.fovs)
+            for message in configuration(*known, command.type, command.name):
                 self.session.send(message)
 
     # Reports
@@ -305,7 +372,7 @@ class Client:
         self.next_report += robot.spec.msg_timer
         joints = self._world.state(robot).joint_pos
         battery = self._battery(robot)
-        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery))
+        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.view))
         if self.battery_empty:
             robot.pending.clear()
             return

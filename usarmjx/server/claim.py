@@ -5,6 +5,7 @@ parks it again. All worlds of the batch run on; only the served one listens to c
 """
 
 import logging
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.batch import Batch
+from usarmjx.cameras.picture import Picture
 from usarmjx.control import Command, idle
 from usarmjx.errors import UsageError
 from usarmjx.models.effecters import Opcode
@@ -21,7 +23,7 @@ from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
-from usarmjx.server.host import HostWorld, Robot, status_of
+from usarmjx.server.host import HostWorld, Robot, Shot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
 from usarmjx.world import TeamState, feel, team_states, time_of
 
@@ -113,7 +115,8 @@ class ClaimedWorld(HostWorld):
         new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
         stock = np.array(self._batch.scene.teams[team].stock, np.int32)
-        self._edit(new, active=True, born=world_time, drowned=False, command=command, stock=stock)
+        fov = np.array(new.fovs, np.float32)
+        self._edit(new, active=True, born=world_time, drowned=False, command=command, stock=stock, fov=fov)
         key = jax.random.fold_in(
             jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
         )
@@ -183,6 +186,22 @@ class ClaimedWorld(HostWorld):
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return np.asarray(self._batch.physics(self._state).qpos[self._instance, self._batch.scene.door_qpos])
+
+    def zoom(self, robot: Robot, camera: int, fov: float) -> bool:
+        """Set a camera's field of view, in the batch too."""
+        done = super().zoom(robot, camera, fov)
+        self._edit(robot, fov=np.array(robot.fovs, np.float32))
+        return done
+
+    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+        """Hold still what pictures show; return what then takes them."""
+        state, instance = self._state, self._instance
+
+        def take(shot: Shot) -> Picture:
+            size = {"width": shot.width, "height": shot.height}
+            return jax.device_get(self._batch.photo(state, instance, shot.robot.slot, shot.camera, **size))
+
+        return lambda: [take(shot) for shot in shots]
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""

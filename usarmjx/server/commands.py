@@ -35,6 +35,9 @@ _LINK_KEYS = ("link", "value", "order")
 # The relative ones are not in the manual; all six are in KRobot.uc, each also as its number.
 _OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
 _JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
+_VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
+TRACE_COLORS = ("Red", "Yellow", "Green", "Cyan", "White", "Blue", "Purple")
+"""Colours of a trace in the order of their numbers (manual 9.4)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +189,56 @@ class SetJoint:
 
 
 @dataclass(frozen=True, slots=True)
+class SetFov:
+    """Zoom cameras: (name as spelled, field of view [rad], 0 for the default one) in the client's order."""
+
+    cameras: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SetViewports:
+    """Arrange the pictures of the robot's cameras.
+
+    Attributes:
+        config: "SingleView", "QuadView", either's number, or anything else as sent; "" keeps it.
+        cameras: Number of the viewport, from 1, and name of the camera or "Disable"; others are kept.
+    """
+
+    config: str = ""
+    cameras: tuple[tuple[int, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SetView:
+    """Tie what an image client sees to a camera, or let go of it.
+
+    Attributes:
+        client: The client's IP address as sent; with `:port` behind it, only its connection from there.
+        robot: Name of a robot; "" lets go.
+        name: Name of its camera; "" means its viewports.
+    """
+
+    client: str
+    robot: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Leave coloured points behind, or stop.
+
+    Attributes:
+        on: Whether to.
+        interval: Time between two points [s].
+        color: One of `TRACE_COLORS`.
+    """
+
+    on: bool
+    interval: float = 0.0
+    color: str = TRACE_COLORS[0]
+
+
+@dataclass(frozen=True, slots=True)
 class GetGeo:
     """Ask for the geometry of all items of a type, or of the one called `name` if not ""."""
 
@@ -220,6 +273,10 @@ Command: TypeAlias = (
     | MisPkg
     | Set
     | SetJoint
+    | SetFov
+    | SetViewports
+    | SetView
+    | Trace
     | GetGeo
     | GetConf
 )
@@ -338,18 +395,58 @@ def _link(group: dict[str, str]) -> LinkCommand:
 def _set(message: Message) -> Command | Ignored:
     item_type = message.get("Type")
     keys = {key.lower() for key, _ in message.segments}
+    if not item_type and "typeviewports" in keys:  # so in an example of the manual
+        item_type = "Viewports"
     if not item_type:
         return Ignored("SET without a Type")
     if item_type.lower() == "joint":
         return _set_joint(message)
     if item_type.lower() == "viewports":
-        return Ignored(f"SET of type {clip(item_type)} is not supported")
-    # Checked before the field of view: a viewpoint command of an image client must not zoom.
-    if keys & {"client", "robot"}:
-        return Ignored("SET of a viewpoint is not supported")
-    if "fov" in keys:
-        return Ignored("SET of a field of view is not supported")
-    return Set(item_type, message.get("Name"), message.get("Opcode"), message.get("Params"))
+        return _set_viewports(message)
+    if item_type.lower() == "camera":
+        # Checked before the field of view: a viewpoint command of an image client must not zoom.
+        if keys & {"client", "robot"}:
+            return _set_view(message)
+        if "fov" in keys:
+            return _set_fov(message)
+    return Set(item_type, message.get("Name"), message.get("Opcode"), _params(message))
+
+
+def _params(message: Message) -> str:
+    params = message.get("Params")
+    if params or message.get("Opcode").lower() != "zoom":
+        return params
+    return next((key for key, value in message.segments if key[0] in "+-.0123456789" and not value), "")
+
+
+def _set_viewports(message: Message) -> Command:
+    cameras = tuple(
+        (number, message.get(key)) for number, key in enumerate(_VIEWPORTS, 1) if message.all(key)
+    )
+    return SetViewports(message.get("Config"), cameras)
+
+
+def _set_view(message: Message) -> Command | Ignored:
+    client, robot = message.get("Client"), message.get("Robot")
+    if not client:
+        return Ignored("SET of a viewpoint without a Client")
+    return SetView(client, robot, message.get("Name") if robot else "")
+
+
+def _set_fov(message: Message) -> Command | Ignored:
+    groups = _groups(message, ("name", "fov"))
+    if not all(group.get("name") and group.get("fov") for group in groups):
+        return Ignored("SET of a camera with a Name or a FOV that lacks the other")
+    return SetFov(tuple((group["name"], to_float(group["fov"])) for group in groups))
+
+
+def _trace(message: Message) -> Command:
+    color = message.get("Color")
+    names = {name.lower(): name for name in TRACE_COLORS} | {
+        str(n): name for n, name in enumerate(TRACE_COLORS)
+    }
+    interval = max(0.0, to_float(message.get("Interval") or "0"))
+    return Trace(to_bool(message.get("On")), interval, names.get(color.lower(), TRACE_COLORS[0]))
 
 
 def _set_joint(message: Message) -> Command | Ignored:
@@ -381,5 +478,6 @@ COMMANDS.add("DRIVE", _drive)
 COMMANDS.add("MULTIDRIVE", _multi_drive)
 COMMANDS.add("MISPKG", _mis_pkg, aliases=("MISPGK",))  # the manual's heading has it wrong
 COMMANDS.add("SET", _set)
+COMMANDS.add("TRACE", _trace)
 COMMANDS.add("GETGEO", _get_geo)
 COMMANDS.add("GETCONF", _get_conf)

@@ -7,11 +7,14 @@ Two worlds implement it: `live.LiveWorld` (C MuJoCo, any class at any time) and 
 import logging
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from usarmjx.cameras.mounts import Camera, cameras_of
+from usarmjx.cameras.picture import Picture
 from usarmjx.control import Command
 from usarmjx.errors import UsageError
 from usarmjx.models.arena_spec import ArenaSpec
@@ -22,6 +25,9 @@ from usarmjx.models.state import RobotState
 from usarmjx.operate import OK, Outcome
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.server.found import written
+from usarmjx.server.multi_view import MultiView
+from usarmjx.server.traces import Traces
+from usarmjx.server.viewports import Ties, Viewports
 from usarmjx.transforms import Vec3
 
 log = logging.getLogger(__name__)
@@ -42,6 +48,7 @@ class Robot:
         born: World time at which it appeared [s].
         drowned: Whether water has killed its battery.
         pending: Readings that have not been reported yet, by place in the suite.
+        view: Its tile of the MultiView, -1 without one.
     """
 
     slot: int
@@ -51,6 +58,13 @@ class Robot:
     born: float
     drowned: bool = False
     pending: dict[int, np.ndarray] = field(default_factory=dict)
+    view: int = -1
+
+    def __post_init__(self) -> None:
+        """Give it what its cameras start with."""
+        self.fovs = [camera.default for camera in self.cameras]
+        """Field of view in force of each camera [rad]."""
+        self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])
 
     @property
     def plan(self) -> BodyPlan:
@@ -67,12 +81,41 @@ class Robot:
         """Its class's effecters."""
         return effecters_of(self.spec)
 
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Its class's cameras."""
+        return cameras_of(self.spec)
+
+    def camera(self, name: str) -> int | None:
+        """Return the place of the first camera of that name, case ignored; None without one."""
+        for place, camera in enumerate(self.cameras):
+            if camera.mount.name.lower() == name.lower():
+                return place
+        return None
+
     def effecter(self, kind: str, name: str) -> int | None:
         """Return the place of the first effecter of that type and name, case ignored; None without one."""
         for place, effecter in enumerate(self.effecters):
             if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
                 return place
         return None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture to take.
+
+    Attributes:
+        robot: Whose camera.
+        camera: Place of the camera among `robot.cameras`.
+        width: [pixels]
+        height: [pixels]
+    """
+
+    robot: Robot
+    camera: int
+    width: int
+    height: int
 
 
 def status_of(outcome: Outcome) -> str:
@@ -88,6 +131,18 @@ class HostWorld(ABC):
     arena: ArenaSpec
     period: float
     robots: dict[int, Robot]
+    multi_view: MultiView | None = None
+    """How all robots' cameras share a picture, if they do."""
+
+    @cached_property
+    def ties(self) -> Ties:
+        """Whose view is tied to which camera."""
+        return Ties()
+
+    @cached_property
+    def traces(self) -> Traces:
+        """The points that robots have left behind."""
+        return Traces()
 
     @cached_property
     def tag_texts(self) -> dict[int, str]:
@@ -118,6 +173,34 @@ class HostWorld(ABC):
     def battery(self, robot: Robot) -> float:
         """Return for how long the robot's battery lasts yet [s]; 0 when water has killed it."""
         return 0.0 if robot.drowned else max(0.0, robot.spec.battery_life - (self.time - robot.born))
+
+    def free_view(self, robot: RobotSpec) -> int:
+        """Return the tile of the MultiView that a new robot of a class gets; -1 when there is none."""
+        if self.multi_view is None or not robot.cameras:
+            return -1
+        taken = {other.view for other in self.robots.values()}
+        return next((n for n in range(self.multi_view.camera_num) if n not in taken), -1)
+
+    def zoom(self, robot: Robot, camera: int, fov: float) -> bool:
+        """Set a camera's field of view: 0 for its default, and never beyond its limits (manual 9.4).
+
+        Args:
+            robot: The robot.
+            camera: Place of the camera.
+            fov: [rad]
+
+        Returns:
+            Whether it has become what was asked for; 0 and what is beyond the limits is not (KRobot.uc).
+        """
+        robot.fovs[camera] = float(robot.cameras[camera].clamp(fov))
+        return abs(robot.fovs[camera] - fov) < 1e-6
+
+    @abstractmethod
+    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+        """Hold still what pictures show; return what then takes them.
+
+        The first half is quick. The second half may run in another thread, while the world goes on.
+        """
 
     @abstractmethod
     def tell(self, robot: Robot, command: Command) -> None:

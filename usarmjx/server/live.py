@@ -7,6 +7,7 @@ compiled in `prepare`, beside the loop.
 """
 
 import logging
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.cameras.picture import Picture
 from usarmjx.control import Command, idle
 from usarmjx.engines.c import buffer_warnings, move_geoms
 from usarmjx.errors import UsageError
@@ -26,7 +28,7 @@ from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.materials import materials_of
 from usarmjx.models.pieces import pieces_of
-from usarmjx.models.plan import body_plan, lowest_point, robot_state
+from usarmjx.models.plan import BodyPlan, body_plan, lowest_point, robot_state
 from usarmjx.models.spec import OPAQUE, SKY, RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.models.tags import tag_table
@@ -35,19 +37,13 @@ from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of
 from usarmjx.scene_geoms import door_qpos
 from usarmjx.sensors.base import Sensor, Sight
-from usarmjx.sensors.raycast import (
-    FAR_AWAY,
-    NO_HITS,
-    Block,
-    Geoms,
-    Sort,
-    cast_incidence,
-    sort_places,
-)
+from usarmjx.sensors.raycast import NO_HITS, Gaze, cast_incidence
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sensors.surroundings import Surroundings, survey
+from usarmjx.sensors.targets import FAR_AWAY, Block, Geoms, Sort, sort_places
 from usarmjx.server.compiled import RAYS, Compiled, passed_in
-from usarmjx.server.host import HostWorld, Robot, status_of
+from usarmjx.server.host import HostWorld, Robot, Shot, status_of
+from usarmjx.server.live_view import live_stage, take
 from usarmjx.transforms import Vec3, quat_from_angles
 
 log = logging.getLogger(__name__)
@@ -101,7 +97,7 @@ class LiveWorld(HostWorld):
         self._compiled: dict[str, Compiled] = {}
         self._sort_pieces()
         self._room = _room_for(self._places)
-        self._cast = jax.jit(cast_incidence, static_argnames="passes")
+        self._cast = jax.jit(cast_incidence, static_argnames="gaze")
         self._compile_cast(self._room, passed_in(Sensor.passes, arena))
 
     @property
@@ -125,7 +121,7 @@ class LiveWorld(HostWorld):
 
     def _compile_cast(self, room: dict[Sort, int], passes: frozenset[str]) -> None:
         rays = np.ones((RAYS, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0), passes=passes)
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=Gaze(passes))
 
     def _sort_pieces(self) -> None:
         """Find out what rays see of the present model."""
@@ -235,7 +231,7 @@ class LiveWorld(HostWorld):
             bodies, origin, direction = compiled.stretch(state, seeks)
             hits = NO_HITS
             for passes, mine in compiled.gazes:
-                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), passes=passes)
+                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), gaze=Gaze(passes))
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
             sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
@@ -289,6 +285,25 @@ class LiveWorld(HostWorld):
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
+
+    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+        """Hold still what pictures show; return what then takes them."""
+        self._move_victims()
+        mujoco.mj_kinematics(self._model, self._data)
+        lit = {
+            slot: robot.spec
+            for slot, robot in self.robots.items()
+            if robot.command.light and self.battery(robot) > 0
+        }
+        what = self._pieces, self._places, self._room, self._index, lit
+        stage = live_stage(self.arena, self._data, *what)
+        takes = [partial(take, stage, *self._pose(shot), (shot.width, shot.height)) for shot in shots]
+        return lambda: [one() for one in takes]
+
+    def _pose(self, shot: Shot) -> tuple[BodyPlan, int, RobotState, int, float]:
+        """Return which camera takes a picture, and from where."""
+        robot = shot.robot
+        return robot.plan, shot.camera, self._state(robot.slot), robot.slot, robot.fovs[shot.camera]
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""

@@ -166,6 +166,8 @@ class Server:
     def _tick(self) -> None:
         began = time.perf_counter()
         self._world.step()
+        for client in self._clients:
+            client.leave_trace()
         due = [client for client in self._clients if client.due() and not client.lost]
         if due:
             self._world.observe([client.robot for client in due if client.robot is not None])

@@ -282,3 +282,31 @@ def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Messag
 def res(time: float, type_name: str, name: str, status: str) -> Message:
     """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
     return Message("RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status)))
+
+
+def res_camera(time: float, cameras: Iterable[tuple[str, float, str]]) -> Message:
+    """Return the answer to a SET of fields of view, which lists every camera (KRobot.uc).
+
+    Args:
+        time: Simulated time [s].
+        cameras: Name, field of view [rad] and status of each.
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Type", "Camera")]
+    for name, fov, status in cameras:
+        segments += [("Name", name), ("FOV", truncated(fov)), ("Status", status)]
+    return Message("RES", tuple(segments))
+
+
+def res_viewports(time: float, config: tuple[str, str], viewports: Iterable[tuple[str, str]]) -> Message:
+    """Return the answer to a SET of viewports.
+
+    Args:
+        time: Simulated time [s].
+        config: "SingleView" or "QuadView", and its status.
+        viewports: What each of the four shows, and its status.
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Type", "Viewports")]
+    segments += [("Config", config[0]), ("Status", config[1])]
+    for number, (shown, status) in enumerate(viewports, 1):
+        segments += [(f"Viewport{number}", shown), ("Status", status)]
+    return Message("RES", tuple(segments))

@@ -27,7 +27,11 @@ from usarmjx.server.commands import (
     MisPkg,
     MultiDrive,
     Set,
+    SetFov,
     SetJoint,
+    SetView,
+    SetViewports,
+    Trace,
     parse_command,
 )
 from usarmjx.server.grammar import Message, clip, format, parse
@@ -51,7 +55,7 @@ class Phase(Enum):
 # second INIT is among that: servers disagree (one adds a robot and forgets the first, another
 # ignores it), and one robot per connection is the rule.
 TRANSITIONS: dict[Phase, dict[type[Command], Phase]] = {
-    Phase.GREETED: {GetStartPoses: Phase.GREETED, Init: Phase.ACTIVE},
+    Phase.GREETED: {GetStartPoses: Phase.GREETED, SetView: Phase.GREETED, Init: Phase.ACTIVE},
     Phase.ACTIVE: {
         GetStartPoses: Phase.ACTIVE,
         Drive: Phase.ACTIVE,
@@ -61,6 +65,10 @@ TRANSITIONS: dict[Phase, dict[type[Command], Phase]] = {
         MisPkg: Phase.ACTIVE,
         Set: Phase.ACTIVE,
         SetJoint: Phase.ACTIVE,
+        SetFov: Phase.ACTIVE,
+        SetViewports: Phase.ACTIVE,
+        SetView: Phase.ACTIVE,
+        Trace: Phase.ACTIVE,
         GetGeo: Phase.ACTIVE,
         GetConf: Phase.ACTIVE,
     },

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.cameras.mounts import Camera, cameras_of
 from usarmjx.control import Command
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.geodesy import Place
@@ -15,8 +16,7 @@ from usarmjx.models.spec import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import FIX, Gps, coordinates
 from usarmjx.sensors.rfid import Rfid
-from usarmjx.sensors.settings import CameraSettings, resolve
-from usarmjx.server import found, reports
+from usarmjx.server import found, reports, telling
 from usarmjx.server.descriptions import (
     Field,
     LinkConfiguration,
@@ -146,6 +146,8 @@ def sensor_report(
 ) -> Message | None:
     """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
 
+    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `telling` has it.
+
     Args:
         sensor: The sensor.
         value: Its reading.
@@ -154,8 +156,9 @@ def sensor_report(
         texts: What is written on RFID tags.
     """
     known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(found.tags, texts=texts)}
-    report = known.get(sensor.kind, REPORTS[sensor.kind])
-    return report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
+    report = telling.inherited(sensor, REPORTS | known) or telling.report
+    message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
+    return None if message is None else telling.of_type(sensor.kind, message)
 
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
@@ -210,24 +213,36 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
 def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
     settings: Any = sensor.settings[place]
     fields: list[Field] = [("Name", sensor.mounts[place].name)]
-    for key, field in CONFIGURATION[sensor.kind]:
+    known = telling.inherited(sensor, CONFIGURATION)
+    if known is None:
+        return [*fields, *telling.fields(settings)]
+    for key, field in known:
         value = getattr(settings, field)
         fields.append((key, truncated_list(value) if isinstance(value, tuple) else value))
     return fields
 
 
-def _camera_fields(mount: Mount) -> list[Field]:
-    fov = resolve(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
+def _camera_fields(camera: Camera, fov: float) -> list[Field]:
     return [
-        ("CameraDefFov", fov.camera_def_fov),
-        ("CameraMinFov", fov.camera_min_fov),
-        ("CameraMaxFov", fov.camera_max_fov),
-        ("CameraFov", fov.camera_def_fov),
+        ("CameraDefFov", camera.default),
+        ("CameraMinFov", camera.low),
+        ("CameraMaxFov", camera.high),
+        ("CameraFov", fov),
     ]
 
 
-def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: str) -> list[Message]:
-    """Return the answers to GETCONF, as `geometry` does for GETGEO."""
+def configuration(
+    robot: RobotSpec, sensors: Sequence[Sensor], fovs: Sequence[float], kind: str, name: str
+) -> list[Message]:
+    """Return the answers to GETCONF, as `geometry` does for GETGEO.
+
+    Args:
+        robot: The robot's class.
+        sensors: Its sensors.
+        fovs: Field of view in force of each of its cameras [rad].
+        kind: Type asked for.
+        name: Name asked for, "" for all of the type.
+    """
     if kind.lower() == "robot":
         return [
             conf_robot(
@@ -252,9 +267,13 @@ def configuration(robot: RobotSpec, sensors: Sequence[Sensor], kind: str, name: 
     ]
     if fields:
         answers.append(conf_items(kind, fields))
-    cameras = _mounts(robot.cameras, kind, name)
-    if cameras:
-        answers.append(conf_items(kind, [_camera_fields(m) for m in cameras]))
+    fields = [
+        _camera_fields(camera, fov)
+        for camera, fov in zip(cameras_of(robot), fovs, strict=True)
+        if _asked(kind, name, camera.mount.kind, camera.mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
     effecters = _effecters(robot, kind, name)
     if effecters and kind.lower() == "effecter":
         answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
@@ -281,7 +300,9 @@ def _link_configuration(link: Link) -> LinkConfiguration:
     )
 
 
-def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: float, battery: int) -> Message:
+def robot_report(
+    plan: BodyPlan, command: Command, joints: np.ndarray, time: float, battery: int, view: int = -1
+) -> Message:
     """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
 
     Args:
@@ -290,6 +311,7 @@ def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: flo
         joints: Its joint positions [rad or m] (joints,).
         time: Simulated time [s].
         battery: Time left [s].
+        view: Its tile of the MultiView, -1 without one.
     """
     names, drive, light = joint_names(plan.robot), plan.robot.drive, bool(command.light)
     angles_of: dict[str, Any] = drive.steering_angles(
@@ -302,6 +324,7 @@ def robot_report(plan: BodyPlan, command: Command, joints: np.ndarray, time: flo
             light=light,
             intensity=100 if light else 0,
             battery=battery,
+            view=view,
             joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported),
             **angles_of,
         ),

@@ -1,0 +1,147 @@
+"""A room drawn by hand, and what robots in it would report: for tests of team tasks without rays."""
+
+import math
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.comms.links import no_links
+from usarmjx.engines import PhysicsState
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose, Victim
+from usarmjx.models.spec import Shape
+from usarmjx.sensors.base import Reading
+from usarmjx.train.orders import carry_out
+from usarmjx.train.task import View
+from usarmjx.train.tasks.team import scanner_poses
+from usarmjx.world import first_episode
+
+WIDTH, DEPTH = 6.0, 3.0
+
+
+def room(starts, victims=(), width=WIDTH, depth=DEPTH):
+    """A room of that size with robots' start poses x, y and victims' x, y; walls 5 cm thick around it."""
+    sides = [
+        ((width / 2, 0.0), (width / 2, 0.025)),
+        ((width / 2, depth), (width / 2, 0.025)),
+        ((0.0, depth / 2), (0.025, depth / 2)),
+        ((width, depth / 2), (0.025, depth / 2)),
+    ]
+    return ArenaSpec(
+        name="DM-Room",
+        about="A room.",
+        shapes=tuple(
+            Shape(kind="box", at=(*at, 0.6), size=(*size, 0.6), surface="wall") for at, size in sides
+        ),
+        starts=tuple(
+            StartPose(tag=f"Start{i}", at=(*at, START_ELEVATION), yaw=0.0) for i, at in enumerate(starts)
+        ),
+        extent=((0.0, width), (0.0, depth)),
+        victims=tuple(
+            Victim(name=f"Victim{i}", at=(*at, 0.12), posture="sitting") for i, at in enumerate(victims)
+        ),
+    )
+
+
+def scan(pose, settings, width=WIDTH, depth=DEPTH):
+    """Ranges in an empty rectangle (beams,), by the slab method, at most the scanner's range."""
+    x, y, yaw = pose
+    angle = yaw - settings.scan_fov / 2 + np.arange(settings.beams) * settings.resolution
+    cos, sin = np.cos(angle), np.sin(angle)
+    with np.errstate(divide="ignore"):
+        along = np.where(cos > 0, (width - x) / cos, np.where(cos < 0, -x / cos, np.inf))
+        across = np.where(sin > 0, (depth - y) / sin, np.where(sin < 0, -y / sin, np.inf))
+    return np.minimum(np.minimum(along, across), settings.max_range).astype(np.float32)
+
+
+def begin(task):
+    """The scene, and its world and physics at the start."""
+    scene = task.scene()
+    sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.sites)
+    world, qpos = first_episode(scene, jax.random.key(0), jnp.int32(0), sites)
+    model = scene.model
+    return scene, world, PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+
+
+def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
+    """What a task is shown: robots truly at poses x, y, yaw by slot, which their sensors report as well.
+
+    Args:
+        scene: The scene.
+        world: Its world.
+        physics: Its physics; only places and headings are changed.
+        poses: By slot (robots, 3).
+        linked: Which links hold; None: none.
+        met: What victim sensors report, by slot: rows of met, part, x, y, z; None: nothing.
+        step: Control step.
+    """
+    poses, qpos, readings = np.asarray(poses, np.float32), np.array(physics.qpos), []
+    for team in scene.teams:
+        here = poses[team.slots]
+        for address, (x, y, yaw) in zip(team.root_qpos, here, strict=True):
+            qpos[address[:2]] = x, y
+            qpos[address[3:]] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        values = []
+        for sensor in team.suite.sensors:
+            if sensor.kind == "RangeScanner":
+                places = np.asarray(scanner_poses(team, jnp.asarray(here)))
+                value = np.stack([scan(place, sensor.settings[0]) for place in places])
+            elif sensor.kind == "VictSensor":
+                none = np.zeros((len(here), len(scene.victims.part), 5), np.float32)
+                value = none if met is None else np.stack([met[slot] for slot in team.slots])
+            else:
+                flat = np.zeros((len(here), 2), np.float32)
+                up = np.full((len(here), 1), 0.26, np.float32)
+                value = np.concatenate([here[:, :2], up, flat, here[:, 2:]], -1)
+            fresh = jnp.ones(len(here), bool)
+            values.append(Reading(value=jnp.asarray(value, jnp.float32), fresh=fresh))
+        readings.append(tuple(values))
+    robots = scene.robots
+    linked = np.zeros((robots, robots), bool) if linked is None else linked
+    links = no_links(robots).replace(
+        in_range=jnp.asarray(linked),
+        paired=jnp.asarray(~np.eye(robots, dtype=bool)),
+        chance=jnp.asarray(linked, jnp.float32),
+        known=jnp.ones((), bool),
+    )
+    world = world.replace(links=links, step=jnp.int32(step))
+    physics = physics.replace(qpos=jnp.asarray(qpos, jnp.float32))
+    return View(world=world, physics=physics, readings=tuple(readings), scene=scene)
+
+
+def play(task, paths, linked=None, met=None):
+    """Yield memory and verdict of each step of robots on paths (steps, robots, 3), the start's verdict None.
+
+    Args:
+        task: The task; its robots are led, whatever they are told.
+        paths: Where they are at the start and after each step.
+        linked: Which links hold at each of these times (steps, robots, robots); None: none ever.
+        met: What victim sensors report at each of them (steps, robots, boxes, 5); None: nothing.
+    """
+    (scene, world, physics), start, judge, act = _machine(task)
+    memory = None
+    for step, poses in enumerate(paths):
+        now = {"linked": None if linked is None else linked[step], "met": None if met is None else met[step]}
+        view = view_of(scene, world, physics, poses, step=step * task.repeat, **now)
+        if memory is None:
+            memory, verdict = start(view, jax.random.key(0)), None
+        else:
+            verdict = judge(view, memory)
+            memory = verdict.memory
+        yield view, memory, verdict
+        world = act(view, memory)
+
+
+@cache
+def _machine(task):
+    """Scene and compiled functions of a task, once for all tests."""
+    return begin(task), jax.jit(task.start), jax.jit(task.judge), jax.jit(partial(_told, task))
+
+
+def _told(task, view, memory):
+    """The world after the letters of a step."""
+    sizes, scene = task.action_sizes(view.scene), view.scene
+    groups = zip(task.groups(scene), sizes, strict=True)
+    still = tuple(jnp.zeros((len(scene.teams[team].slots), size)) for team, size in groups)
+    return carry_out(scene, view.world, view.physics, task.act(view, memory, still))

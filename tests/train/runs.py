@@ -1,0 +1,88 @@
+"""A small run that many tests look at, also as a program: python runs.py FOLDER [--resume]."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parent)]
+
+from usarmjx.train.config import Config  # noqa: E402 - this is also a program
+
+CONFIG = Config(
+    steps=24_000,  # 10 iterations of 25 steps of 32 worlds of 3 robots
+    worlds=32,
+    rollout=25,
+    schedule="linear",  # `adaptive` decides by thresholds: rounding could tip it
+    learning_rate=1e-3,
+    discount=0.9,
+    layers=(32, 32),
+    critic_layers=(32, 32),
+    checkpoint_every=1,
+    keep=2,
+)
+NOT_REPEATABLE = ("steps_per_s",)
+PATIENCE = 600
+"""Longest that a test waits for processes [s]."""
+
+
+def run(folder, config=CONFIG, resume=False, watch=None):
+    """Train on the toy of several robots, in which some worlds go wrong."""
+    from toys import DriveToy
+
+    from usarmjx.train.trainer import train
+
+    def make(worlds, first):
+        return DriveToy(worlds, first, rotten=True)
+
+    return train(make, config, folder, resume, progress=False, watch=watch)
+
+
+@contextmanager
+def started(command, cache):
+    """A program with what it starts, all of which is ended afterwards; they share what they compile."""
+    environment = {
+        **os.environ,
+        "JAX_PLATFORMS": "cpu",
+        "JAX_COMPILATION_CACHE_DIR": str(cache),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    process = subprocess.Popen(
+        command,
+        env=environment,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait(10)
+
+
+def lines(folder):
+    """What was written of the iterations, but for times."""
+    text = (Path(folder) / "metrics.jsonl").read_text()
+    records = [json.loads(line) for line in text.splitlines()]
+    return [{k: v for k, v in record.items() if k not in NOT_REPEATABLE} for record in records]
+
+
+def checksums(folder, name="last"):
+    """What is in a checkpoint, by its checksums: learner and worlds of the first process."""
+    from usarmjx.train.checkpoint import Checkpoints
+
+    path = Checkpoints(folder).find(name)
+    return path.name, [json.loads((path / f"{part}_0.json").read_text()) for part in ("learner", "worlds")]
+
+
+if __name__ == "__main__":
+    from usarmjx.train.distributed import join
+
+    join()
+    run(sys.argv[1], resume="--resume" in sys.argv)

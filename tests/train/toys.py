@@ -1,0 +1,165 @@
+"""Toy environments of the training contract, to learn in seconds; each has a closed form to compare with."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.train.env import AgentGroup, EnvState
+
+
+class ToyMemory(struct.PyTreeNode, kw_only=True):
+    x: object  # of the task
+    key: jax.Array  # of the world
+    episode: jax.Array
+
+
+class Toy:
+    """The contract around a few functions of one world, which the kinds below have.
+
+    start(key) -> x; see(x, time) -> obs per group, privileged; go(x, time, actions) -> x, rewards,
+    terminated, score, bad
+    """
+
+    name, period, privileged_size = "toy", 0.1, 1
+
+    def __init__(self, worlds=8, first=0, traceable=True):
+        self.worlds, self.first, self.traceable = worlds, first, traceable
+        self.step = jax.jit(self._step) if traceable else self._step_by_step
+        self._jitted = jax.jit(self._step)
+
+    def _step_by_step(self, state, actions):
+        assert not any(isinstance(a, jax.core.Tracer) for a in actions)
+        return self._jitted(state, actions)
+
+    def reset(self, seed):
+        number = self.first + jnp.arange(self.worlds)
+        key = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(number)
+        episode, zero = jnp.zeros(self.worlds, jnp.int32), jnp.zeros(self.worlds)
+        x = jax.vmap(lambda k: self.start(jax.random.fold_in(k, 0)))(key)
+        obs, privileged = jax.vmap(self.see)(x, episode)
+        no = jnp.zeros(self.worlds, bool)
+        return EnvState(
+            batch=None,
+            memory=ToyMemory(x=x, key=key, episode=episode),
+            obs=obs,
+            privileged=privileged,
+            reward=tuple(jnp.zeros((self.worlds, len(g.agents))) for g in self.groups),
+            done=no,
+            truncated=no,
+            final_obs=obs,
+            final_privileged=privileged,
+            score=zero,
+            final_score=zero,
+            length=episode,
+            bad=no,
+            metrics={"success": zero},
+        )
+
+    def _step(self, state, actions):
+        memory = state.memory
+        x, reward, terminated, score, bad = jax.vmap(self.go)(memory.x, state.length, actions)
+        length = state.length + 1
+        late = length >= self.episode_steps
+        terminated = terminated & ~bad
+        done = terminated | late | bad
+        episode = memory.episode + done
+        fresh = jax.vmap(lambda k, e: self.start(jax.random.fold_in(k, e)))(memory.key, episode)
+        final, final_privileged = jax.vmap(self.see)(x, length)
+        x = jax.tree.map(lambda a, b: jnp.where(done.reshape(-1, *[1] * (a.ndim - 1)), a, b), fresh, x)
+        length = jnp.where(done, 0, length)
+        obs, privileged = jax.vmap(self.see)(x, length)
+        return state.replace(
+            memory=memory.replace(x=x, episode=episode),
+            obs=obs,
+            privileged=privileged,
+            reward=reward,
+            done=done,
+            truncated=late & ~terminated & ~bad,
+            final_obs=final,
+            final_privileged=final_privileged,
+            score=jnp.where(done, 0.0, score),
+            final_score=jnp.where(done, score, state.final_score),
+            length=length,
+            bad=bad,
+            metrics={"success": score},
+        )
+
+
+def team(name, robots, obs_size, action_size):
+    return AgentGroup(name, tuple(f"{name}{i}" for i in range(robots)), obs_size, action_size)
+
+
+class DriveToy(Toy):
+    """Point robots, two of class A and one of class B, are to be at their own goals all at once.
+
+    An action is a step of at most 0.2; goals are within +-1; near is 0.25. Score: 1 when all are near. With
+    `rotten`, a robot A beyond 0.6 to the right makes its world bad: observations and rewards are NaN.
+    """
+
+    name, episode_steps, privileged_size = "drive-toy", 25, 6
+    groups = (team("A", 2, 2, 2), team("B", 1, 2, 2))
+
+    def __init__(self, *args, rotten=False, **more):
+        self.rotten = rotten
+        super().__init__(*args, **more)
+
+    def start(self, key):
+        draw = jax.random.uniform(key, (2, 3, 2), minval=-1.0, maxval=1.0)
+        return {"at": 0.3 * draw[0], "goal": draw[1]}
+
+    def see(self, x, time):
+        way = x["goal"] - x["at"]
+        return (way[:2], way[2:]), jnp.ravel(way)
+
+    def go(self, x, time, actions):
+        before = jnp.linalg.norm(x["goal"] - x["at"], axis=-1)
+        at = x["at"] + 0.2 * jnp.concatenate(actions)
+        bad = self.rotten & (at[:2, 0] > 0.6).any()
+        at = jnp.where(bad, jnp.nan, at)
+        after = jnp.linalg.norm(x["goal"] - at, axis=-1)
+        near = (after < 0.25).all()
+        reward = before - after + near
+        return {**x, "at": at}, (reward[:2], reward[2:]), near, near.astype(jnp.float32), bad
+
+
+class MemoryToy(Toy):
+    """A light is on or off in the first moment; the last action's sign must tell which. Score: 1 if so.
+
+    Without memory nobody does better than 1/2.
+    """
+
+    name, episode_steps, privileged_size = "memory-toy", 5, 1
+    groups = (team("A", 1, 2, 1),)
+
+    def start(self, key):
+        return {"light": jnp.where(jax.random.bernoulli(key), 1.0, -1.0)}
+
+    def see(self, x, time):
+        first, last = time == 0, time == self.episode_steps - 1
+        return (jnp.stack([jnp.where(first, x["light"], 0.0), last.astype(jnp.float32)])[None],), x["light"][
+            None
+        ]
+
+    def go(self, x, time, actions):
+        last = time == self.episode_steps - 1
+        right = last & (actions[0][0, 0] * x["light"] > 0)
+        score = right.astype(jnp.float32)
+        return x, (score[None],), last, score, jnp.zeros((), bool)
+
+
+class EndlessToy(Toy):
+    """A reward of 1 at every step, for ever; the time limit only interrupts. Worth 1 / (1 - discount)."""
+
+    name, episode_steps, privileged_size = "endless-toy", 4, 0
+    groups = (team("A", 1, 1, 1),)
+
+    def start(self, key):
+        return {"nothing": jnp.zeros(1)}
+
+    def see(self, x, time):
+        return (jnp.ones((1, 1)),), jnp.zeros(0)
+
+    def go(self, x, time, actions):
+        return x, (jnp.ones(1),), jnp.zeros((), bool), jnp.zeros(()), jnp.zeros((), bool)

@@ -1,0 +1,1 @@
+"""Cameras: raycasters with colour."""

@@ -1,0 +1,98 @@
+"""Where the rays of a camera's pixels go: a pinhole, or a mirror that looks all around (manual 10.14, 10.15).
+
+Directions are in the camera's axes: x forward along the optical axis, y to the left of the picture, z up.
+Pixels are handed out in tiles of `TILE` x `TILE`, so that rays after each other go about the same way;
+pictures whose sides are no multiples of it are cast a little larger and cut.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+TILE = 8
+"""Side of the tiles that pixels come in."""
+RIM = math.radians(105.0)
+"""Half of what the mirror shows, measured from its axis: 15 degrees above the horizon (chosen) [rad]."""
+MIRROR_DISTANCE = 0.09
+"""How far the mirror's focus is in front of the camera (manual 10.15.2: Z=0.09) [m]."""
+
+
+class Rays(NamedTuple):
+    """The rays of a picture's pixels, tile by tile.
+
+    Attributes:
+        along: Unit vectors in the camera's axes (rays, 3).
+        depth: What a ray's length is multiplied by to be a depth (rays,).
+        inside: Whether the pixel shows anything at all (rays,).
+    """
+
+    along: jax.Array
+    depth: jax.Array
+    inside: jax.Array
+
+
+def pixels(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far right and up of a picture's middle its pixels are, in pixels, tile by tile (rays,)."""
+    columns, rows = (-(-side // TILE) * TILE for side in (width, height))
+    right = np.broadcast_to(np.arange(columns) + 0.5 - width / 2, (rows, columns))
+    up = np.broadcast_to(height / 2 - 0.5 - np.arange(rows), (columns, rows)).T
+    return tiled(right).astype(np.float32), tiled(up).astype(np.float32)
+
+
+def tiled(values: np.ndarray) -> np.ndarray:
+    """Return values of pixels (rows, columns, ...), both multiples of `TILE`, tile by tile (rays, ...)."""
+    rows, columns = values.shape[:2]
+    cut = values.reshape(rows // TILE, TILE, columns // TILE, TILE, *values.shape[2:])
+    return cut.swapaxes(1, 2).reshape(rows * columns, *values.shape[2:])
+
+
+def untiled(values: jax.Array, width: int, height: int) -> jax.Array:
+    """Return what `pixels` has put tile by tile (rays, ...) as a picture (height, width, ...)."""
+    columns, rows = (-(-side // TILE) for side in (width, height))
+    cut = values.reshape(rows, columns, TILE, TILE, *values.shape[1:]).swapaxes(1, 2)
+    return cut.reshape(rows * TILE, columns * TILE, *values.shape[1:])[:height, :width]
+
+
+def pinhole(width: int, height: int, fov: jax.Array) -> Rays:
+    """Return the rays of a pinhole camera.
+
+    With f = (width / 2) / tan(fov / 2) the pixel in column c and row r looks along
+    (f, width / 2 - c - 1 / 2, height / 2 - r - 1 / 2). Depth is the distance perpendicular to the picture.
+
+    Args:
+        width: Pixels along a row.
+        height: Rows; pixels are square.
+        fov: Horizontal field of view [rad] ().
+    """
+    right, up = pixels(width, height)
+    focal = width / 2 / jnp.tan(fov / 2)
+    along = jnp.stack([jnp.broadcast_to(focal, right.shape), -right, up], -1)
+    along /= jnp.sqrt((along * along).sum(-1, keepdims=True))
+    return Rays(along, along[:, 0], jnp.ones(len(right), bool))
+
+
+def omni(width: int, height: int, zoom: jax.Array) -> Rays:
+    """Return the rays of a camera that looks into a parabolic mirror; they start at the mirror's focus.
+
+    The mirror is the paraboloid z = (h^2 - r^2) / (2 h) about the optical axis, its focus in the origin and z
+    towards the camera, whose rays are parallel to the axis. One that meets the mirror at the radius r is
+    thrown back as if it came from the focus: at the angle t from z with r = h tan(t / 2). The middle of the
+    picture looks back at the camera, the horizon is where r = h, and the circle that fills the picture is
+    the mirror's rim, where t = `RIM`. Right and up in the picture are right and up of the camera; what is
+    outside the rim shows nothing. Depth is the distance from the focus.
+
+    Args:
+        width: Pixels along a row.
+        height: Rows.
+        zoom: How much larger than the picture the mirror appears ().
+    """
+    right, up = pixels(width, height)
+    radius = np.hypot(right, up) / (min(width, height) / 2)  # in radii of the circle that fills the picture
+    share = radius / zoom
+    angle = 2 * jnp.arctan(share * math.tan(RIM / 2))
+    side = np.stack([-right, up], -1) / np.maximum(np.hypot(right, up), 1e-9)[:, None]
+    along = jnp.concatenate([-jnp.cos(angle)[:, None], jnp.sin(angle)[:, None] * side], -1)
+    return Rays(along, jnp.ones(len(right)), jnp.asarray(share <= 1))

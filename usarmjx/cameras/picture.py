@@ -1,0 +1,95 @@
+"""A picture that a robot's camera takes: colours, depths, and what every pixel shows."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni, pinhole, untiled
+from usarmjx.cameras.mounts import Camera
+from usarmjx.cameras.paint import OUTSIDE, hidden
+from usarmjx.cameras.shading import Stage, shade
+from usarmjx.errors import UsageError
+from usarmjx.models.plan import Bodies
+from usarmjx.transforms import Array
+
+LARGEST = 4096
+"""Most pixels along a side."""
+
+
+class Picture(struct.PyTreeNode, kw_only=True):
+    """What a camera sees; rows from the top, columns from the left.
+
+    Attributes:
+        rgb: Colours, 0 to 255, uint8 (..., height, width, 3).
+        depth: How far away it is, of a pinhole perpendicular to the picture, of an omnidirectional camera
+            from its mirror's focus; infinite for the sky and outside of the mirror; glass is looked
+            through and mirrors are looked at, float32 [m] (..., height, width).
+        segmentation: What it is, see `paint`; int32 (..., height, width).
+    """
+
+    rgb: Array
+    depth: Array
+    segmentation: Array
+
+
+def check_size(camera: Camera, width: int, height: int) -> None:
+    """Refuse sizes that a picture cannot have.
+
+    Raises:
+        UsageError: A side below 1 or above `LARGEST`, or an odd width of a stereo pair.
+    """
+    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
+        raise UsageError(f"a picture of {width} x {height} pixels; expected 1 to {LARGEST} along each side")
+    if width % len(camera.eyes):
+        raise UsageError(f"a stereo picture is {width} pixels wide; expected an even number, for two eyes")
+
+
+def take(
+    camera: Camera, stage: Stage, bodies: Bodies, slot: Array, fov: Array, width: int, height: int
+) -> Picture:
+    """Return what a robot's camera sees; pure, camera and size are static.
+
+    The robot sees itself, but for what would cover the lens, see `Camera.hides`. A stereo camera's picture
+    has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
+    3.2.6.2). The mirror of an omnidirectional camera fills the picture at the default field of view, and
+    grows as it shrinks.
+
+    Args:
+        camera: The camera.
+        stage: What there is to see.
+        bodies: Poses of the robot's bodies.
+        slot: Its slot in the roster ().
+        fov: The camera's field of view [rad] ().
+        width: Pixels along a row.
+        height: Rows.
+
+    Raises:
+        UsageError: A picture of that size cannot be taken; see `check_size`.
+    """
+    check_size(camera, width, height)
+    eyes, wide = len(camera.eyes), width // len(camera.eyes)
+    body, mat = bodies.pos[camera.body], bodies.mat[camera.body]
+    turn, place = mat @ camera.mat, body + mat @ camera.at
+    offsets = jnp.asarray(camera.eyes)
+    if camera.lens == "omni":
+        rays = omni(wide, height, jnp.tan(camera.default / 2) / jnp.tan(fov / 2))
+        offsets += jnp.array([MIRROR_DISTANCE, 0.0, 0.0])
+    else:
+        rays = pinhole(wide, height, fov)
+    along = jnp.stack([sum(turn[i, j] * rays.along[:, j] for j in range(3)) for i in range(3)], -1)
+    start = jnp.repeat(place + offsets @ turn.T, len(along), 0)
+    blocks = [block.replace(owner=hidden(block.owner, slot, camera.hides)) for block in stage.geoms.blocks]
+    stage = stage.replace(geoms=stage.geoms.replace(blocks=tuple(blocks)))
+    seen = shade(stage, start, jnp.tile(along, (eyes, 1)), jnp.asarray(slot))
+    inside, depth = jnp.tile(rays.inside, eyes), seen.distance * jnp.tile(rays.depth, eyes)
+    levels = jnp.where(inside[:, None], jnp.floor(255 * seen.rgb + 0.5), 0.0).astype(jnp.uint8)
+
+    def picture(values: jax.Array) -> jax.Array:
+        views = [untiled(view, wide, height) for view in jnp.split(values, eyes)]
+        return jnp.concatenate(views, 1)
+
+    return Picture(
+        rgb=picture(levels),
+        depth=picture(jnp.where(inside, depth, jnp.inf)),
+        segmentation=picture(jnp.where(inside, seen.label, OUTSIDE).astype(jnp.int32)),
+    )

@@ -1,0 +1,212 @@
+"""The raycaster's kernel for GPUs: one program for each bundle of rays, which takes the geoms front to back.
+
+First each lane of the program looks at a few geoms and finds out how far away a bundle's cone meets them.
+Then geom after geom, the nearest first, all rays of the bundle are tested against one, until the next is
+farther than what every ray has met.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton
+
+from usarmjx.sensors.bundles import NARROW, SLACK, WIDE, Cone, entry, entry_ball
+from usarmjx.sensors.kernels import KERNELS, TINY, ball
+
+CHUNK = 128
+"""Most geoms that a program looks at together; a power of two."""
+FEW = 2
+"""So many geoms are tested without looking."""
+OWNER, RADIUS, FIELDS = 15, 16, 17
+"""Of a geom's numbers, which are position (3), orientation by rows (9), size (3), owner, radius of a ball."""
+FAR = 3e38
+"""Stands for an unlimited reach, as what is missed is infinitely far."""
+
+
+class Slab(NamedTuple):
+    """What is known of geoms while compiling: kind, how many, place of the first, and `Part.compact`."""
+
+    kind: int
+    count: int
+    first: int
+    compact: bool
+
+
+class Packed(NamedTuple):
+    """Geoms by number (FIELDS, room), for looking at many, and by geom (room, 16), for looking at one.
+
+    There is room for a power of two, or a multiple of `CHUNK`.
+    """
+
+    fields: Any
+    geoms: Any
+
+
+def pack(kind: int, block: Any) -> Packed:  # noqa: ANN401 - a raycast.Block
+    """Return a block's geoms."""
+    count = len(block.owner)
+    room = max(16, 1 << (count - 1).bit_length()) if count <= CHUNK else -(-count // CHUNK) * CHUNK
+    last = jnp.stack([block.owner.astype(jnp.float32), ball(kind, tuple(block.size.T))])
+    rows = jnp.concatenate([block.pos.T, block.mat.reshape(-1, 9).T, block.size.T, last])
+    fields = jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
+    return Packed(fields, fields[:16].T)
+
+
+def _local(mat: Sequence[jax.Array], vector: Sequence[Any] | jax.Array) -> tuple[jax.Array, ...]:
+    """Return a vector in the frame of a geom."""
+    return tuple(mat[i] * vector[0] + mat[3 + i] * vector[1] + mat[6 + i] * vector[2] for i in range(3))
+
+
+class _Bundle(NamedTuple):
+    """One bundle: rays' starts and directions by component (size,), its cone by number, and who looks."""
+
+    start: tuple[jax.Array, ...]
+    along: tuple[jax.Array, ...]
+    cone: Cone
+    viewer: jax.Array
+
+
+def _approach(slab: Slab, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+    """Return how far away the bundle's cone meets some geoms (geoms,)."""
+    tip, axis, thick, slope = bundle.cone
+    away = tuple(fields[i, at] - tip[i] for i in range(3))
+    if slab.compact:
+        return entry_ball(away, axis, fields[RADIUS, at], thick, slope)
+    mat, size = [fields[i, at] for i in range(3, 12)], tuple(fields[i, at] for i in range(12, 15))
+    return entry(slab.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope)
+
+
+def _test(slab: Slab, geoms: Any, place: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+    """Return the distance of one geom from every ray (size,)."""
+    geom = [geoms[place, i] for i in range(15)]
+    away = tuple(bundle.start[i] - geom[i] for i in range(3))
+    mat, size = geom[3:12], tuple(geom[12:15])
+    return KERNELS[slab.kind](_local(mat, away), _local(mat, bundle.along), size)
+
+
+Best = tuple[jax.Array, jax.Array]
+"""How far away (size,) and which (size,) the nearest is up to now."""
+
+
+def _chunk(slab: Slab, block: Packed, width: int, bundle: _Bundle, turn: Any, best: Best) -> Best:  # noqa: ANN401
+    """Return the best of some geoms and what there was."""
+    lanes = jax.lax.broadcasted_iota(jnp.int32, (width,), 0)
+    begin = turn * width
+    here = pl.ds(begin, width)
+    near = _approach(slab, block.fields, here, bundle)
+    there = (lanes + begin < slab.count) & (block.fields[OWNER, here] != bundle.viewer)
+    # Distance and lane in one number, which sorts as the distance does: the lane takes its last bits.
+    bits = jax.lax.bitcast_convert_type(jnp.where(there, near, jnp.inf), jnp.int32)
+    keys = (bits & ~(width - 1)) | lanes
+
+    def more(carry: Any) -> jax.Array:  # noqa: ANN401
+        _, key, (reach, _) = carry
+        farthest = jnp.max(jax.lax.bitcast_convert_type(reach, jnp.int32))  # integers are reduced faster
+        return key <= (farthest | (width - 1))
+
+    def test(carry: Any) -> Any:  # noqa: ANN401
+        keys, key, (reach, found) = carry
+        place = begin + (key & (width - 1))
+        t = _test(slab, block.geoms, place, bundle)
+        closer = t < reach
+        keys = jnp.where(keys == key, LAST, keys)
+        best = jnp.where(closer, t, reach), jnp.where(closer, slab.first + place, found)
+        return keys, jnp.min(keys), best
+
+    return jax.lax.while_loop(more, test, (keys, jnp.min(keys), best))[2]
+
+
+LAST = 0x7FFFFFFF
+"""A key after all others."""
+
+
+def _all(slab: Slab, block: Packed, bundle: _Bundle, best: Best) -> Best:
+    """Return the best of a few geoms and what there was; all are tested."""
+    for place in range(slab.count):
+        t = _test(slab, block.geoms, place, bundle)
+        closer = (t < best[0]) & (block.geoms[place, OWNER] != bundle.viewer)
+        best = (jnp.where(closer, t, best[0]), jnp.where(closer, slab.first + place, best[1]))
+    return best
+
+
+def _cone(start: Sequence[jax.Array], along: Sequence[jax.Array]) -> Cone:
+    """As `bundles.cones`, of one bundle by components (size,)."""
+    count = start[0].shape[0]
+    tip, axis = [x.sum() / count for x in start], [x.sum() for x in along]
+    length = jnp.sqrt(jnp.maximum(sum(x * x for x in axis), TINY))
+    axis = [x / length for x in axis]
+    cosine = jnp.min(sum(x * y for x, y in zip(along, axis, strict=True)))
+    slope = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0)) / jnp.maximum(cosine, WIDE) + NARROW
+    thick = jnp.sqrt(jnp.max(sum((x - y) * (x - y) for x, y in zip(start, tip, strict=True)))) + SLACK
+    return Cone(tip, axis, thick, jnp.where(cosine < WIDE, -1.0, slope))
+
+
+def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
+    *blocks, origin, direction, viewer, wanted, distance, which = refs
+    rays = origin.shape[0]
+    lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)
+    begin = pl.program_id(0) * bundle
+    ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, rays) - 1)  # lanes left over: the last ray
+    start, along = (tuple(x[ray, i] for i in range(3)) for x in (origin, direction))
+    looker = viewer[0].astype(jnp.float32)
+    this = _Bundle(start=start, along=along, cone=_cone(start, along), viewer=looker)
+    nothing = (jnp.full(ray.shape, reach, jnp.float32), jnp.full(ray.shape, -1, jnp.int32))
+
+    def look(best: Best) -> Best:
+        return _first(slabs, blocks, this, best)
+
+    best = jax.lax.cond(wanted[0] > 0, look, lambda best: best, nothing)
+    distance[ray], which[ray] = best  # lanes left over say the same as the last one
+
+
+def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
+    """Return the best of all geoms and what there was."""
+    for slab, block in zip(slabs, map(Packed, blocks[::2], blocks[1::2]), strict=True):
+        room = block.fields.shape[1]
+        width = min(room, CHUNK)
+        look = partial(_chunk, slab, block, width, bundle)
+        if slab.count <= FEW:
+            best = _all(slab, block, bundle, best)
+        elif room == width:
+            best = look(0, best)
+        else:
+            best = jax.lax.fori_loop(0, room // width, look, best)
+    return best
+
+
+def nearest_of_bundles(
+    work: Sequence[tuple[Slab, Packed]],
+    rays: tuple[jax.Array, jax.Array],
+    who: tuple[jax.Array, jax.Array],
+    *,
+    bundle: int,
+    reach: float,
+    interpret: bool = False,
+) -> tuple[jax.Array, jax.Array]:
+    """Return distance (the reach for none) and place of what each ray meets first, both (rays,).
+
+    Args:
+        work: The geoms, from `pack`.
+        rays: Starts [m] (rays, 3) and unit vectors (rays, 3).
+        who: Whose geoms are left out (), and whether to cast the rays at all ().
+        bundle: See `raycast.Gaze`.
+        reach: See `raycast.Gaze` [m].
+        interpret: Run on any device, slowly.
+    """
+    count = len(rays[0])
+    asked = [number.astype(jnp.int32)[None] for number in who]
+    arrays = [*(array for _, block in work for array in block), *rays, *asked]
+    slabs = tuple(slab for slab, _ in work)
+    return pl.pallas_call(
+        partial(_program, slabs=slabs, bundle=bundle, reach=min(reach, FAR)),
+        grid=(-(-count // bundle),),
+        in_specs=[pl.BlockSpec(array.shape, lambda i, n=array.ndim: (0,) * n) for array in arrays],
+        out_specs=[pl.BlockSpec((count,), lambda i: (0,))] * 2,
+        out_shape=[jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32)],
+        compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
+        interpret=interpret,
+    )(*arrays)

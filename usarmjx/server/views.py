@@ -1,0 +1,124 @@
+"""What an image client sees: which cameras of a served world, where in its picture, with traces."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+
+import jax
+import numpy as np
+
+from usarmjx.cameras.picture import Picture
+from usarmjx.models.plan import Bodies, BodyPlan, body_poses
+from usarmjx.models.state import RobotState
+from usarmjx.server.dots import Eye, paint
+from usarmjx.server.host import HostWorld, Robot, Shot
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture made of pictures.
+
+    Attributes:
+        size: Width and height [pixels].
+        tiles: What is where: left, top. What no tile covers is black.
+    """
+
+    size: tuple[int, int]
+    tiles: tuple[tuple[Shot, int, int], ...] = ()
+
+    def compose(self, pictures: Mapping[Shot, np.ndarray]) -> np.ndarray:
+        """Return the whole (height, width, 3) from the pictures of its tiles."""
+        width, height = self.size
+        whole = np.zeros((height, width, 3), np.uint8)
+        for shot, left, top in self.tiles:
+            part = pictures[shot]
+            whole[top : top + part.shape[0], left : left + part.shape[1]] = part
+        return whole
+
+
+def view_of(world: HostWorld, address: str, port: int, size: tuple[int, int]) -> View:
+    """Return what the image client at an address sees now.
+
+    If its view is tied to a camera, that one's picture: nothing while the robot is not there. Else all robots
+    with MultiView, or the viewports of the robot that has been there longest of those with cameras.
+    """
+    tied = world.ties.of(address, port)
+    if tied is not None:
+        robot = next((r for r in world.robots.values() if r.name.lower() == tied[0].lower()), None)
+        return View(size) if robot is None else _of_robot(robot, tied[1], size)
+    if world.multi_view is not None:
+        return _of_everybody(world, size)
+    robots = [robot for robot in world.robots.values() if robot.cameras]
+    if not robots:
+        return View(size)
+    return _of_robot(min(robots, key=lambda robot: (robot.born, robot.slot)), "", size)
+
+
+def _of_robot(robot: Robot, camera: str, size: tuple[int, int]) -> View:
+    """Return one camera's picture, or the robot's viewports."""
+    tiles = ((camera, 0, 0, 1),) if camera else robot.viewports.tiles()
+    found = []
+    for name, column, row, parts in tiles:
+        number = robot.camera(name)
+        if number is not None:
+            width, height = size[0] // parts, size[1] // parts
+            if (shot := _shot(robot, number, width, height)) is not None:
+                found.append((shot, column * width, row * height))
+    return View(size, tuple(found))
+
+
+def _shot(robot: Robot, camera: int, width: int, height: int) -> Shot | None:
+    """Return a shot of that size, a pixel narrower if two eyes have to share it; None if nothing is left."""
+    width -= width % len(robot.cameras[camera].eyes)
+    return Shot(robot, camera, width, height) if width and height else None
+
+
+def _of_everybody(world: HostWorld, size: tuple[int, int]) -> View:
+    tiles = []
+    for _, robot in sorted(world.robots.items()):
+        if world.multi_view is not None and robot.view >= 0:
+            left, top, width, height = world.multi_view.tile(robot.view, size)
+            if (shot := _shot(robot, 0, width, height)) is not None:
+                tiles.append((shot, left, top))
+    return View(size, tuple(tiles))
+
+
+def expose(world: HostWorld, shots: Sequence[Shot]) -> Callable[[], list[np.ndarray]]:
+    """Hold the world still; return what then takes pictures (height, width, 3), robots' traces in them.
+
+    The second half may run in another thread, while the world goes on.
+    """
+    if not shots:
+        return list
+    take = world.expose(shots)
+    if not world.traces.points:
+        return lambda: [picture.rgb for picture in take()]
+    places, colors = world.traces.arrays()
+    held = [(shot, world.state(shot.robot), shot.robot.fovs[shot.camera]) for shot in shots]
+
+    def develop() -> list[np.ndarray]:
+        pairs = zip(take(), held, strict=True)
+        return [_with_dots(picture, *what, places, colors) for picture, what in pairs]
+
+    return develop
+
+
+def _with_dots(
+    picture: Picture, shot: Shot, state: RobotState, fov: float, places: np.ndarray, colors: np.ndarray
+) -> np.ndarray:
+    camera = shot.robot.cameras[shot.camera]
+    bodies = jax.device_get(_poses(shot.robot.plan)(state))
+    mat = bodies.mat[camera.body]
+    turn, middle = mat @ camera.mat, bodies.pos[camera.body] + mat @ camera.at
+    rgb, depth = np.array(picture.rgb), np.asarray(picture.depth)
+    wide = shot.width // len(camera.eyes)
+    for number, offset in enumerate(camera.eyes):
+        part = np.s_[:, number * wide : (number + 1) * wide]
+        eye = Eye(place=middle + turn @ offset, turn=turn, fov=fov, camera=camera)
+        paint(rgb[part], depth[part], eye, places, colors)
+    return rgb
+
+
+@cache
+def _poses(plan: BodyPlan) -> Callable[[RobotState], Bodies]:
+    return jax.jit(partial(body_poses, plan))

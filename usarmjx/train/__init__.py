@@ -1,0 +1,1 @@
+"""Policies: tasks, environments over batches of worlds, hand-written baselines, training, evaluation."""

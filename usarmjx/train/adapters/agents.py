@@ -1,0 +1,90 @@
+"""What all adapters share: the robots of an environment as named agents, and its arrays by their names."""
+
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from usarmjx.errors import UsageError
+from usarmjx.transforms import Array
+
+if TYPE_CHECKING:
+    from usarmjx.train.env import Env, EnvState
+
+MOST_SEED = 2**31 - 1
+"""Seeds are drawn below this: an int32 holds them."""
+
+
+class Agent(NamedTuple):
+    """One robot: its name, its group and its place in that."""
+
+    name: str
+    group: int
+    place: int
+
+
+def agents_of(env: "Env") -> tuple[Agent, ...]:
+    """Return all robots of an environment, group by group."""
+    return tuple(
+        Agent(name, g, place) for g, group in enumerate(env.groups) for place, name in enumerate(group.agents)
+    )
+
+
+def check_one_world(env: "Env", library: str) -> None:
+    """Refuse an environment of several worlds.
+
+    Raises:
+        UsageError: It has another number of worlds than one.
+    """
+    if env.worlds != 1:
+        raise UsageError(
+            f"{library} has one world at a time: make {env.name} with worlds=1, not {env.worlds}"
+        )
+
+
+def check_one_group(env: "Env", purpose: str) -> None:
+    """Refuse an environment of several robot classes.
+
+    Raises:
+        UsageError: Its robots are of several classes; names them.
+    """
+    if len(env.groups) != 1:
+        names = ", ".join(group.name for group in env.groups)
+        raise UsageError(f"{purpose} needs robots of one class, but {env.name} has {names}")
+
+
+def stepper(env: "Env") -> "Callable[[EnvState, tuple[Array, ...]], EnvState]":
+    """Return the environment's step, compiled where it can be."""
+    return jax.jit(env.step) if env.traceable else env.step
+
+
+def by_agent(env: "Env", values: tuple[Any, ...]) -> dict[str, Any]:
+    """Return what each robot of the first world has of per-group arrays (worlds, robots, ...)."""
+    return {agent.name: values[agent.group][0, agent.place] for agent in agents_of(env)}
+
+
+def gather(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -> tuple[Any, ...]:
+    """Return the actions of one world's robots (action_size,) by group (1, robots, action_size).
+
+    Raises:
+        UsageError: A robot without an action, an action without a robot, or one of another size.
+    """
+    known = [agent.name for agent in agents_of(env)]
+    wrong = sorted({*known} ^ {*actions})
+    if wrong:
+        raise UsageError(f"an action for each of {', '.join(known)}; missing or unknown: {', '.join(wrong)}")
+    stacked = []
+    for group in env.groups:
+        rows = [xp.asarray(actions[name], xp.float32) for name in group.agents]
+        for name, row in zip(group.agents, rows, strict=True):
+            if row.shape != (group.action_size,):
+                raise UsageError(f"action of {name}: shape {row.shape}, expected ({group.action_size},)")
+        stacked.append(xp.stack(rows)[None])
+    return tuple(stacked)
+
+
+def drawn_seed(generator: np.random.Generator) -> int:
+    """Return a seed for an environment."""
+    return int(generator.integers(MOST_SEED))

@@ -1,0 +1,89 @@
+"""Brax: a batch as a `brax.envs.Env` whose batch axis is worlds times robots, for Brax's own tools."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env as BraxEnv
+from brax.envs.base import State
+
+from usarmjx.train.adapters.agents import MOST_SEED, check_one_group
+
+if TYPE_CHECKING:
+    from usarmjx.train.env import Env, EnvState
+
+
+class BatchedRobots(BraxEnv):
+    """An environment whose robots, of all worlds, are the batch of a Brax environment.
+
+    It is batched and restarts by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
+    `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs from
+    ends, `steps` of the running episode, `final_obs` before a restart, and `bad`: whether physics failed.
+    Where its engine is not traceable, so is `step`.
+
+    Args:
+        env: The environment.
+
+    Raises:
+        UsageError: Its robots are of several classes.
+    """
+
+    def __init__(self, env: "Env") -> None:
+        check_one_group(env, "Brax")
+        self.env = env
+        self._robots = len(env.groups[0].agents)
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers that a robot observes."""
+        return self.env.groups[0].obs_size
+
+    @property
+    def action_size(self) -> int:
+        """Numbers from -1 to 1 that a robot decides."""
+        return self.env.groups[0].action_size
+
+    @property
+    def backend(self) -> str:
+        """What moves it."""
+        return "mujoco"
+
+    def reset(self, rng: jax.Array) -> State:
+        """Return all worlds at their start.
+
+        Args:
+            rng: One key for all; of several (n,) the first counts.
+        """
+        key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+        seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MOST_SEED)
+        return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Let all robots act (worlds * robots, action_size)."""
+        before: Any = state.pipeline_state
+        size = (self.env.worlds, self._robots, self.action_size)
+        return self._state(self.env.step(before, (jnp.reshape(action, size),)))
+
+    def _spread(self, values: jax.Array) -> jax.Array:
+        """Return values by world (worlds,) by robot (worlds * robots,), as Brax's floats."""
+        return jnp.repeat(jnp.asarray(values, jnp.float32), self._robots)
+
+    def _rows(self, values: jax.Array) -> jax.Array:
+        return jnp.reshape(values, (-1, values.shape[-1]))
+
+    def _state(self, now: "EnvState") -> State:
+        told: Any = now
+        return State(
+            pipeline_state=told,
+            obs=self._rows(now.obs[0]),
+            reward=jnp.reshape(now.reward[0], -1),
+            done=self._spread(now.done),
+            metrics={name: self._spread(value) for name, value in now.metrics.items()},
+            info={
+                "truncation": self._spread(now.truncated),
+                "steps": self._spread(now.length),
+                "final_obs": self._rows(now.final_obs[0]),
+                "bad": self._spread(now.bad),
+                "score": self._spread(now.score),
+            },
+        )

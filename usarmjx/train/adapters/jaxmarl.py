@@ -1,0 +1,103 @@
+"""JaxMARL: one world as a `MultiAgentEnv`, to be mapped over many keys."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+from jaxmarl.environments.multi_agent_env import MultiAgentEnv
+from jaxmarl.environments.spaces import Box
+
+from usarmjx.errors import UsageError
+from usarmjx.train.adapters.agents import MOST_SEED, agents_of, by_agent, check_one_world, gather
+
+if TYPE_CHECKING:
+    from usarmjx.train.env import Env, EnvState
+
+Values = dict[str, jax.Array]
+
+
+class MultiAgentWorld(MultiAgentEnv):
+    """An environment of one world as a JaxMARL environment; map it over keys for more.
+
+    Its state is the `EnvState`. A key given to `reset` decides the world's numbers for good: it restarts by
+    itself, in its next arena, and draws what it needs from its own key, so the key of `step` is not used.
+
+    Infos have a row for each agent, as JaxMARL's wrappers and baselines expect: the task's metrics, its
+    `score`, `truncated`, and `bad`: whether physics failed. What agents observed at an episode's end is
+    `state.final_obs`.
+
+    Args:
+        env: The environment.
+
+    Raises:
+        UsageError: It has several worlds, or an engine that JAX cannot trace.
+    """
+
+    def __init__(self, env: "Env") -> None:
+        check_one_world(env, "JaxMARL's MultiAgentEnv")
+        if not env.traceable:
+            raise UsageError(
+                f"JaxMARL compiles its environments: make {env.name} with engine 'jax' or 'warp'"
+            )
+        roster = agents_of(env)
+        super().__init__(num_agents=len(roster))
+        self.env = env
+        self.agents = [agent.name for agent in roster]
+        for agent in roster:
+            group = env.groups[agent.group]
+            self.observation_spaces[agent.name] = Box(-jnp.inf, jnp.inf, (group.obs_size,))
+            self.action_spaces[agent.name] = Box(-1.0, 1.0, (group.action_size,))
+
+    @property
+    def name(self) -> str:
+        """The task's name."""
+        return self.env.name
+
+    @property
+    def agent_classes(self) -> dict[str, list[str]]:
+        """The robots by class."""
+        return {group.name: list(group.agents) for group in self.env.groups}
+
+    @partial(jax.jit, static_argnums=0)
+    def reset(self, key: jax.Array) -> "tuple[Values, EnvState]":
+        """Return observations (obs_size,) by agent, and the state, of a new world."""
+        state = self.env.reset(jax.random.randint(key, (), 0, MOST_SEED))  # type: ignore - a traced seed
+        return self.get_obs(state), state
+
+    def step_env(
+        self, key: jax.Array, state: "EnvState", actions: Values
+    ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
+        """Let all robots act; observations are those before a restart, the state is that after it."""
+        del key
+        state = self.env.step(state, gather(self.env, actions, jnp))
+        done = state.done[0]
+        dones = {**dict.fromkeys(self.agents, done), "__all__": done}
+        score = jnp.where(state.done, state.final_score, state.score)
+        infos = {**state.metrics, "score": score, "truncated": state.truncated, "bad": state.bad}
+        infos = {name: jnp.broadcast_to(value, (self.num_agents,)) for name, value in infos.items()}
+        return by_agent(self.env, state.final_obs), state, by_agent(self.env, state.reward), dones, infos
+
+    @partial(jax.jit, static_argnums=0)
+    def step(
+        self,
+        key: jax.Array,
+        state: "EnvState",
+        actions: Values,
+        reset_state: "EnvState | None" = None,
+    ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
+        """Let all robots act; after an episode's end go on at the next one's start, or at `reset_state`."""
+        _, state, rewards, dones, infos = self.step_env(key, state, actions)
+        if reset_state is not None:
+            state = jax.tree.map(partial(jnp.where, dones["__all__"]), reset_state, state)
+        return self.get_obs(state), state, rewards, dones, infos
+
+    def get_obs(self, state: "EnvState") -> Values:
+        """Return what each agent observes now (obs_size,)."""
+        return by_agent(self.env, state.obs)
+
+    @partial(jax.jit, static_argnums=0)
+    def get_avail_actions(self, state: "EnvState") -> Values:
+        """Return that every action is available (action_size,)."""
+        del state
+        return {agent: jnp.ones(self.action_spaces[agent].shape, bool) for agent in self.agents}

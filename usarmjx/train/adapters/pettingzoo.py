@@ -1,0 +1,129 @@
+"""PettingZoo: one world, whose robots are agents that act at the same time."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from usarmjx.errors import UsageError
+from usarmjx.train.adapters.agents import agents_of, by_agent, check_one_world, drawn_seed, gather, stepper
+
+if TYPE_CHECKING:
+    from usarmjx.train.env import Env, EnvState
+
+Values = dict[str, Any]
+
+
+class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
+    """An environment of one world as a `pettingzoo.ParallelEnv`.
+
+    An episode ends for all robots at once; what they observe then is the end of it, not the next start.
+    `reset` without a seed goes on with the episode after, in the next arena; in the middle of an episode it
+    starts anew from a seed that it draws.
+
+    Args:
+        env: The environment.
+        seed: Of the first episode, and of the seeds that are drawn.
+
+    Raises:
+        UsageError: It has several worlds.
+    """
+
+    def __init__(self, env: "Env", seed: int = 0) -> None:
+        check_one_world(env, "PettingZoo's ParallelEnv")
+        self.env = env
+        self.metadata = {"name": env.name, "render_modes": [], "is_parallelizable": True}
+        self.render_mode = None
+        self.possible_agents = [agent.name for agent in agents_of(env)]
+        self.agents: list[str] = []
+        self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {}
+        self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {}
+        for agent in agents_of(env):
+            group = env.groups[agent.group]
+            self.observation_spaces[agent.name] = spaces.Box(-np.inf, np.inf, (group.obs_size,), np.float32)
+            self.action_spaces[agent.name] = spaces.Box(-1.0, 1.0, (group.action_size,), np.float32)
+        self._step = stepper(env)
+        self._seed = seed
+        self._generator = np.random.default_rng(seed)
+        self._state: EnvState | None = None
+
+    def observation_space(self, agent: str) -> spaces.Space[np.ndarray]:
+        """Return what an agent observes: any numbers (obs_size,)."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[np.ndarray]:
+        """Return what an agent may do: numbers from -1 to 1 (action_size,)."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, Values]:
+        """Start an episode; no options are known, and any are ignored.
+
+        Returns:
+            Observations (obs_size,) and infos, by agent.
+        """
+        del options
+        if seed is not None:
+            self._generator = np.random.default_rng(seed)
+        elif self._state is None:
+            seed = self._seed
+        elif self.agents:
+            seed = drawn_seed(self._generator)
+        if seed is not None:
+            self._state = self.env.reset(seed)
+        self.agents = list(self.possible_agents)
+        obs = _copies(by_agent(self.env, jax.device_get(self._running.obs)))
+        return obs, {agent: {} for agent in self.agents}
+
+    @property
+    def _running(self) -> "EnvState":
+        if self._state is None:
+            raise UsageError(f"{self.env.name}: call reset first")
+        return self._state
+
+    def step(self, actions: Values) -> tuple[Values, Values, Values, Values, Values]:
+        """Let all robots act.
+
+        Returns:
+            Observations, rewards, whether the task has ended the episode, whether time has, and infos, by
+            agent. Infos have the task's metrics, its `score`, and `bad`: whether physics failed.
+
+        Raises:
+            UsageError: The episode is over, or not each robot has an action of its size.
+        """
+        before = self._running
+        if not self.agents:
+            raise UsageError(f"{self.env.name}: the episode is over; call reset")
+        self._state = self._step(before, gather(self.env, actions))
+        s = jax.device_get(self._state.replace(batch=None, memory=None))
+        done, truncated = bool(s.done[0]), bool(s.truncated[0])
+        info = {name: float(value[0]) for name, value in s.metrics.items()}
+        info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bool(s.bad[0])}
+        agents = list(self.agents)
+        rewards = {name: float(value) for name, value in by_agent(self.env, s.reward).items()}
+        if done:
+            self.agents = []
+        return (
+            _copies(by_agent(self.env, s.final_obs)),
+            rewards,
+            dict.fromkeys(agents, done and not truncated),
+            dict.fromkeys(agents, truncated),
+            {agent: dict(info) for agent in agents},
+        )
+
+    def state(self) -> np.ndarray:
+        """Return what only critics may know (privileged_size,)."""
+        done = not self.agents
+        now = self._running
+        return np.array((now.final_privileged if done else now.privileged)[0])
+
+    def render(self) -> None:
+        """Return nothing: there are no render modes."""
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
+
+
+def _copies(values: Values) -> Values:
+    return {name: np.array(value, np.float32) for name, value in values.items()}

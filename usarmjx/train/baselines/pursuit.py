@@ -1,0 +1,66 @@
+"""A convoy by hand: pure pursuit of a point of the lane ahead, and a constant time behind the car ahead."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.errors import UsageError
+from usarmjx.models.drives import Ackermann
+from usarmjx.train.env import Env
+from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.tasks.convoy import AHEAD, BEAMS, REACH, TOP, Convoy
+
+LOOKAHEAD = 3.0, 0.6
+"""Along the lane from the rear axle to the point that is steered for: at rest [m], and more per speed [s]."""
+LANE = 1.5
+"""What is nearer to the lane's middle than this is in the way [m]."""
+CATCH_UP = 1.25
+"""At most so many times the speed that is told, to close a gap."""
+
+
+def pursue(seen: jax.Array, task: Convoy) -> jax.Array:
+    """Return the action (2,) for one car's observation of `Convoy` (n,)."""
+    car = task.robots[0]
+    assert isinstance(car.drive, Ackermann)  # as `robots` says
+    speed, told = TOP * seen[3], TOP * seen[4]
+    points = REACH * seen[5 : 5 + 2 * len(AHEAD)].reshape(-1, 2)
+    goal = _between(points, LOOKAHEAD[0] + LOOKAHEAD[1] * speed)
+    # The circle through the rear axle, along the car's heading there, and the point.
+    bend = 2.0 * goal[1] / jnp.maximum((goal**2).sum(), 1e-3)
+    steer = jnp.arctan(car.wheel_base * bend) / car.drive.max_front_steer
+    gap = _gap(REACH * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
+    wanted = jnp.where(gap >= REACH, told, (gap - task.standstill) / task.headway)
+    catching = jnp.where(gap >= REACH, 1.0, CATCH_UP) * told
+    return jnp.clip(jnp.stack([jnp.clip(wanted, 0.0, catching) / TOP, steer]), -1.0, 1.0)
+
+
+def _between(points: jax.Array, along: jax.Array) -> jax.Array:
+    """Return the lane's point so far along from the rear axle [m] (2,)."""
+    return jnp.stack([jnp.interp(along, np.array(AHEAD), points[:, i]) for i in range(2)])
+
+
+def _gap(scan: jax.Array, points: jax.Array, front: float) -> jax.Array:
+    """Return how far away something in the lane is, by the scanner at `front` of the rear axle [m] ()."""
+    angle = np.linspace(-0.6, 0.6, BEAMS)
+    hit = jnp.stack([front + scan * np.cos(angle), scan * np.sin(angle)], -1)
+    x = jnp.arange(0.0, AHEAD[-1], 0.5)
+    lane = jnp.stack([jnp.interp(x, np.array(AHEAD), points[:, i]) for i in range(2)], -1)
+    aside = jnp.linalg.norm(hit[:, None] - lane, axis=-1).min(-1)
+    return jnp.where((aside < LANE) & (scan < 0.999 * REACH), scan, REACH).min()
+
+
+def pursuit(env: Env) -> Policy:
+    """Return the baseline of `convoy`; it has no memory.
+
+    Raises:
+        UsageError: Another task.
+    """
+    task = env.task
+    if not isinstance(task, Convoy):
+        raise UsageError(f"this policy drives in convoys, not in {env.name}")
+
+    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+        del key
+        return memory, (jax.vmap(jax.vmap(lambda seen: pursue(seen, task)))(obs[0]),)
+
+    return Policy(start=lambda worlds: (), act=act)

@@ -1,0 +1,42 @@
+"""Greedy placement of relays: everyone drives outward as long as it hears the one before it well."""
+
+import jax
+import jax.numpy as jnp
+
+from usarmjx.train.baselines.frontier import drive, frontier
+from usarmjx.train.env import Env
+from usarmjx.train.knowledge import SECTORS
+from usarmjx.train.policy import Actions, Observations, Policy
+
+STOP, SLOW = 0.1, 0.2
+"""Power above the cutoff, as observed, at which a robot stops, and up to which it is slow: 2 and 4 dB."""
+AWAY = 2.0 / 60.0
+"""Age of the last contact, as observed, from which a robot drives home without looking at powers."""
+
+
+def relay(env: Env) -> Policy:
+    """Return the policy for an environment of `relay-chain`; it has no memory.
+
+    The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
+    which leads outward, and stops where the signal of the one before it gets weak; so the first ones become
+    relays, and the last one goes farthest. Where the task's `talk` is none they do not look at the radio.
+    """
+    robots = env.scene.robots
+    if getattr(env.task, "talk", "all") == "none":
+        return frontier(env)
+
+    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+        del key
+        return memory, tuple(_chained(seen, robots) for seen in obs)
+
+    return Policy(start=lambda worlds: (), act=act)
+
+
+def _chained(seen: jax.Array, robots: int) -> jax.Array:
+    told = drive(seen)
+    slot = jnp.round(seen[..., 7 + SECTORS] * robots).astype(jnp.int32)
+    powers = seen[..., -(robots - 1) :]
+    before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]
+    age = seen[..., -robots]
+    go = jnp.where(age > AWAY, 1.0, jnp.clip((before - STOP) / (SLOW - STOP), 0.0, 1.0))
+    return told * go[..., None]

@@ -1,0 +1,47 @@
+"""Environments by the name of their task."""
+
+from dataclasses import fields, replace
+from typing import Any
+
+from usarmjx.errors import UnknownNameError
+from usarmjx.train import tasks  # noqa: F401 - these fill TASKS
+from usarmjx.train.env import Env
+from usarmjx.train.task import TASKS, Task
+
+
+def make_task(name: str, **overrides: Any) -> Task:  # noqa: ANN401 - fields of any task
+    """Return a registered task with some of its fields set otherwise.
+
+    Raises:
+        UnknownNameError: No such task, or a field that it does not have; lists those there are.
+    """
+    task = TASKS.get(name)
+    known = sorted(field.name for field in fields(task))
+    if bad := sorted(set(overrides) - set(known)):
+        raise UnknownNameError(f"task {name} has no field {', '.join(bad)}; it has: {', '.join(known)}")
+    return replace(task, **overrides)
+
+
+def make(
+    name: str,
+    worlds: int = 1,
+    engine: str = "auto",
+    seed: int = 0,
+    first: int = 0,
+    **overrides: Any,  # noqa: ANN401 - fields of any task
+) -> Env:
+    """Return the environment of a task, as `make("drive-to-goal", worlds=64, engine="c", arena="maze")`.
+
+    Args:
+        name: Of the task, case ignored.
+        worlds: How many.
+        engine: `warp`, `jax`, `c`, or `auto`.
+        seed: Of all random numbers, unless `reset` is given another.
+        first: Number of the first world. World k is the same alone as in a batch.
+        overrides: Fields of the task to set otherwise; see `Task` and the task's own.
+
+    Raises:
+        UnknownNameError: No such task, or a field that it does not have; lists those there are.
+        UsageError: A scene that cannot be built, or not run on this engine.
+    """
+    return Env(make_task(name, **overrides), worlds, name=name, engine=engine, seed=seed, first=first)

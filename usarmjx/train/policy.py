@@ -1,0 +1,24 @@
+"""What acts in an environment: pure functions with a memory."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+
+Observations = tuple[jax.Array, ...]
+Actions = tuple[jax.Array, ...]
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy of all groups of an environment.
+
+    Attributes:
+        start: Returns the memory at the start of an episode, for a number of worlds (worlds, ...).
+        act: Returns the memory and the actions, per group (worlds, robots, action_size), from the memory, the
+            observations, per group (worlds, robots, obs_size), and a random key. It is pure.
+    """
+
+    start: Callable[[int], Any]
+    act: Callable[[Any, Observations, jax.Array], tuple[Any, Actions]]

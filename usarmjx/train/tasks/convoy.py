@@ -1,0 +1,242 @@
+"""Cars follow the lane of a road one behind the other."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.errors import UsageError
+from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arenas.arda_roads import NETWORK
+from usarmjx.models.drives import Ackermann
+from usarmjx.models.route_network import RouteNetwork
+from usarmjx.models.spec import Mount, RobotSpec, options
+from usarmjx.scene import Scene
+from usarmjx.train.orders import Orders
+from usarmjx.train.recipe import Arenas, spec_of
+from usarmjx.train.task import Task, Verdict, View
+from usarmjx.train.tasks.lane import Way, closed_lane
+
+AHEAD = (3.0, 5.0, 8.0, 12.0, 17.0, 23.0)
+"""How far ahead of the rear axle the lane is observed [m]."""
+NEAR, REACH, TOP = 2.0, 20.0, 10.0
+"""What is observed as 1: sideways [m], ranges and the lane's points [m], speeds [m/s]."""
+FAN = options(MaxRange=REACH, MinRange=0.1, Resolution=0.1, ScanFov=1.2, ScanInterval=0.1, Noise=0.01)
+"""13 beams over 69 degrees: two meet a car that is 18 m ahead."""
+EYE = 0.6
+"""Height of the scanner above the road [m]: below it kerbs, above it the bonnets of low cars."""
+BEAMS = 13
+
+
+class ConvoyMemory(struct.PyTreeNode, kw_only=True):
+    """What the task remembers of an episode.
+
+    Attributes:
+        told: How fast to go [m/s] ().
+        ahead: Which car each one follows; -1: none (cars,).
+        along: How far along the lane the cars are; it goes on after once round [m] (cars,).
+        poses: What their INS told in the last step (cars, 6).
+        speeds: How fast they are by their INS [m/s] (cars,).
+        score: So far ().
+    """
+
+    told: jax.Array
+    ahead: jax.Array
+    along: jax.Array
+    poses: jax.Array
+    speeds: jax.Array
+    score: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convoy(Task):
+    """Follow the lane at the speed that is told, and the car ahead at a safe distance.
+
+    The cars start one behind the other in a lane that leads back to its beginning, in random order, `spacing`
+    apart from front to front. A speed is drawn from `speeds` for each episode.
+
+    Observation, of each car: how far its rear axle is to the left of the lane's middle (1: 2 m), sine and
+    cosine of its heading against the lane's, both by its INS, which sits on the rear axle; its speed by that
+    and the speed that is told (1: 10 m/s); the lane's middle at 3, 5, 8, 12, 17 and 23 m along the lane from
+    beside the rear axle, x forward and y left of that (1: 20 m); the 13 beams of a scanner on the front
+    bumper, from the right to the left over 1.2 rad (1: 20 m or nothing).
+
+    Action: speed (1: 10 m/s), FrontSteer (1: all that the car can do, to the left).
+
+    Of a step a car is worth from 0 to 1: its speed along the lane over the speed that was told, from 0 to 1;
+    but 0 unless its origin is within (width of the lane - width of the car) / 2 of the lane's middle; and for
+    one that follows another times 1 - |gap - wanted| / wanted, at least 0. The gap is along the lane from its
+    front to the rear end of the one ahead; wanted are `standstill` + `headway` times its speed along it.
+
+    Score: 100 times the mean of that over all cars and all steps of an episode of full length.
+
+    Reward: 100 times its worth over the number of steps, less `price` for a car that ends the episode.
+
+    The episode ends when the gap before a car is 0 or less, or its origin is farther from the lane's middle
+    than the lane is wide.
+
+    Attributes:
+        robot: Class of the cars: one that steers its front wheels.
+        count: How many.
+        network: The route network of the arena.
+        lane: Segment and lane.
+        spacing: Between the cars at the start [m].
+        speeds: Lowest and highest speed that is told [m/s].
+        standstill: Gap that is wanted at rest [m].
+        headway: More of it per speed [s].
+        price: Of ending the episode.
+    """
+
+    about: ClassVar[str] = "Cars follow a lane one behind the other."
+
+    arena: Arenas = "arda"
+    repeat: int = 5
+    episode_steps: int = 300
+    robot: str | RobotSpec = "Sedan"
+    count: int = 3
+    network: RouteNetwork = NETWORK
+    lane: tuple[int, int] = (1, 1)
+    spacing: float = 8.0
+    speeds: tuple[float, float] = (3.0, 6.0)
+    standstill: float = 3.0
+    headway: float = 1.0
+    price: float = 5.0
+
+    @cached_property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The cars, each with an INS on its rear axle and a scanner on its front bumper."""
+        car = spec_of(self.robot)
+        if not isinstance(car.drive, Ackermann) or car.drive.max_rear_steer > 0:
+            raise UsageError(f"a {car.name} in a convoy: expected a car that steers its front wheels only")
+        sensors = (
+            Mount(
+                kind="INS",
+                name="INS",
+                at=(-car.wheel_base / 2, 0.0, 0.0),
+                options=options(Sigma=0.01, ScanInterval=0.1),
+            ),
+            Mount(
+                kind="RangeScanner",
+                name="Front",
+                at=(car.dimensions[0] / 2, 0.0, car.origin_height - EYE),
+                options=FAN,
+            ),
+        )
+        return (replace(car, sensors=sensors),) * self.count
+
+    @cached_property
+    def way(self) -> Way:
+        """The lane's middle."""
+        return closed_lane(self.network, self.lane, self._arena.gps)
+
+    @property
+    def _arena(self) -> ArenaSpec:
+        if not isinstance(self.arena, str | ArenaSpec):
+            raise UsageError("a convoy drives in one arena: expected its name or description")
+        return ARENAS.get(self.arena) if isinstance(self.arena, str) else self.arena
+
+    @property
+    def arenas(self) -> ArenaSpec:
+        """The arena, with start poses in the lane, the first one in front."""
+        starts = []
+        for i in range(self.count):
+            along = jnp.float32(10.0 + self.spacing * (self.count - i))
+            (x, y), yaw = np.asarray(self.way.at(along)), float(self.way.heading(along))
+            at = (float(x), float(y), START_ELEVATION)
+            starts.append(StartPose(tag=f"Convoy{i + 1}", at=at, yaw=yaw))
+        return replace(self._arena, starts=tuple(starts))
+
+    def action_sizes(self, scene: Scene) -> tuple[int, ...]:
+        """Speed and steering."""
+        return (2,)
+
+    def act(self, view: View, memory: ConvoyMemory, actions: tuple[jax.Array, ...]) -> Orders:
+        """Speed and steering."""
+        drive = self.robots[0].drive
+        assert isinstance(drive, Ackermann)  # as `robots` says
+        speed, steer = actions[0][:, 0], actions[0][:, 1]
+        return Orders(
+            drive={0: {"Speed": TOP * speed / drive.radius, "FrontSteer": drive.max_front_steer * steer}}
+        )
+
+    def start(self, view: View, key: jax.Array) -> ConvoyMemory:
+        """Who follows whom, and how fast."""
+        along, _ = self.way.nearest(view.robots(0).pos[:, :2])
+        ahead = along[None, :] - along[:, None]
+        follows = jnp.argmin(jnp.where(ahead > 0, ahead, jnp.inf), -1)
+        low, high = self.speeds
+        return ConvoyMemory(
+            told=jax.random.uniform(key, minval=low, maxval=high),
+            ahead=jnp.where((ahead > 0).any(-1), follows, -1),
+            along=along,
+            poses=view.sensor(0, "INS"),
+            speeds=jnp.zeros(self.count),
+            score=jnp.zeros(()),
+        )
+
+    def observe(self, view: View, memory: ConvoyMemory) -> tuple[jax.Array, ...]:
+        """Lane and ranges, as the sensors have them."""
+        poses, scans = view.sensor(0, "INS"), view.sensor(0, "RangeScanner")
+        seen = jax.vmap(self._seen, in_axes=(0, 0, 0, None))(poses, memory.speeds, scans, memory.told)
+        return (seen,)
+
+    def _seen(self, pose: jax.Array, speed: jax.Array, scan: jax.Array, told: jax.Array) -> jax.Array:
+        along, left = self.way.nearest(pose[:2])
+        off, yaw = pose[5] - self.way.heading(along), pose[5]
+        way = self.way.at(along + np.array(AHEAD, np.float32)) - pose[:2]
+        cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+        points = jnp.stack([way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin], -1)
+        return jnp.concatenate(
+            [
+                jnp.stack([left / NEAR, jnp.sin(off), jnp.cos(off), speed / TOP, told / TOP]),
+                points.ravel() / REACH,
+                jnp.clip(scan / REACH, 0.0, 1.0),
+            ]
+        )
+
+    def privileged(self, view: View, memory: ConvoyMemory) -> jax.Array:
+        """How far to the left cars truly are [m], their speeds [m/s], the gaps before them, at most 50 m."""
+        robots = view.robots(0)
+        _, left = self.way.nearest(robots.pos[:, :2])
+        gap = jnp.minimum(self.gaps(memory.along, memory.ahead), 50.0)
+        return jnp.concatenate([left, jnp.linalg.norm(robots.linear[:, :2], axis=-1), gap])
+
+    def gaps(self, along: jax.Array, ahead: jax.Array) -> jax.Array:
+        """Return the gaps before cars, infinite where there is none to follow [m] (cars,)."""
+        return jnp.where(ahead < 0, jnp.inf, along[ahead] - along - self.robots[0].dimensions[0])
+
+    def judge(self, view: View, memory: ConvoyMemory) -> Verdict:
+        """What each car's step is worth."""
+        period = self.repeat * view.scene.physics.period
+        here, left = self.way.nearest(view.robots(0).pos[:, :2])
+        length = self.way.length
+        moved = jnp.mod(here - memory.along + length / 2, length) - length / 2
+        along, speed = memory.along + moved, moved / period
+        gap = self.gaps(along, memory.ahead)
+        wanted = self.standstill + self.headway * jnp.maximum(speed, 0.0)
+        kept = jnp.where(memory.ahead < 0, 1.0, jnp.clip(1.0 - jnp.abs(gap - wanted) / wanted, 0.0, 1.0))
+        inside = jnp.abs(left) <= (self.way.width - self.robots[0].dimensions[1]) / 2
+        worth = jnp.clip(speed / memory.told, 0.0, 1.0) * inside * kept
+        lost = (gap <= 0.0) | (jnp.abs(left) > self.way.width)
+        poses = view.sensor(0, "INS")
+        # By the INS: how far along its heading it has come since the last step.
+        way, yaw = poses[:, :2] - memory.poses[:, :2], poses[:, 5]
+        by_ins = (way[:, 0] * jnp.cos(yaw) + way[:, 1] * jnp.sin(yaw)) / period
+        score = memory.score + 100.0 * worth.mean() / self.episode_steps
+        return Verdict(
+            memory=memory.replace(along=along, poses=poses, speeds=by_ins, score=score),
+            reward=(100.0 * worth / self.episode_steps - self.price * lost,),
+            terminated=lost.any(),
+            score=score,
+            metrics={
+                "worth": worth.mean(),
+                "sideways": jnp.abs(left).max(),
+                "gap_error": jnp.where(memory.ahead < 0, 0.0, jnp.abs(gap - wanted)).max(),
+                "lost": lost.any(),
+            },
+        )

@@ -1,0 +1,124 @@
+"""One robot drives to a place that it is told: the first task, for any class of robot that has a drive."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.models.spec import Mount, RobotSpec
+from usarmjx.train.recipe import spec_of
+from usarmjx.train.task import Task, Verdict, View
+from usarmjx.train.tasks.ranges import first_kind, ranges
+
+FAR = 10.0
+"""A goal farther away than this is seen at this distance [m]."""
+
+
+class GoalMemory(struct.PyTreeNode, kw_only=True):
+    """What the task remembers of an episode.
+
+    Attributes:
+        goal: Where to go [m] (2,).
+        distance: How far the robot's origin is from there [m] ().
+    """
+
+    goal: jax.Array
+    distance: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveToGoal(Task):
+    """Drive to a place in the plane that is drawn for each episode from the arena's start poses.
+
+    Observation: the goal as the pose sensor has it - cosine and sine of its bearing, its distance as a share
+    of 10 m and of 1 m, both at most 1 - then the robot's range readings, see `ranges`.
+
+    Action: each key of DRIVE, as a share of what the robot can do.
+
+    Reward: metres by which the robot's origin came nearer to the goal, `bonus` on arrival, less `haste`.
+
+    Score: 1 once the robot's origin has been within `radius` of the goal, in the plane; else 0. With that
+    the episode ends.
+
+    Attributes:
+        robot: Class of the robot, or its description.
+        pose: The sensor that tells it where it is: INS or GroundTruth.
+        ranges: Types of range sensors; the first of them that the robot has is read.
+        radius: So near is there [m].
+        nearest: Goals are at least so far from the start, if there are such [m].
+        bonus: Reward on arrival.
+        haste: Price of a step.
+    """
+
+    about: ClassVar[str] = "One robot drives to a place."
+
+    robot: str | RobotSpec = "P2AT"
+    pose: str = "INS"
+    ranges: tuple[str, ...] = ("Sonar", "RangeScanner", "IR")
+    radius: float = 0.5
+    nearest: float = 2.0
+    bonus: float = 2.0
+    haste: float = 0.02
+
+    @property
+    def robots(self) -> tuple[str | RobotSpec, ...]:
+        """The one robot."""
+        return (self.robot,)
+
+    @property
+    def equipment(self) -> tuple[str | Mount, ...]:
+        """The sensors that are read, unless `sensors` says otherwise."""
+        if self.sensors is not None:
+            return self.sensors
+        kind = first_kind(spec_of(self.robot), self.ranges)
+        return (self.pose,) if kind is None else (self.pose, kind)
+
+    def start(self, view: View, key: jax.Array) -> GoalMemory:
+        """Draw a goal."""
+        here = view.robots(0).pos[0, :2]
+        places = view.starts[:, :2]
+        away = jnp.linalg.norm(places - here, axis=-1)
+        far = away >= jnp.minimum(self.nearest, away.max())
+        goal = places[jnp.argmax(jnp.where(far, jax.random.uniform(key, far.shape), -1.0))]
+        return GoalMemory(goal=goal, distance=jnp.linalg.norm(goal - here))
+
+    def observe(self, view: View, memory: GoalMemory) -> tuple[jax.Array, ...]:
+        """Goal and ranges."""
+        pose = view.sensor(0, self.pose)[0]
+        return (jnp.concatenate([bearing(pose, memory.goal)[None], ranges(view, 0, self.ranges)], -1),)
+
+    def privileged(self, view: View, memory: GoalMemory) -> jax.Array:
+        """The way to the goal as it is [m] (2,), and the robot's speed [m/s] (3,) and turning rate."""
+        robot = view.robots(0)
+        return jnp.concatenate([memory.goal - robot.pos[0, :2], robot.linear[0], robot.angular[0, 2:]])
+
+    def judge(self, view: View, memory: GoalMemory) -> Verdict:
+        """Progress and arrival."""
+        distance = jnp.linalg.norm(memory.goal - view.robots(0).pos[0, :2])
+        there = distance <= self.radius
+        reward = memory.distance - distance + self.bonus * there - self.haste
+        return Verdict(
+            memory=memory.replace(distance=distance),
+            reward=(reward[None],),
+            terminated=there,
+            score=there.astype(jnp.float32),
+            metrics={"distance": distance},
+        )
+
+
+def bearing(pose: jax.Array, goal: jax.Array) -> jax.Array:
+    """Return how a robot at a pose (6,) sees a place (2,): cosine and sine, far and near distance (4,)."""
+    way, yaw = goal - pose[:2], pose[5]
+    distance = jnp.linalg.norm(way)
+    ahead, left = way / jnp.maximum(distance, 1e-6)
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    return jnp.stack(
+        [
+            ahead * cos + left * sin,
+            left * cos - ahead * sin,
+            jnp.minimum(distance / FAR, 1.0),
+            jnp.minimum(distance, 1.0),
+        ]
+    )

@@ -1,0 +1,86 @@
+"""A team explores a building."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from usarmjx.models.spec import RobotSpec
+from usarmjx.train.equip import mapper
+from usarmjx.train.maps import FREE
+from usarmjx.train.task import Verdict, View
+from usarmjx.train.tasks.team import TeamMemory, TeamTask, coverage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explore(TeamTask):
+    """See as much of a building as possible, as early as possible, and let the others know.
+
+    Observation and action: see `TeamTask`.
+
+    Score, over the n steps of an episode:
+    - 50 times the mean over all steps of the share of the building that the team has explored;
+    - 50 times the mean over all steps and robots of the share of it that is on a robot's map;
+    - less `price` for every contact.
+    The building is the squares of 0.3 m whose middles a robot of class `passing` gets to. Such a square is
+    explored once the scanner of any robot has truly seen it to be free (`maps.look`, drawn from where the
+    scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by what
+    others wrote. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
+
+    Reward: what a step adds to the final score, shared out: a square explored in step k of n adds
+    50 (n - k + 1) / n over the number of squares, of which `share` goes to all in equal parts and the rest to
+    the robot that saw it; what comes onto maps goes to all in equal parts; contacts cost those that touch.
+    All rewards of an episode add up to its score less what the first scans are worth.
+
+    Attributes:
+        robot: Class of the robots.
+        count: How many.
+        share: Of what a robot finds, what it must share with all.
+    """
+
+    about: ClassVar[str] = "A team explores a building."
+
+    episode_steps: int = 300
+    robot: str | RobotSpec = "P2AT"
+    count: int = 4
+    share: float = 0.5
+
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The team."""
+        return (mapper(self.robot),) * self.count
+
+    def start(self, view: View, key: jax.Array) -> TeamMemory:
+        """What the first scans show is on the maps."""
+        memory = super().start(view, key)
+        return memory.replace(extra=memory.reachable & (memory.mind.squares == FREE))
+
+    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+        """What was explored, what came onto maps, and who touched something."""
+        steps, scene = self.episode_steps, view.scene
+        left = (steps - memory.step) / steps  # this step's number is one more
+        first = 50.0 * (coverage(memory) + on_maps(memory))
+        memory, credit, begun = self.step_on(view, memory)
+        before, memory = (
+            on_maps(memory),
+            memory.replace(extra=memory.extra | (memory.reachable & (memory.mind.squares == FREE))),
+        )
+        found = 50.0 * left * ((1 - self.share) * credit + self.share * credit.mean())
+        told = 50.0 * left * (on_maps(memory) - before) / scene.robots
+        reward = found + told - self.price * begun
+        score = memory.score + jnp.where(memory.step == 1, first, 0.0) + reward.sum()
+        memory = memory.replace(score=score)
+        return Verdict(
+            memory=memory,
+            reward=self.per_group(scene, reward),
+            terminated=jnp.zeros((), bool),
+            score=score,
+            metrics={**self.metrics(memory), "known": on_maps(memory)},
+        )
+
+
+def on_maps(memory: TeamMemory) -> jax.Array:
+    """Return the share of the building that is on a map, on average over the robots ()."""
+    squares = jnp.maximum(memory.reachable.sum(), 1)
+    return memory.extra.sum((1, 2)).mean() / squares

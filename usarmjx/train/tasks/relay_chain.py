@@ -1,0 +1,157 @@
+"""A chain of robots carries the radio of a base as far into a building as it can."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.comms.connectivity import reachable
+from usarmjx.models.spec import RobotSpec
+from usarmjx.train import knowledge
+from usarmjx.train.buildings import Buildings
+from usarmjx.train.equip import mapper, station
+from usarmjx.train.knowledge import Knowledge
+from usarmjx.train.recipe import Arenas
+from usarmjx.train.task import Verdict, View
+from usarmjx.train.tasks.team import WIDE, TeamMemory, TeamTask, base_of, local
+from usarmjx.train.wavefront import FAR, distances, frontier, passable
+
+OUTWARD = 3.0
+"""So many squares of way is a square worth that lies one square farther from the base."""
+SEEN = 10.0
+"""So many squares longer seems the way to a square that is no frontier."""
+LOST = 2.0
+"""A robot that has had no contact with the base for so long goes home [s]."""
+LOUD = 20.0
+"""So far above the cutoff a signal is seen as 1 [dB]."""
+
+
+class Chain(struct.PyTreeNode, kw_only=True):
+    """What the task remembers of the chain.
+
+    Attributes:
+        depth: How far each square is from the base along the ground, as a share of that of the farthest; 0
+            where no robot gets to (i, j).
+        linked: Which robots reach the base now (robots,).
+    """
+
+    depth: jax.Array
+    linked: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelayChain(TeamTask):
+    """Keep the base connected while the front robot goes as far as it can.
+
+    A base station stands at the first start pose. The depth of a robot is the length of the shortest way from
+    the base to its square over squares that a robot of class `passing` gets to, as a share of that of the
+    deepest square; a robot outside of such squares has no depth.
+
+    Score: 100 times the mean over all steps of the depth of the deepest robot that reaches the base at that
+    moment, over any number of links; less `price` for every contact.
+
+    Observation: as `TeamTask`, but that the way leads away from the base, see `decide`; then the way home to
+    the base (x, y; 1 is 6 m), how long ago it had contact with it (1: 60 s), and the power received from each
+    of the others, the base first, above the cutoff (1: 20 dB; -1: that much below, or nothing).
+
+    Action: as `TeamTask`.
+
+    Reward: what a step adds to the score, in equal parts to all.
+
+    Attributes:
+        robot: Class of the robots.
+        count: How many.
+    """
+
+    about: ClassVar[str] = "Robots carry the radio of a base into a building."
+
+    arena: Arenas = field(default_factory=Buildings)
+    episode_steps: int = 400
+    robot: str | RobotSpec = "P2AT"
+    count: int = 5
+
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The base, and the team."""
+        return (station(), *(mapper(self.robot),) * self.count)
+
+    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+        """Look at the radio."""
+        base = base_of(view.scene)
+        if view.world.links is None or base is None or self.talk == "none":
+            return mind
+        return knowledge.touch_base(mind, view.links.in_range, base, view.time)
+
+    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+        """Away from the base, as the crow flies, to frontiers first; home when the contact is lost.
+
+        With `talk` at none nobody goes home.
+        """
+        grid, base = self.ground(view.scene).grid, base_of(view.scene)
+        squares = mind.squares
+        gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1) / grid.cell
+        worth = OUTWARD * (gap.max() - gap)
+        away = jax.vmap(lambda m: jnp.where(passable(m), worth + SEEN * ~frontier(m), FAR))(squares)
+        home = (view.time - mind.contact > LOST) & (self.talk != "none")
+        doorstep = jnp.where(gap * grid.cell < knowledge.DOORSTEP, gap, FAR)
+        wanted = jnp.where(home[:, None, None], doorstep, away)
+        return knowledge.plan(grid, mind, view.time, self.minds(view.scene), wanted)
+
+    def start(self, view: View, key: jax.Array) -> TeamMemory:
+        """Measure how deep the building is."""
+        memory = super().start(view, key)
+        grid, base = self.ground(view.scene).grid, base_of(view.scene)
+        here = grid.index(memory.mind.pose[base, :2])
+        inside = memory.reachable.at[here[0], here[1]].set(True)
+        begin = jnp.full(grid.shape, FAR).at[here[0], here[1]].set(0.0)
+        far = distances(begin, inside)
+        there = memory.reachable & (far < FAR)
+        deepest = jnp.where(there, far, 0.0).max()
+        chain = Chain(
+            depth=jnp.where(there, far / jnp.maximum(deepest, 1.0), 0.0),
+            linked=jnp.zeros(view.scene.robots, bool),
+        )
+        return memory.replace(extra=chain)
+
+    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+        """How deep the chain reaches."""
+        scene, grid = view.scene, self.ground(view.scene).grid
+        memory, _, begun = self.step_on(view, memory)
+        chain, agents = memory.extra, self.agents(scene)
+        linked = reachable(view.links.in_range, base_of(scene))
+        depths = jnp.zeros(scene.robots)
+        for team, members in enumerate(scene.teams):
+            there = grid.index(view.robots(team).pos[:, :2])
+            depths = depths.at[members.slots].set(chain.depth[there[:, 0], there[:, 1]])
+        reach = jnp.where(linked, depths, 0.0).max()
+        gain = 100.0 * reach / self.episode_steps - self.price * begun.sum()
+        memory = memory.replace(extra=chain.replace(linked=linked), score=memory.score + gain)
+        return Verdict(
+            memory=memory,
+            reward=self.per_group(scene, jnp.full(scene.robots, gain / len(agents))),
+            terminated=jnp.zeros((), bool),
+            score=memory.score,
+            metrics={
+                **self.metrics(memory),
+                "reach": reach,
+                "deepest": depths.max(),
+                "connected": linked[agents].mean(),
+            },
+        )
+
+    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+        """As `TeamTask`, and the way home, the last contact, and the powers."""
+        mind, robots = memory.mind, view.scene.robots
+        home = local(mind.pose, mind.pose[base_of(view.scene), :2]) / WIDE
+        age = jnp.clip((view.time - mind.contact) / 60.0, 0.0, 1.0)[:, None]
+        others = knowledge.others(robots)
+        rows = jnp.arange(robots)[:, None]
+        cutoff = 0.0 if self.radio is None else self.radio.cutoff
+        margin = jnp.clip((view.links.power[rows, others] - cutoff) / LOUD, -1.0, 1.0)
+        return jnp.concatenate([super().sights(view, memory), home, age, margin], -1)
+
+    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+        """As `TeamTask`, and who reaches the base."""
+        return jnp.concatenate([super().privileged(view, memory), memory.extra.linked])

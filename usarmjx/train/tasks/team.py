@@ -1,0 +1,388 @@
+"""What the tasks for teams have in common: maps, messages about them, contacts, observations."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
+from usarmjx.scene import Scene, Team
+from usarmjx.sensors.motion import wrap
+from usarmjx.train import knowledge
+from usarmjx.train.buildings import Buildings, Ground, ground_of, reachable_of
+from usarmjx.train.clearance import clearance
+from usarmjx.train.equip import flies, pose_sensor
+from usarmjx.train.knowledge import HEADER, Knowledge, Minds, Scan, ignorance
+from usarmjx.train.maps import FREE, MARK, UNKNOWN, WALL, around, look
+from usarmjx.train.orders import Orders
+from usarmjx.train.recipe import Arenas
+from usarmjx.train.task import Task, View
+from usarmjx.transforms import flip_angles, flip_vector
+
+Talk = Literal["all", "base", "none"]
+
+STATION = "ComStation"
+WALLED = RadioSettings(pdo=-40.0, do=1.0, n=2.0, cutoff=-50.0, max_obs=8, atten_fac=6.0)
+"""A radio for which walls are walls: 3.2 m in the open, half of that behind one, a quarter behind two."""
+PERFECT = RadioSettings(cutoff=-1e6)
+"""A radio that is always heard."""
+WIDTH, SPACING = 11, 0.6
+"""Places along a side of the map that a robot sees around itself, and the distance between two [m]."""
+NEAR, WIDE, LONG = 1.2, 6.0, 60.0
+"""What is seen as 1: the distance of the next place on the way [m], that of robots and goals [m], the length
+of a way [squares]."""
+STILL = 0.5
+"""So far a robot has come lately, if it drives [m]."""
+
+
+class TeamMemory(struct.PyTreeNode, kw_only=True):
+    """What team tasks remember of an episode.
+
+    Attributes:
+        mind: What each robot knows (robots, ...).
+        step: Actions so far ().
+        reachable: Which squares a robot gets to (i, j).
+        explored: Which of them the team's scanners have truly seen to be free (i, j).
+        touching: Which robots touch something (robots,).
+        contacts: How often robots began to touch something ().
+        unlinked: Sum over steps of the share of pairs of robots that have no link ().
+        score: So far ().
+        extra: The task's own.
+    """
+
+    mind: Knowledge
+    step: jax.Array
+    reachable: jax.Array
+    explored: jax.Array
+    touching: jax.Array
+    contacts: jax.Array
+    unlinked: jax.Array
+    score: jax.Array
+    extra: Any = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeamTask(Task):
+    """A team of robots with scanners and radios in generated buildings.
+
+    Each robot draws a map of what its scanner shows, at the place where its INS says it is. With every action
+    it writes to the others: where it is, where it is going, and its map; what they get they draw into theirs.
+    The messages are mail and go over links that hold; from robot to robot news travels by one link a step.
+
+    Observation, in the robot's axes (x ahead, y to the left):
+    - the way to the nearest frontier of its map, see `knowledge.plan`: the next place on it (x, y; 1 is
+      1.2 m), where it leads (x, y; 1 is 6 m), its length (1: 60 squares or none), how far the robot has come
+      lately (1: 0.5 m);
+    - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
+    - the share of the time that is left, and its place among the robots;
+    - for each other robot, the base too: where it said to be (x, y; 1 is 6 m), the age of that (1: 20 s or
+      never), whether there is a link now;
+    - its map around it, 11 x 11 places 0.6 m apart: walls (1, else 0), then what is unknown.
+
+    Action: speed and turn to the left, as shares of the wheels' highest speed: the left wheels get their
+    difference, the right ones their sum.
+
+    Attributes:
+        cell: Side of a map's squares [m].
+        passing: Class of the robot that decides which squares are reached.
+        talk: Who is written to: all others, the base station only, or nobody.
+        touch: What is so near is touched [m].
+        price: Of a contact, in points of the score.
+    """
+
+    reports: ClassVar[bool] = False
+    """Whether robots that do not write to each other still write to the base."""
+
+    arena: Arenas = field(default_factory=Buildings)
+    repeat: int = 10
+    episode_steps: int = 500
+    radio: RadioSettings | None = WALLED
+    shuffle: bool = False
+    cell: float = 0.3
+    passing: str = "P2AT"
+    talk: Talk = "all"
+    touch: float = 0.01
+    price: float = 0.2
+
+    def scene(self) -> Scene:
+        """Return the scene, with room for maps in its messages if nothing else is said."""
+        scene = super().scene()
+        if self.mail is not None or self.radio is None:
+            return scene
+        others, numbers = max(scene.robots - 1, 1), HEADER + self.ground(scene).grid.numbers
+        mail = MailSettings(numbers=numbers, capacity=others, budget=BYTES_PER_NUMBER * numbers * others)
+        return replace(scene, mail=mail)
+
+    def ground(self, scene: Scene) -> Ground:
+        """Return the squares of the scene's arenas."""
+        return ground_of(scene.arenas or scene.arena, self.cell, self.passing)
+
+    def action_sizes(self, scene: Scene) -> tuple[int, ...]:
+        """Speed and turn."""
+        return (2,) * len(self.groups(scene))
+
+    def agents(self, scene: Scene) -> np.ndarray:
+        """Return the slots of the robots that are agents, group by group."""
+        return np.concatenate([scene.teams[team].slots for team in self.groups(scene)])
+
+    def per_group(self, scene: Scene, values: jax.Array) -> tuple[jax.Array, ...]:
+        """Return values of all slots (robots, ...) per group."""
+        return tuple(values[scene.teams[team].slots] for team in self.groups(scene))
+
+    # What the robots learn.
+
+    def poses(self, view: View) -> jax.Array:
+        """Return where the robots believe to be: x, y [m], yaw [rad], by slot (robots, 3)."""
+        told = jnp.zeros((view.scene.robots, 3))
+        for team, members in enumerate(view.scene.teams):
+            pose = view.sensor(team, pose_sensor(members.robot))
+            told = told.at[members.slots].set(pose[:, (0, 1, 5)])
+        return told
+
+    def learn(self, view: View, mind: Knowledge) -> Knowledge:
+        """Return what the robots know after they looked at their sensors and mail, and thought."""
+        grid = self.ground(view.scene).grid
+        mind = knowledge.moved(mind, self.poses(view))
+        if view.world.mail is not None:
+            period = self.repeat * view.scene.physics.period
+            mind = knowledge.listen(grid, mind, view.mail, period)
+        for team, members in enumerate(view.scene.teams):
+            if has_scanner(members):
+                mind = knowledge.see(grid, mind, self._scan(view, team, mind.pose[members.slots]), view.time)
+        mind = self.notice(view, mind)
+        return self.decide(view, mind)
+
+    def _scan(self, view: View, team: int, poses: jax.Array) -> Scan:
+        members = view.scene.teams[team]
+        sensor = members.suite.sensors[members.suite.place("RangeScanner")]
+        return Scan(
+            slots=members.slots,
+            settings=sensor.settings[0],
+            poses=scanner_poses(members, poses),
+            ranges=view.sensor(team, "RangeScanner"),
+            fresh=view.fresh(team, "RangeScanner"),
+        )
+
+    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+        """Return what the robots know after they looked for what the task is about; by default nothing."""
+        del view
+        return mind
+
+    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+        """Return what the robots know after they thought about where to go: to a frontier."""
+        return knowledge.plan(self.ground(view.scene).grid, mind, view.time, self.minds(view.scene))
+
+    def minds(self, scene: Scene) -> Minds:
+        """Return how the robots think; nobody minds what does not move."""
+        flyers, agents = np.zeros(scene.robots, bool), np.zeros(scene.robots, bool)
+        for team in scene.teams:
+            flyers[team.slots] = flies(team.robot)
+        agents[self.agents(scene)] = True
+        peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.robots, dtype=bool)
+        return Minds(peers=peers, flyers=flyers)
+
+    def recipients(self, scene: Scene) -> np.ndarray:
+        """Return who writes to whom (robots, robots)."""
+        to = ~np.eye(scene.robots, dtype=bool)
+        if self.talk == "all":
+            return to
+        base = base_of(scene)
+        if self.talk == "none" or base is None:
+            return np.zeros_like(to)
+        return to & (np.arange(scene.robots) == base)
+
+    def act(self, view: View, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Orders:
+        """Return what the robots are told."""
+        groups = zip(self.groups(view.scene), actions, strict=True)
+        drive = {team: self.steer(view, memory, view.scene.teams[team], told) for team, told in groups}
+        to = jnp.asarray(self.recipients(view.scene))
+        flyers = self.minds(view.scene).flyers
+        letters = None if view.world.mail is None else knowledge.letters(memory.mind, to, flyers)
+        return Orders(drive=drive, letters=letters)
+
+    def steer(self, view: View, memory: TeamMemory, team: Team, told: jax.Array) -> dict[str, jax.Array]:
+        """Return numbers for the keys of DRIVE of a team's robots from their actions (robots, 2)."""
+        del view, memory
+        full = team.robot.drive.full
+        sides = {"Left": told[:, 0] - told[:, 1], "Right": told[:, 0] + told[:, 1]}
+        return {key: jnp.clip(value, -1.0, 1.0) * full[key] for key, value in sides.items()}
+
+    # What is judged.
+
+    def start(self, view: View, key: jax.Array) -> TeamMemory:
+        """Nothing is known but what the first scans show."""
+        del key
+        ground = self.ground(view.scene)
+        zero = jnp.zeros(())
+        memory = TeamMemory(
+            mind=self.learn(view, ignorance(ground.grid, self.poses(view))),
+            step=jnp.zeros((), jnp.int32),
+            reachable=reachable_of(view, ground),
+            explored=jnp.zeros(ground.grid.shape, bool),
+            touching=jnp.zeros(view.scene.robots, bool),
+            contacts=zero,
+            unlinked=zero,
+            score=zero,
+        )
+        shown, _ = self.shown(view, memory)
+        return memory.replace(explored=shown)
+
+    def shown(self, view: View, memory: TeamMemory) -> tuple[jax.Array, jax.Array]:
+        """Return what of the arena is explored now (i, j), and whose part of what is new that is (robots,).
+
+        Scans are drawn from where the scanners truly are; what several show at once is shared.
+        """
+        grid, scene = self.ground(view.scene).grid, view.scene
+        new = jnp.zeros((scene.robots, *grid.shape), bool)
+        for team, members in enumerate(scene.teams):
+            if not has_scanner(members):
+                continue
+            robots = view.robots(team)
+            w, x, y, z = jnp.moveaxis(robots.quat, -1, 0)
+            yaw = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            true = jnp.concatenate([robots.pos[:, :2], yaw[:, None]], -1)
+            scan = self._scan(view, team, true)
+            free, _ = jax.vmap(lambda pose, ranges, s=scan.settings: look(grid, s, pose, ranges))(
+                scan.poses, scan.ranges
+            )
+            new = new.at[members.slots].set(free & scan.fresh[:, None, None])
+        new = new & memory.reachable & ~memory.explored
+        seers = new.sum(0)
+        credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
+        return memory.explored | new.any(0), credit
+
+    def touched(self, view: View) -> jax.Array:
+        """Return which robots truly touch something, by slot (robots,)."""
+        near = jnp.full(view.scene.robots, jnp.inf)
+        for members, gap in zip(view.scene.teams, clearance(view), strict=True):
+            near = near.at[members.slots].set(gap)
+        return near <= self.touch
+
+    def step_on(self, view: View, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:
+        """Return the memory with all but score and extra brought up to date.
+
+        Returns:
+            The memory, whose part of what was explored is whose (robots,), and who began to touch something
+            (robots,).
+        """
+        explored, credit = self.shown(view, memory)
+        touching = self.touched(view)
+        begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
+        memory = memory.replace(
+            mind=self.learn(view, memory.mind),
+            step=memory.step + 1,
+            explored=explored,
+            touching=touching,
+            contacts=memory.contacts + begun.sum(),
+            unlinked=memory.unlinked + unlinked(view),
+        )
+        return memory, credit, begun
+
+    def metrics(self, memory: TeamMemory) -> dict[str, jax.Array]:
+        """Share of the squares that are explored, contacts, and share of the pair-steps without a link."""
+        steps = jnp.maximum(memory.step, 1)
+        return {
+            "explored": coverage(memory),
+            "contacts": memory.contacts,
+            "unlinked": memory.unlinked / steps,
+        }
+
+    # What the robots see.
+
+    def observe(self, view: View, memory: TeamMemory) -> tuple[jax.Array, ...]:
+        """See `TeamTask`."""
+        return self.per_group(view.scene, self.sights(view, memory))
+
+    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+        """Return what each robot sees, by slot (robots, n)."""
+        mind, robots = memory.mind, view.scene.robots
+        grid = self.ground(view.scene).grid
+        left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
+        number = jnp.arange(robots) / robots
+        moved = jnp.linalg.norm(mind.pose[:, :2] - mind.trail, axis=-1)
+        rows = [
+            local(mind.pose, mind.next) / NEAR,
+            local(mind.pose, mind.goal) / WIDE,
+            jnp.minimum(mind.far / LONG, 1.0)[:, None],
+            jnp.minimum(moved / STILL, 1.0)[:, None],
+            jnp.minimum(mind.clear / knowledge.RANGE, 1.0),
+            jnp.stack([left, number], -1),
+            self._mates(view, mind),
+        ]
+        flyers = self.minds(view.scene).flyers[:, None, None]
+        swept = jnp.where(mind.squares == MARK, MARK, jnp.where(mind.evidence < 0, FREE, UNKNOWN))
+        squares = jnp.where(flyers, swept, mind.squares)
+        near = jax.vmap(lambda m, p: around(grid, m, p, WIDTH, SPACING))(squares, mind.pose)
+        near = near.reshape(robots, -1)
+        return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
+
+    def _mates(self, view: View, mind: Knowledge) -> jax.Array:
+        """Return what each robot knows of the others (robots, 4 others)."""
+        robots = view.scene.robots
+        others = knowledge.others(robots)
+        rows = np.arange(robots)[:, None]
+        age = (view.time - mind.heard)[rows, others]
+        there = jax.vmap(lambda pose, mates: local(pose, mates))(mind.pose, mind.mates[rows, others, :2])
+        there = jnp.where((age < knowledge.STALE)[..., None], there / WIDE, 0.0)
+        linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
+        facts = [there, jnp.minimum(age / knowledge.STALE, 1.0)[..., None], linked[rows, others][..., None]]
+        return jnp.concatenate(facts, -1).reshape(robots, -1)
+
+    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+        """Share explored, time, score, true poses (x, y as shares of the arena, cosine and sine of yaw)."""
+        facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
+        extent = np.array(view.scene.arena.extent, np.float32)
+        rows = [jnp.stack(facts)]
+        for team in range(len(view.scene.teams)):
+            robots = view.robots(team)
+            w, z = robots.quat[:, 0], robots.quat[:, 3]
+            place = (robots.pos[:, :2] - extent[:, 0]) / (extent[:, 1] - extent[:, 0])
+            rows += [place.ravel(), jnp.stack([w * w - z * z, 2 * w * z], -1).ravel()]
+        return jnp.concatenate(rows)
+
+
+def local(pose: jax.Array, place: jax.Array) -> jax.Array:
+    """Return places [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
+    away = place - pose[..., :2]
+    cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
+    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
+
+
+def has_scanner(team: Team) -> bool:
+    """Return whether a team's robots have a range scanner."""
+    return any(sensor.kind == "RangeScanner" for sensor in team.suite.sensors)
+
+
+def scanner_poses(team: Team, poses: jax.Array) -> jax.Array:
+    """Return where the scanners of robots at poses x, y [m], yaw [rad] are (robots, 3)."""
+    mount = team.suite.sensors[team.suite.place("RangeScanner")].mounts[0]
+    x, y, _ = flip_vector(mount.at)
+    cos, sin = jnp.cos(poses[:, 2]), jnp.sin(poses[:, 2])
+    place = poses[:, :2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    yaw = wrap(poses[:, 2] + flip_angles(mount.direction)[2])
+    return jnp.concatenate([place, yaw[:, None]], -1)
+
+
+def base_of(scene: Scene) -> int | None:
+    """Return the slot of the base station; None: there is none."""
+    for team in scene.teams:
+        if team.robot.name == STATION:
+            return int(team.slots[0])
+    return None
+
+
+def unlinked(view: View) -> jax.Array:
+    """Return the share of pairs of robots, the base too, that have no link ()."""
+    if view.world.links is None:
+        return jnp.ones(())
+    links = view.links
+    return 1 - links.in_range.sum() / jnp.maximum(links.paired.sum(), 1)
+
+
+def coverage(memory: TeamMemory) -> jax.Array:
+    """Return the share of the squares a robot gets to that are explored ()."""
+    return memory.explored.sum() / jnp.maximum(memory.reachable.sum(), 1)

@@ -1,0 +1,289 @@
+"""A mixed team searches a building for victims and reports them to its base."""
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.comms.connectivity import reachable
+from usarmjx.models.spec import RobotSpec
+from usarmjx.scene import Scene, Team
+from usarmjx.train import knowledge
+from usarmjx.train.buildings import Buildings
+from usarmjx.train.equip import flies, pose_sensor, seeker, station
+from usarmjx.train.knowledge import Knowledge
+from usarmjx.train.maps import FREE, MARK, MapGrid
+from usarmjx.train.orders import Move, Orders
+from usarmjx.train.recipe import Arenas
+from usarmjx.train.task import Verdict, View
+from usarmjx.train.tasks.team import STATION, WIDE, TeamMemory, TeamTask, base_of, local
+from usarmjx.train.wavefront import FAR
+from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
+
+FLIPPERS = {"FRFlipper": -1.3, "FLFlipper": -1.3, "RRFlipper": 1.3, "RLFlipper": 1.3}
+"""Flippers folded up [rad]: negative in front and positive behind is up."""
+HEIGHT, STOREY = 2.0, 0.5
+"""Flying robots fly so high, the second one that much higher, and so on [m]."""
+LOW = 0.4
+"""A robot that is that much too low does not fly on [m]."""
+CLIMB, FLY, SPIN = 1.0, 1.2, 1.0
+"""Of flying robots: upward speed over error of height [1/s], forward speed [m/s], turning rate [rad/s]."""
+SWEPT = 1.0
+"""What a flying robot has looked at: so far around it [m]."""
+HASTE = 0.3
+"""A robot that has to be home in time reckons with this speed, as the crow flies [m/s]."""
+SPARE = 5.0
+"""... and with so much time to spare [s]."""
+AWAY = 10.0
+"""A robot that has had contact for as recent as this need not come home when the time runs out [s]."""
+
+
+class Found(struct.PyTreeNode, kw_only=True):
+    """What the task remembers of victims.
+
+    Attributes:
+        reported: Which victims are reported (victims,).
+        wrong: Squares that were reported wrongly so far ().
+        mapped: Which squares of the building the base has on its map (i, j).
+        connected: Sum over steps of the share of robots that reached the base ().
+        linked: Which robots reach the base now (robots,).
+    """
+
+    reported: jax.Array
+    wrong: jax.Array
+    mapped: jax.Array
+    connected: jax.Array
+    linked: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class VictimSearch(TeamTask):
+    """Find victims and tell the base where they are.
+
+    A base station stands at the first start pose. It takes part in the mail: it tells all what it knows, and
+    it knows what it was told. Robots that meet a part of a victim with their victim sensor put a mark on the
+    square in which the middle of that part is. A victim is reported as soon as the base has a mark on a
+    square whose middle is within `near` of the victim's pelvis, in the plane; nothing else counts. So a
+    report reaches the base over a link of its finder, or over links of others that pass it on, or its finder
+    drives back until it has one. A mark of the base that is not within `near` of any victim is wrong.
+
+    Score, over the n steps of an episode:
+    - 60 times the mean over all steps of the share of the victims that are reported;
+    - 30 times the mean over all steps of the share of the building that is free on the base's map: the
+      squares of 0.3 m whose middles a robot of class `passing` gets to;
+    - 10 times the mean over all steps of the share of robots that reach the base over any number of links;
+    - less `price` for every contact and `wrong` for every square wrongly marked at the base.
+
+    Observation: as `TeamTask`; then the way home to the base (x, y; 1 is 6 m), how long ago it had contact
+    with the base (1: 60 s), whether it knows of marks that the base may not know, and marks on the map around
+    it are walls. Robots that fly have no scanner; for them all is free that they have looked at.
+
+    Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height.
+
+    Reward: what a step adds to the final score, in equal parts to all; and `hint` times 100 times the share
+    of the building that the robot was the first to see, which is not part of the score.
+
+    Attributes:
+        wheeled: Robots on wheels.
+        tracked: Robots on tracks with flippers, which they hold up.
+        flying: Robots that fly above the walls and look down.
+        near: So near to a victim is a mark right [m].
+        wrong: Price of a square wrongly marked.
+        hint: Reward for what a robot explores.
+    """
+
+    about: ClassVar[str] = "A mixed team finds victims and reports them over the radio."
+    reports: ClassVar[bool] = True
+
+    arena: Arenas = field(default_factory=lambda: Buildings(victims=5, reachable=1.0))
+    episode_steps: int = 600
+    wheeled: tuple[str, ...] = ("P2AT",) * 4
+    tracked: tuple[str, ...] = ("kenaf",) * 2
+    flying: tuple[str, ...] = ("AirRobot",) * 2
+    near: float = 1.5
+    wrong: float = 0.5
+    hint: float = 0.05
+
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The base, and the team."""
+        return (station(), *(seeker(name) for name in (*self.wheeled, *self.tracked, *self.flying)))
+
+    # What the robots learn.
+
+    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+        """Mark what victim sensors met, sweep what robots looked at from above, and look at the radio."""
+        grid, scene = self.ground(view.scene).grid, view.scene
+        before = (mind.squares == MARK).sum((1, 2))
+        for team, members in enumerate(scene.teams):
+            if members.robot.name == STATION:
+                continue
+            marked = jax.vmap(lambda pose, met: marks_of(grid, pose, met))(
+                mind.pose[members.slots], met_places(view, team)
+            )
+            marked &= view.fresh(team, "VictSensor")[:, None, None]
+            mind = mind.replace(marked=mind.marked.at[members.slots].max(marked))
+        gap = jnp.linalg.norm(grid.middles - mind.pose[:, None, None, :2], axis=-1)
+        swept = self.minds(scene).flyers[:, None, None] & (gap < SWEPT)
+        mind = mind.replace(evidence=jnp.where(swept, -1, mind.evidence).astype(jnp.int8))
+        if view.world.links is not None and self.talk != "none":
+            mind = knowledge.touch_base(mind, view.links.in_range, self.base(scene), view.time)
+        more = (mind.squares == MARK).sum((1, 2)) > before
+        return mind.replace(news=jnp.where(more, view.time, mind.news))
+
+    def base(self, scene: Scene) -> int:
+        """Return the slot of the base."""
+        base = base_of(scene)
+        assert base is not None  # it is the first of the robots
+        return base
+
+    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+        """To a frontier, or home with news or when the time runs out.
+
+        With `talk` at none nobody goes home: there is nothing to tell.
+        """
+        grid, scene = self.ground(view.scene).grid, view.scene
+        base = self.base(scene)
+        to_base = jnp.linalg.norm(mind.pose[:, :2] - mind.pose[base, :2], axis=-1)
+        left = self.episode_steps * self.repeat * scene.physics.period - view.time
+        late = (left < to_base / HASTE + SPARE) & (view.time - mind.contact > AWAY)
+        home = ((mind.news > mind.contact) | late) & (self.talk != "none")
+        gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1)
+        doorstep = jnp.where(gap < knowledge.DOORSTEP, gap, FAR)
+        wanted = jnp.where(home[:, None, None], doorstep, jnp.nan)
+        return knowledge.plan(grid, mind, view.time, self.minds(scene), wanted)
+
+    # What they are told.
+
+    def act(self, view: View, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Orders:
+        """As `TeamTask`; flippers are held up."""
+        orders = super().act(view, memory, actions)
+        folded = [t for t, team in enumerate(view.scene.teams) if "FRFlipper" in team.plan.parts]
+        targets = {key: jnp.float32(angle) for key, angle in FLIPPERS.items()}
+        return replace(orders, moves=tuple(Move(team=team, targets=targets) for team in folded))
+
+    def steer(self, view: View, memory: TeamMemory, team: Team, told: jax.Array) -> dict[str, jax.Array]:
+        """As `TeamTask`; robots that fly climb to their height by their INS."""
+        if not flies(team.robot):
+            return super().steer(view, memory, team, told)
+        number = next(t for t, other in enumerate(view.scene.teams) if other is team)
+        height = HEIGHT + STOREY * np.arange(len(team.slots)) + view.scene.arena.floor
+        error = height - view.sensor(number, pose_sensor(team.robot))[:, 2]
+        low = error > LOW  # not yet above the walls
+        return {
+            "AltitudeVelocity": jnp.clip(CLIMB * error, -1.0, 1.0),
+            "LinearVelocity": jnp.where(low, 0.0, FLY * told[:, 0]),
+            "LateralVelocity": jnp.zeros(len(told)),
+            "RotationalVelocity": jnp.where(low, 0.0, -SPIN * told[:, 1]),
+        }
+
+    # What is judged.
+
+    def start(self, view: View, key: jax.Array) -> TeamMemory:
+        """Nothing is reported."""
+        memory = super().start(view, key)
+        found = Found(
+            reported=jnp.zeros(view.victims.at.shape[0], bool),
+            wrong=jnp.zeros(()),
+            mapped=jnp.zeros_like(memory.reachable),
+            connected=jnp.zeros(()),
+            linked=jnp.zeros(view.scene.robots, bool),
+        )
+        return memory.replace(extra=found)
+
+    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+        """What the base knows, who reaches it, who touched something."""
+        before, steps, scene = memory.extra, self.episode_steps, view.scene
+        left = (steps - memory.step) / steps  # this step's number is one more
+        memory, credit, begun = self.step_on(view, memory)
+        found = self._found(view, memory)
+        people = jnp.asarray(view.victims.at)[:, 0] < ELSEWHERE
+        share = (found.reported & people).sum() - (before.reported & people).sum()
+        share = share / jnp.maximum(people.sum(), 1)
+        squares = jnp.maximum(memory.reachable.sum(), 1)
+        mapped = (found.mapped.sum() - before.mapped.sum()) / squares
+        linked = found.connected - before.connected
+        gain = left * (60.0 * share + 30.0 * mapped) + 10.0 * linked / steps
+        gain -= self.price * begun.sum() + self.wrong * (found.wrong - before.wrong)
+        agents = self.agents(scene)
+        reward = jnp.full(scene.robots, gain / len(agents)) + self.hint * 100.0 * credit
+        memory = memory.replace(extra=found, score=memory.score + gain)
+        return Verdict(
+            memory=memory,
+            reward=self.per_group(scene, reward),
+            terminated=jnp.zeros((), bool),
+            score=memory.score,
+            metrics={
+                **self.metrics(memory),
+                "reported": (found.reported & people).sum() / jnp.maximum(people.sum(), 1),
+                "mapped": found.mapped.sum() / squares,
+                "connected": found.connected / memory.step,
+                "wrong": found.wrong,
+            },
+        )
+
+    def _found(self, view: View, memory: TeamMemory) -> Found:
+        """Return what the base knows now."""
+        before, scene, grid = memory.extra, view.scene, self.ground(view.scene).grid
+        base, agents = self.base(scene), self.agents(scene)
+        squares = memory.mind.squares[base]
+        marked = squares == MARK
+        gap = jnp.linalg.norm(grid.middles[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
+        right = gap <= self.near
+        # Nobody takes marks away, so those that are wrong stay so.
+        linked = reachable(view.links.in_range, base) if self.radio is not None else before.linked
+        return Found(
+            reported=before.reported | (right & marked[:, :, None]).any((0, 1)),
+            wrong=(marked & ~right.any(-1)).sum().astype(jnp.float32),
+            mapped=before.mapped | (memory.reachable & (squares == FREE)),
+            connected=before.connected + linked[agents].mean(),
+            linked=linked,
+        )
+
+    # What the robots see.
+
+    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+        """As `TeamTask`, and the way home, the last contact with it, and whether there is news for it."""
+        mind = memory.mind
+        home = local(mind.pose, mind.pose[self.base(view.scene), :2]) / WIDE
+        age = jnp.clip((view.time - mind.contact) / 60.0, 0.0, 1.0)
+        news = (mind.news > mind.contact).astype(jnp.float32)
+        return jnp.concatenate([super().sights(view, memory), home, jnp.stack([age, news], -1)], -1)
+
+    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+        """As `TeamTask`, and shares of what is reported and mapped, and who reaches the base."""
+        found, people = memory.extra, jnp.asarray(view.victims.at)[:, 0] < ELSEWHERE
+        reported = (found.reported & people).sum() / jnp.maximum(people.sum(), 1)
+        mapped = found.mapped.sum() / jnp.maximum(memory.reachable.sum(), 1)
+        more = jnp.concatenate([jnp.stack([reported, mapped]), found.linked])
+        return jnp.concatenate([super().privileged(view, memory), more])
+
+
+ELSEWHERE = 1e5
+"""Victims that a world does not have are farther away than this [m]."""
+
+
+def met_places(view: View, team: int) -> jax.Array:
+    """Return what a team's victim sensors met: whether, then x ahead and y to the left [m].
+
+    The robot is taken to stand level. Shape (robots, boxes, 3).
+    """
+    members = view.scene.teams[team]
+    mount = members.suite.sensors[members.suite.place("VictSensor")].mounts[0]
+    told = view.sensor(team, "VictSensor")
+    mat = mat_from_angles(*flip_angles(mount.direction)).astype(np.float32)
+    at = np.array(flip_vector(mount.at), np.float32)
+    place = (mat * told[..., None, 2:]).sum(-1) + at
+    return jnp.concatenate([told[..., :1], place[..., :2]], -1)
+
+
+def marks_of(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
+    """Return the squares in which a robot at a pose (3,) met something (boxes, 3) (i, j)."""
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    x, y = met[:, 1], met[:, 2]
+    place = pose[:2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    there = grid.index(place)
+    return jnp.zeros(grid.shape, bool).at[there[:, 0], there[:, 1]].max(met[:, 0] > 0)
