@@ -372,4 +372,4 @@ def test_mixed_teams_vary_by_class():
     scene = build_scene(FLAT, ["AirRobot", "P2AT"], vary=Variation(mass=(0.9, 1.1), classes=("P2AT",)))
     assert scene.varied is not None
     assert scene.varied.varies.tolist() == [False, True]
-    assert ROBOTS.get("P2AT") is scene.teams[1].robot
+    assert ROBOTS.get("P2AT") == scene.teams[1].robot
