@@ -9,6 +9,8 @@ import pytest
 
 # Before jax starts: on two cores two batched factorisations deadlock in its pool of two threads.
 os.environ.setdefault("NPROC", "8")
+# Most of the time of the tests goes into compiling for a CPU; unoptimised code is there a quarter sooner.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import jax
 

@@ -92,7 +92,7 @@ def solo():
     return [(batch, *drive(batch)) for batch in map(alone, range(len(ARENAS)))]
 
 
-@pytest.mark.parametrize("engine", ["c", "jax", "warp"])
+@pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
     """Rays end where the poses say, and a grazing one up to 20 times as far away."""
     scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT, radio=RadioSettings())

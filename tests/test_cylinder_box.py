@@ -494,6 +494,7 @@ def test_pushes_a_wall_as_c(course: tuple[Drive, Drive, Drive], world: int) -> N
     np.testing.assert_allclose(ours.qpos[world, 0], default.qpos[world, 0], atol=0.015)
 
 
+@pytest.mark.slow
 def test_colliding_robots_stay_as_slow_as_in_c() -> None:
     xml = room_xml()
     start = mujoco.MjModel.from_xml_string(xml).qpos0

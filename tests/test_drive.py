@@ -241,7 +241,7 @@ def batch_rates(batch):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("engine", ["jax", "warp"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_engines_drive_and_turn_alike(flat, engine):
     if engine == "warp":
         pytest.importorskip("warp", reason="needs warp-lang")

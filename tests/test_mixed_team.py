@@ -53,7 +53,7 @@ def moved(scene):
     return run
 
 
-@pytest.mark.parametrize("engine", ["c", "jax", "warp"])
+@pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_all_of_a_mixed_team_move_as_they_are_told(moved, engine):
     away = moved(engine)
     for name in ("P2AT", "Zerg", "Talon", "kenaf", "Sedan"):
@@ -67,7 +67,7 @@ def test_all_of_a_mixed_team_move_as_they_are_told(moved, engine):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("engine", ["jax", "warp"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_a_mixed_team_moves_as_on_c_mujoco(moved, engine):
     theirs, ours = moved("c"), moved(engine)
     for name in theirs:

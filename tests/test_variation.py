@@ -86,7 +86,7 @@ def test_speed_is_command_times_motors_times_wheels(c):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("engine", ["jax", "warp"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_other_engines_do_to_varied_robots_what_c_does(c, engine):
     if engine == "warp":
         pytest.importorskip("warp", reason="needs warp-lang")

@@ -61,7 +61,7 @@ ROBOT = replace(
         for kind, _ in SENSORS
     ),
 )
-ENGINES = ("c", "jax", "warp")
+ENGINES = ("c", pytest.param("jax", marks=pytest.mark.slow), "warp")
 WORLDS, STEPS = 3, 5
 SPEEDS = jnp.array([[1.0], [2.0], [3.0]])  # rad/s of the left wheel of each world's robot
 SCENE = build_scene(ARENA, [ROBOT], Physics(iterations=30, ls_iterations=20))
@@ -133,7 +133,7 @@ def test_worlds_of_a_batch_read_their_own():
         assert np.any(value[0] != value[1]), name
 
 
-@pytest.mark.parametrize("engine", ["jax", "warp"])
+@pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_every_sensor_reads_on_every_engine_what_it_reads_on_c_mujoco(engine):
     if engine == "warp":
         pytest.importorskip("warp", reason="needs warp-lang")

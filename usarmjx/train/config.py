@@ -15,6 +15,7 @@ _BOUNDS: tuple[tuple[tuple[str, ...], Callable[[Any], bool], str], ...] = (
         lambda value: value >= 1,
         "at least 1",
     ),
+    (("imitate",), lambda value: value >= 0, "at least 0"),
     (("discount", "trace", "curriculum"), lambda value: 0.0 <= value <= 1.0, "from 0 to 1"),
     (
         ("learning_rate", "target_kl", "clip", "max_gradient", "reward_scale"),
@@ -54,6 +55,8 @@ class Config:
         normalise_obs: Shift and scale what the networks see by its running mean and deviation.
         normalise_values: Let the critic learn values shifted and scaled in the same way.
         stagger: Begin the first episodes at random times, so that the worlds' time-outs do not coincide.
+        imitate: Agent steps at the start in which the policy learns to do what the task's baseline would do;
+            0: PPO from the first step.
         curriculum: Share of the run in which generated arenas get harder, from the easiest to all; 0: all
             of them from the start.
         checkpoint_every: Iterations between checkpoints; there is always one at the end.
@@ -83,6 +86,7 @@ class Config:
     normalise_obs: bool = True
     normalise_values: bool = True
     stagger: bool = True
+    imitate: int = 0
     curriculum: float = 0.0
     checkpoint_every: int = 20
     keep: int = 2
@@ -131,6 +135,10 @@ class Config:
     def iterations(self, agents: int) -> int:
         """Return the number of rollouts and updates, with that many robots in a world."""
         return -(-self.steps // (self.rollout * self.worlds * agents))
+
+    def imitations(self, agents: int) -> int:
+        """Return in how many of them the policy imitates the baseline."""
+        return -(-self.imitate // (self.rollout * self.worlds * agents))
 
 
 # What each task is trained with, where it differs from the defaults. Keys are task names in lower case.

@@ -70,6 +70,15 @@ class Networks:
         robots = len(self.groups[group].agents)
         return Network(self.critic_layers, self.policy.memory, 1, robots=robots)
 
+    @property
+    def agents(self) -> int:
+        """Robots of a world that learn."""
+        return sum(len(group.agents) for group in self.groups)
+
+    def imitating(self, learner: "Learner", config: Config) -> jax.Array:
+        """Return whether the learner still imitates a teacher ()."""
+        return learner.iteration < config.imitations(self.agents)
+
     def init(self, key: jax.Array) -> Weights:
         """Return weights to begin with."""
         policy, critic = (jax.random.fold_in(key, s) for s in (POLICY_STREAM, CRITIC_STREAM))

@@ -15,10 +15,11 @@ from flax import struct
 
 from usarmjx.train.config import Config
 from usarmjx.train.distributed import AXIS
+from usarmjx.train.experience import Bounds, Steps
 from usarmjx.train.gae import advantages
+from usarmjx.train.imitation import imitation_loss
 from usarmjx.train.learner import UPDATE_STREAM, Learner, Networks, Weights, judge, make_optimiser
 from usarmjx.train.networks import fold_all, fold_each
-from usarmjx.train.rollout import Bounds, Steps
 from usarmjx.train.statistics import normalise, update
 
 MOST_LOG_RATIO = 20.0
@@ -107,6 +108,7 @@ def loss(
     learner = learner.replace(weights=weights)
     values, _ = judge(networks, learner, (steps.obs, steps.privileged), bounds.critic, steps.fresh)
     sums: dict[str, Any] = {}
+    imitating = networks.imitating(learner, config)
     for g, raw in enumerate(steps.raw):
         seen = normalise(learner.obs[g].mean, learner.obs[g].std, steps.obs[g])
         logits, _ = networks.policy.network(g).apply(
@@ -126,6 +128,9 @@ def loss(
             "clipped": (jnp.abs(ratio - 1.0) > config.clip).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
+        if steps.shown:
+            found["imitation"] = imitation_loss(kind, logits, steps.shown[g])
+            found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
         valid = ~steps.bad[..., None]
         for name, one in found.items():
             sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
@@ -157,8 +162,7 @@ def learn(
     optimiser = make_optimiser(config)
     worlds, blocks = lesson.steps.done.shape[1], config.shuffled_blocks // processes
     if config.schedule == "linear":
-        agents = sum(len(group.agents) for group in networks.groups)
-        left = 1.0 - learner.iteration / config.iterations(agents)
+        left = 1.0 - learner.iteration / config.iterations(networks.agents)
         learner = learner.replace(rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32))
 
     def minibatch(learner: Learner, now: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
@@ -176,7 +180,8 @@ def learn(
         new = learner.replace(weights=weights, optimiser=moments)
         new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, learner)
         if config.schedule == "adaptive":
-            new = new.replace(rate=_adapt(learner.rate, known["divergence"], config))
+            rate = _adapt(learner.rate, known["divergence"], config)
+            new = new.replace(rate=jnp.where(networks.imitating(learner, config), learner.rate, rate))
         return new, {**known, "gradient": jnp.where(sound, length, 0.0), "skipped": 1.0 - sound}
 
     def epoch(learner: Learner, number: jax.Array) -> tuple[Learner, dict[str, jax.Array]]:

@@ -6,110 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.train.config import Config
-from usarmjx.train.env import Env, EnvState
+from usarmjx.train.env import Env
+from usarmjx.train.experience import Bounds, Collector, Decision, Groups, Seen, Steps, look
+from usarmjx.train.imitation import restart
 from usarmjx.train.learner import STAGGER_STREAM, Learner, Networks, in_reward, judge, policy_params
 from usarmjx.train.networks import draw, fold_each
-
-Groups = tuple[jax.Array, ...]
-
-
-class Steps(struct.PyTreeNode, kw_only=True):
-    """What happened, step by step.
-
-    Attributes:
-        obs: Per group (steps, worlds, robots, obs_size).
-        privileged: (steps, worlds, privileged_size).
-        raw: Actions before they are squashed, per group (steps, worlds, robots, action_size).
-        log_prob: How probable they were, per group (steps, worlds, robots).
-        value: What the critic thought before the step, per group (steps, worlds, robots).
-        reward: Scaled, per group (steps, worlds, robots).
-        bootstrap: What it thought of the state before the restart, where truncated, per group as `value`.
-        fresh: Whether an episode began with the step (steps, worlds).
-        done: Whether one ended with it (steps, worlds).
-        truncated: Whether that was by time-out (steps, worlds).
-        bad: Whether there is nothing to learn from the step (steps, worlds).
-    """
-
-    obs: Groups
-    privileged: jax.Array
-    raw: Groups
-    log_prob: Groups
-    value: Groups
-    reward: Groups
-    bootstrap: Groups
-    fresh: jax.Array
-    done: jax.Array
-    truncated: jax.Array
-    bad: jax.Array
-
-
-class Bounds(struct.PyTreeNode, kw_only=True):
-    """What is known of the worlds before the first step and after the last.
-
-    Attributes:
-        number: Of each world, among those of all processes (worlds,).
-        policy: What the policies remembered before the first step, per group (worlds, robots, memory).
-        critic: What the critics remembered, as `policy`.
-        last_value: What the critics think after the last step, per group (worlds, robots).
-    """
-
-    number: jax.Array
-    policy: Groups
-    critic: Groups
-    last_value: Groups
-
-
-class Collector(struct.PyTreeNode, kw_only=True):
-    """The worlds of this process, and what goes on in them from one rollout to the next.
-
-    Attributes:
-        env: The worlds.
-        number: Of each of them, among those of all processes (worlds,).
-        policy: What the robots remember, per group (worlds, robots, memory).
-        critic: What their critics remember, as `policy`.
-        gained: Rewards of the running episode, mean of the robots (worlds,).
-        fresh: Whether an episode begins now (worlds,).
-    """
-
-    env: EnvState
-    number: jax.Array
-    policy: Groups
-    critic: Groups
-    gained: jax.Array
-    fresh: jax.Array
-
-
-class Seen(struct.PyTreeNode, kw_only=True):
-    """What of an environment's state the trainer looks at; see `EnvState`."""
-
-    obs: Groups
-    privileged: jax.Array
-    reward: Groups
-    done: jax.Array
-    truncated: jax.Array
-    final_obs: Groups
-    final_privileged: jax.Array
-    final_score: jax.Array
-    length: jax.Array
-    bad: jax.Array
-    metrics: dict[str, jax.Array]
-
-
-def _seen(env: EnvState) -> Seen:
-    return Seen(**{name: getattr(env, name) for name in Seen.__dataclass_fields__})
-
-
-class Decision(struct.PyTreeNode, kw_only=True):
-    """What is decided in a step, and what is remembered after it; see `Steps`."""
-
-    raw: Groups
-    log_prob: Groups
-    value: Groups
-    policy: Groups
-    critic: Groups
+from usarmjx.train.policy import Policy
 
 
 def _stacked(rows: list[tuple[Steps, dict[str, jax.Array]]]) -> tuple[Steps, dict[str, jax.Array]]:
@@ -126,10 +30,19 @@ class Rollout:
         networks: Shapes of policy and critics.
         config: Settings.
         first: Number of the first world.
+        teacher: Whom to imitate for the first `config.imitate` agent steps.
     """
 
-    def __init__(self, env: Env, networks: Networks, config: Config, first: int = 0) -> None:
+    def __init__(
+        self,
+        env: Env,
+        networks: Networks,
+        config: Config,
+        first: int = 0,
+        teacher: Policy | None = None,
+    ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
+        self.teacher = teacher
         self._decide = jax.jit(self._decided)
         self._account = jax.jit(self._accounted)
         self._stack = jax.jit(_stacked)
@@ -152,6 +65,7 @@ class Rollout:
             number=number,
             policy=blank,
             critic=blank,
+            teacher=() if self.teacher is None else self.teacher.start(self.env.worlds),
             gained=jnp.zeros(self.env.worlds),
             fresh=jnp.ones(self.env.worlds, bool),
         )
@@ -167,7 +81,7 @@ class Rollout:
         self,
         learner: Learner,
         seen: Seen,
-        memory: tuple[Groups, Groups],
+        memory: tuple[Groups, Groups, Any],
         worlds: jax.Array,
         key: Any,  # noqa: ANN401
     ) -> tuple[Groups, Decision]:
@@ -177,12 +91,27 @@ class Rollout:
         raw = draw(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(learner, seen.obs, seen.privileged, memory[1])
+        teacher, shown = self._taught(learner, seen.obs, memory[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
             raw=raw,
             log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
             value=value,
+            shown=shown,
             policy=after,
             critic=critic,
+            teacher=teacher,
+        )
+
+    def _taught(self, learner: Learner, obs: Groups, memory: Any, key: jax.Array) -> tuple[Any, Groups]:  # noqa: ANN401
+        """Return what the teacher remembers and would do; zeros when nobody imitates him any more."""
+        teacher, groups = self.teacher, self.networks.groups
+        if teacher is None:
+            return memory, ()
+        nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
+        return jax.lax.cond(
+            self.networks.imitating(learner, self.config),
+            lambda: teacher.act(memory, obs, key),
+            lambda: (memory, nothing),
         )
 
     def _value(
@@ -200,7 +129,7 @@ class Rollout:
         decision: Decision,
         before: Seen,
         after: Seen,
-    ) -> tuple[Steps, tuple[Groups, Groups], jax.Array, dict[str, jax.Array]]:
+    ) -> tuple[Steps, tuple[Groups, Groups, Any], jax.Array, dict[str, jax.Array]]:
         """Write down a step; `told` is what was gained in the episode, and whether it began with the step."""
         gained, fresh = told
         seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
@@ -231,6 +160,7 @@ class Rollout:
             done=done,
             truncated=truncated,
             bad=bad,
+            shown=decision.shown,
         )
         sums = {
             "episodes": ended.sum(),
@@ -243,7 +173,8 @@ class Rollout:
             **{f"end/{name}": jnp.where(ended, one, 0.0).sum() for name, one in after.metrics.items()},
         }
         sums = {name: jnp.asarray(one, jnp.float32) for name, one in sums.items()}
-        memory = (forget(decision.policy, done), forget(decision.critic, done))
+        teacher = decision.teacher if self.teacher is None else restart(self.teacher, decision.teacher, done)
+        memory = (forget(decision.policy, done), forget(decision.critic, done), teacher)
         return step, memory, jnp.where(done, 0.0, gained), sums
 
     def _bounded(self, learner: Learner, before: tuple[Groups, Groups], after: Any, seen: Seen) -> Bounds:  # noqa: ANN401
@@ -258,14 +189,17 @@ class Rollout:
         key: jax.Array,
         step: Any,  # noqa: ANN401 - int32 of any make
     ) -> tuple[Collector, tuple[Steps, Any]]:
-        before = _seen(now.env)
-        memory = (now.policy, now.critic)
+        before = look(now.env)
+        memory = (now.policy, now.critic, now.teacher)
         actions, decision = self._decide(learner, before, memory, now.number, (key, step))
         env = self.env.step(now.env, actions)
-        row, (policy, critic), gained, sums = self._account(
-            learner, (now.gained, now.fresh), decision, before, _seen(env)
+        row, (policy, critic, teacher), gained, sums = self._account(
+            learner, (now.gained, now.fresh), decision, before, look(env)
         )
-        return now.replace(env=env, policy=policy, critic=critic, gained=gained, fresh=row.done), (row, sums)
+        now = now.replace(
+            env=env, policy=policy, critic=critic, teacher=teacher, gained=gained, fresh=row.done
+        )
+        return now, (row, sums)
 
     def _scan(self, learner: Learner, start: Collector, key: jax.Array) -> Any:  # noqa: ANN401
         numbers = jnp.arange(self.config.rollout)
@@ -282,4 +216,4 @@ class Rollout:
 
     def _ends(self, learner: Learner, start: Collector, end: Collector) -> Bounds:
         after = (end.number, end.critic)
-        return self._bound(learner, (start.policy, start.critic), after, _seen(end.env))
+        return self._bound(learner, (start.policy, start.critic), after, look(end.env))

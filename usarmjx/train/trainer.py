@@ -16,12 +16,14 @@ from usarmjx.train.checkpoint import Checkpoints, read_part
 from usarmjx.train.config import Config
 from usarmjx.train.distributed import AXIS, Team
 from usarmjx.train.env import Env
+from usarmjx.train.experience import Collector
+from usarmjx.train.imitation import teacher_of
 from usarmjx.train.launch import check_parent
 from usarmjx.train.learner import ROLLOUT_STREAM, Learner, make_learner, make_networks
 from usarmjx.train.metrics import Log, read_lines, summary
 from usarmjx.train.ppo import improve
 from usarmjx.train.record import FILE, UNKNOWN, Origin, RunRecord, load_record, make_record
-from usarmjx.train.rollout import Collector, Rollout
+from usarmjx.train.rollout import Rollout
 
 Factory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
@@ -63,11 +65,17 @@ class Trainer:
                 f"the environment has {env.worlds} worlds; {config.worlds} worlds of {team.count} processes "
                 f"need {share}"
             )
+        if config.curriculum and not env.levels:
+            raise UsageError(
+                f"curriculum is {config.curriculum}, but {env.name} has no generated arenas that could get "
+                "harder: set arena=maze, or leave curriculum out"
+            )
         self.env, self.config, self.team = env, config, team
-        self.agents = sum(len(group.agents) for group in env.groups)
-        self.iterations = config.iterations(self.agents)
         self.networks = make_networks(env.groups, env.privileged_size, config)
-        self.rollout = Rollout(env, self.networks, config, first=team.index * share)
+        self.agents = self.networks.agents
+        self.iterations = config.iterations(self.agents)
+        teacher = teacher_of(env) if config.imitate else None
+        self.rollout = Rollout(env, self.networks, config, team.index * share, teacher)
         timed, once = PartitionSpec(None, AXIS), PartitionSpec(AXIS)
         self._improve = jax.jit(
             jax.shard_map(
