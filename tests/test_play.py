@@ -11,6 +11,7 @@ from usarmjx.errors import UsageError
 from usarmjx.models.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.play import HASTE, _caption, film, write
+from usarmjx.server.driven import DrivenWorld
 from usarmjx.train import sources
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in
@@ -85,6 +86,20 @@ def test_other_endings_are_refused(shown, tmp_path):
         write(shown, tmp_path / "film.mp4")
     done = CliRunner().invoke(app, ["play", "--baseline", "wander", "--out", "film.mp4"])
     assert done.exit_code == 2
+
+
+def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
+    """What clients meet in it is tested with `DrivenWorld`."""
+    served = []
+    monkeypatch.setattr("usarmjx.server.net.serve", lambda *given: served.append(given))
+    file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
+    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth"]
+    done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
+    assert done.exit_code == 0, done.output
+    assert done.output == "robots to take over by INIT: P2AT0\n"
+    ((world, settings),) = served
+    assert isinstance(world, DrivenWorld)
+    assert (settings.host, settings.port, settings.realtime_factor) == ("127.0.0.1", 3001, 2.0)
 
 
 def test_play_runs_a_packaged_policy_by_the_name_of_its_task(tmp_path, monkeypatch):

@@ -282,6 +282,20 @@ def bench_camera(
         typer.echo(measure_camera(case, json))
 
 
+@bench_app.command("train")
+def bench_train(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were trained here just now.")],
+    baseline: Annotated[float | None, typer.Option(help="Score of the policy by hand.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Append the records to this file.")] = None,
+) -> None:
+    """Record runs of `usarmjx train`: their speed and curves, and when they were as good as by hand."""
+    with Failure():
+        from usarmjx.bench_train import record_run
+
+        for run in runs:
+            typer.echo(record_run(run, baseline, json))
+
+
 @bench_app.command("step")
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,

@@ -1,4 +1,4 @@
-"""`usarmjx train` and `usarmjx export`: policies, from tasks to files."""
+"""`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
 import os
 import sys
@@ -112,3 +112,18 @@ def export(
 
         export_run(run, out, checkpoint)
         typer.echo(f"wrote {out}, {out.stat().st_size / 1024:.0f} KB")
+
+
+@app.command()
+def curves(
+    sources: Annotated[
+        list[Path], typer.Argument(help="Folders of runs, or files of benchmark records, one a line.")
+    ],
+    out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
+) -> None:
+    """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
+    with Failure():
+        from usarmjx.training_plots import plot_curves
+
+        plot_curves(sources, out)
+        typer.echo(f"wrote {out}")

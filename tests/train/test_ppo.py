@@ -11,6 +11,7 @@ from toys import DriveToy
 
 from usarmjx.train.config import Config
 from usarmjx.train.distributed import Team
+from usarmjx.train.learner import judge
 from usarmjx.train.ppo import _adapt, _shuffle, surrogate
 from usarmjx.train.trainer import Trainer
 
@@ -114,6 +115,20 @@ def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
     assert known["loss/skipped"] == 1
     for one, other in zip(leaves(learner.weights), leaves(new.weights), strict=True):
         assert_array_equal(one, other)
+
+
+def test_critics_see_more_than_policies(trainer, collected):
+    """And both are of a class: another critic, another policy for each."""
+    learner, steps, bounds, _ = collected
+    seen, fresh = (steps.obs, steps.privileged), steps.fresh
+    values, _ = judge(trainer.networks, learner, seen, bounds.critic, fresh)
+    others, _ = judge(trainer.networks, learner, (steps.obs, steps.privileged + 1), bounds.critic, fresh)
+    for value, other in zip(values, others, strict=True):
+        assert (value != other).all()
+    for networks, inputs in ((learner.weights.policy, set()), (learner.weights.critic, {"shared"})):
+        one, other = (weights["params"] for weights in networks)
+        assert {name for name in one if name == "shared"} == inputs
+        assert (np.asarray(one["layer_0"]["kernel"]) != np.asarray(other["layer_0"]["kernel"])).any()
 
 
 @pytest.mark.oracle

@@ -1,12 +1,14 @@
 """Whole runs on toys: they learn, what they must not learn from is left out, and nothing compiles twice."""
 
 import json
+import struct
 
 import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from runs import CONFIG, lines
+from tensorboardX.proto.event_pb2 import Event
 from toys import DriveToy, EndlessToy, MemoryToy
 
 from usarmjx.errors import UsageError
@@ -38,7 +40,29 @@ def test_what_is_written_of_a_run(reference):
     record = lines(reference)[-1]
     assert (record["level"], record["loss/skipped"]) == (1.0, 0.0)
     assert record["end/success"] == record["score"]
-    assert list((reference / "tensorboard").glob("events*"))
+    shown = on_the_board(reference)
+    for line in lines(reference):
+        number = line.pop("iteration")
+        del line["agent_steps"]
+        told = {name: value for name, value in line.items() if value is not None}
+        assert told == {name: pytest.approx(shown[name, number]) for name in told}
+    assert ("steps_per_s", 10) in shown
+
+
+def on_the_board(folder):
+    """What TensorBoard shows of a run, by name and iteration.
+
+    Its files are records of length, checksum of that, an event, checksum of that (TFRecord).
+    """
+    found = {}
+    for file in (folder / "tensorboard").iterdir():
+        data, at = file.read_bytes(), 0
+        while at < len(data):
+            (size,) = struct.unpack_from("<Q", data, at)
+            event = Event.FromString(data[at + 12 : at + 12 + size])
+            found |= {(one.tag, event.step): one.simple_value for one in event.summary.value}
+            at += size + 16
+    return found
 
 
 def test_worlds_that_go_wrong_are_counted_and_do_no_harm(reference):

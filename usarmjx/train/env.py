@@ -1,94 +1,24 @@
 """A task in a batch of worlds: functional reset and step, brax's way."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
-from usarmjx.batch import Batch, choose
+from usarmjx.batch import Batch
 from usarmjx.engines import PhysicsState
 from usarmjx.errors import UsageError
 from usarmjx.models.arena_set import Site
-from usarmjx.radio import present_links
-from usarmjx.sensors.base import Reading
-from usarmjx.train.orders import carry_out
+from usarmjx.train.env_state import AgentGroup, EnvState, Opening
+from usarmjx.train.episode import finish, look, open_episode, reopen, tell
 from usarmjx.train.recipe import Generated
-from usarmjx.train.task import TASK_STREAM, Task, Verdict, View
-from usarmjx.world import Status, World, episode_key, first_episode, observe
+from usarmjx.train.task import Task, Verdict
+from usarmjx.world import first_episode
 
 Array = jax.Array
-
-
-@dataclass(frozen=True)
-class AgentGroup:
-    """Robots of one class that share a policy.
-
-    Attributes:
-        name: Robot class.
-        agents: Names of the robots.
-        obs_size: Numbers in an observation.
-        action_size: Numbers in an action, each from -1 to 1.
-    """
-
-    name: str
-    agents: tuple[str, ...]
-    obs_size: int
-    action_size: int
-
-
-class EnvState(struct.PyTreeNode, kw_only=True):
-    """A batch of worlds at work on a task.
-
-    Attributes:
-        batch: The worlds.
-        memory: The task's own (worlds, ...).
-        obs: What the agents see, per group (worlds, robots, obs_size).
-        privileged: What only critics see (worlds, privileged_size).
-        reward: Of the step, per group (worlds, robots); 0 in bad worlds.
-        done: Whether the episode ended with this step; the world has started the next one (worlds,).
-        truncated: Whether that was because the time was up, and for no other reason (worlds,).
-        final_obs: As `obs`, before the restart; the same where not done.
-        final_privileged: As `privileged`, before the restart.
-        score: The score of the running episode (worlds,).
-        final_score: The score of the last episode that ended; where done, of the one that ended now
-            (worlds,).
-        length: Steps of the running episode (worlds,).
-        bad: Whether the physics went wrong in this step (worlds,): not finite, or contacts lost. Such an
-            episode is done; its last transition is not to be learned from.
-        metrics: As judged in this step, before any restart (worlds,).
-        level: How difficult the arenas in play are, from 0 to 1 (); see `Env.at_level`.
-    """
-
-    batch: Any
-    memory: Any
-    obs: tuple[Array, ...]
-    privileged: Array
-    reward: tuple[Array, ...]
-    done: Array
-    truncated: Array
-    final_obs: tuple[Array, ...]
-    final_privileged: Array
-    score: Array
-    final_score: Array
-    length: Array
-    bad: Array
-    metrics: dict[str, Array]
-    level: Array | None = None
-
-
-class Opening(struct.PyTreeNode, kw_only=True):
-    """What an episode begins with."""
-
-    memory: Any
-    obs: tuple[Array, ...]
-    privileged: Array
-    score: Array
-    length: Array
 
 
 class Env:
@@ -107,6 +37,7 @@ class Env:
         privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
+        levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
 
@@ -128,11 +59,12 @@ class Env:
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
         arenas = task.arenas
-        self._levels = arenas if isinstance(arenas, Generated) else None
-        self._tell = self._compile(jax.vmap(self._told))
-        self._open = self._compile(jax.vmap(self._opened))
-        self._finish = self._compile(self._finished)
-        self._reopen = self._compile(self._reopened)
+        self._generated = arenas if isinstance(arenas, Generated) else None
+        self.levels = arenas.levels if isinstance(arenas, Generated) else ()
+        self._tell = self._compile(jax.vmap(partial(tell, self.scene, task)))
+        self._open = self._compile(jax.vmap(partial(open_episode, self.scene, task)))
+        self._finish = self._compile(partial(finish, self.scene, task))
+        self._reopen = self._compile(partial(reopen, self.scene, task))
         self._library = self._compile(self._library_at)
         self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
             self._compile(self._step) if self.traceable else self._step
@@ -156,8 +88,8 @@ class Env:
             world, qpos = first_episode(scene, key, jnp.int32(0), sites, shuffle=task.shuffle)
             model = scene.model
             physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
-            world, opening = self._opened(world, physics)
-            return opening, task.judge(self._look(world, physics)[1], opening.memory)
+            world, opening = open_episode(scene, task, world, physics)
+            return opening, task.judge(look(scene, world, physics)[1], opening.memory)
 
         opening, verdict = jax.eval_shape(once, jax.random.key(0))
         groups = []
@@ -169,88 +101,14 @@ class Env:
             groups.append(AgentGroup(team.robot.name, names, obs.shape[-1], actions))
         return tuple(groups), opening.privileged.shape[-1], tuple(verdict.metrics)
 
-    # What follows up to `_reopened` is traced; the first four are of one world.
-
-    def _look(self, world: World, physics: PhysicsState) -> tuple[World, View]:
-        """Read sensors and links."""
-        world, readings = observe(self.scene, world, physics)
-        if self.scene.radio is not None:
-            world = world.replace(links=present_links(self.scene, world, physics))
-        return world, View(world=world, physics=physics, readings=readings, scene=self.scene)
-
-    def _see(self, view: View, memory: Any) -> tuple[tuple[Array, ...], Array]:  # noqa: ANN401
-        """Return what agents and critics see."""
-        obs = tuple(jnp.asarray(seen, jnp.float32) for seen in self.task.observe(view, memory))
-        return obs, jnp.asarray(self.task.privileged(view, memory), jnp.float32)
-
-    def _opened(self, world: World, physics: PhysicsState) -> tuple[World, Opening]:
-        """Begin an episode."""
-        world, view = self._look(world, physics)
-        memory = self.task.start(view, episode_key(world, TASK_STREAM))
-        obs, privileged = self._see(view, memory)
-        zero = jnp.zeros((), jnp.int32)
-        return world, Opening(memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero)
-
-    def _told(self, world: World, physics: PhysicsState, memory: Any, actions: tuple[Array, ...]) -> World:  # noqa: ANN401
-        """Give the robots their orders."""
-        told = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-        last = tuple(
-            tuple(
-                Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last
-            )
-            for state in world.teams
-        )
-        view = View(world=world, physics=physics, readings=last, scene=self.scene)
-        return carry_out(self.scene, world, physics, self.task.act(view, memory, told))
-
-    def _finished(
-        self, state: EnvState, worlds: World, physics: PhysicsState, before: Status
-    ) -> tuple[World, EnvState]:
-        """Judge a step of all worlds; `state` is that before it, without its batch."""
-        now = worlds.status
-        bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
-        worlds, views = jax.vmap(self._look)(worlds, physics)
-        verdict = jax.vmap(self.task.judge)(views, state.memory)
-        obs, privileged = jax.vmap(self._see)(views, verdict.memory)
-        length = state.length + 1
-        terminated, late = verdict.terminated & ~bad, length >= self.episode_steps
-        done = terminated | late | bad
-        score = jnp.where(bad, state.score, verdict.score)
-        return worlds, state.replace(
-            memory=verdict.memory,
-            obs=obs,
-            privileged=privileged,
-            reward=tuple(jnp.where(bad[:, None], 0.0, reward) for reward in verdict.reward),
-            done=done,
-            truncated=late & ~terminated & ~bad,
-            final_obs=obs,
-            final_privileged=privileged,
-            score=score,
-            final_score=jnp.where(done, score, state.final_score),
-            length=length,
-            bad=bad,
-            metrics={name: jnp.asarray(verdict.metrics[name], jnp.float32) for name in self._metrics},
-        )
-
-    def _reopened(self, state: EnvState, worlds: World, physics: PhysicsState) -> tuple[World, EnvState]:
-        """Begin an episode in the worlds that are done; `state` is without its batch."""
-        fresh, opening = jax.vmap(self._opened)(worlds, physics)
-        here = partial(choose, state.done)
-        changed = {
-            name: jax.tree.map(here, getattr(opening, name), getattr(state, name))
-            for name in ("memory", "obs", "privileged", "score", "length")
-        }
-        return jax.tree.map(here, fresh, worlds), state.replace(**changed)
-
     def _library_at(self, library: Site, level: Array) -> Site:
         """Return a library in which only the arenas in play are, over and over."""
-        assert self._levels is not None  # as the caller says
-        easy = (jnp.array(self._levels.levels) <= level + 1e-6).sum()
-        places = jnp.arange(len(library.starts)) % (self._levels.count * jnp.maximum(easy, 1))
+        assert self._generated is not None  # as the caller says
+        places = self._generated.in_play(level)
         return jax.tree.map(lambda rows: rows[places], library)
 
     def _arenas(self, level: Array) -> Site | None:
-        if self._levels is None or self.scene.arenas is None:
+        if self._generated is None or self.scene.arenas is None:
             return None
         return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.sites), level)
 
@@ -260,7 +118,12 @@ class Env:
         Args:
             seed: Of all random numbers; None: the environment's own.
             level: How difficult the generated arenas in play are, from 0 to 1; see `at_level`.
+
+        Raises:
+            UsageError: A level below 1 where no arenas are generated.
         """
+        if level < 1.0 and not self.levels:
+            raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
         level_now = jnp.float32(level)
         batch = self.batch.reset(self.seed if seed is None else seed, self._arenas(level_now))
         worlds, opening = self._open(batch.worlds, self.batch.physics(batch))

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.errors import UnknownNameError, UsageError
@@ -14,6 +16,8 @@ from usarmjx.models.spec import Mount, RobotSpec
 
 APART = 1.0
 """Least distance of two start poses on an open floor [m]."""
+LEVEL_ATOL = 1e-6
+"""Levels that rise in single precision are this far off at most."""
 TRIES = 100
 """Places that are drawn for a start pose, at most, before the floor counts as full."""
 
@@ -67,9 +71,20 @@ class Generated:
             for seed, level in zip(seeds, levels, strict=True)
         )
 
-    def in_play(self, level: float) -> int:
-        """Return how many of the arenas are as easy as a level or easier; at least those of the easiest."""
-        return self.count * max(1, sum(one <= level for one in self.levels))
+    def in_play(self, level: jax.Array) -> jax.Array:
+        """Return the arenas that a library of as many holds at a level, by number (arenas,).
+
+        They are those whose difficulty is at most the level, and always the easiest; over and over, each as
+        often as the others or once more.
+
+        Args:
+            level: From 0 to 1 ().
+        """
+        slots = jnp.arange(self.count * len(self.levels))
+        there = self.count * jnp.maximum((jnp.array(self.levels) <= level + LEVEL_ATOL).sum(), 1)
+        rest = len(slots) % there  # slots beyond the last whole round, which go to arenas of all levels alike
+        spread = (slots - (len(slots) - rest)) * there // jnp.maximum(rest, 1)
+        return jnp.where(slots < len(slots) - rest, slots % there, spread)
 
 
 Arenas = str | ArenaSpec | Sequence[ArenaSpec] | Generated
