@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from usarmjx.errors import UnknownNameError
-from usarmjx.portrait import portraits
+from usarmjx.models.robots import ROBOTS
+from usarmjx.portrait import portrait, portraits
 from usarmjx.render import SKY_RGB, TILES, draw
 from usarmjx.scenery import solids_of
 
@@ -67,6 +68,20 @@ def test_the_side_towards_the_sun_is_brighter_and_there_is_a_shadow(scene):
     assert red.max() > 1.3 * red[red > 0].min()
     floor = picture[np.abs(picture[..., 0] - picture[..., 1]) < 1e-6][:, 0]
     assert floor.min() < 0.5 * floor.max(), "in the shadow there is only ambient light"
+
+
+def test_all_of_a_robot_is_in_its_portrait_and_fills_it():
+    """The mirror of an OmniP2AT, which hangs in the air above it, is the only thing that is nearly white."""
+    picture = portrait(ROBOTS.get("OmniP2AT"), 96, 72)
+    colored = np.ptp(picture, axis=-1) > 0.15  # its red sides and its blue scanner
+    mirror = (picture[..., 2] - picture[..., 0] > 0.05) & (picture[..., 1] > 0.5)
+    for part in (colored, mirror):
+        rows, columns = np.nonzero(part)
+        assert len(rows) >= 8
+        assert 2 < rows.min() <= rows.max() < 69
+        assert 2 < columns.min() <= columns.max() < 93
+    assert np.nonzero(mirror)[0].max() < np.nonzero(colored)[0].min(), "it is above"
+    assert np.nonzero(colored)[0].max() - np.nonzero(mirror)[0].min() > 36, "half of the height at least"
 
 
 def test_portraits_of_all_asked_for_in_one_file(tmp_path):

@@ -14,7 +14,8 @@ import numpy as np
 from flax import struct
 
 from usarmjx.cameras.mounts import cameras_of, find_camera
-from usarmjx.cameras.picture import Picture, check_size
+from usarmjx.cameras.picture import Picture, check_size, shoot, viewpoint
+from usarmjx.cameras.shading import Stage
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
 from usarmjx.control import Order, check_keys, move_joints, steer
@@ -23,12 +24,13 @@ from usarmjx.errors import EngineError, UsageError
 from usarmjx.models.arena_set import Site, turn_of
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.effecters import Opcode
+from usarmjx.models.plan import Bodies
 from usarmjx.operate import Outcome, find_operation, operate
 from usarmjx.radio import boxes, every, kept_links, links_due, mail_of, present_links, radio_of, send
 from usarmjx.scene import Scene
 from usarmjx.sensors.base import Reading
 from usarmjx.transforms import Array
-from usarmjx.views import Eye, each, photo, pictures
+from usarmjx.views import Eye, each, look_around, pictures
 from usarmjx.world import World, control, first_episode, observe, restart, settle
 
 Readings = tuple[tuple[Reading, ...], ...]
@@ -102,7 +104,7 @@ class Batch:
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
         self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
         self._look = self._compile(self._look_all, static_argnums=(2, 3))
-        self._photo = self._compile(self._photo_one, static_argnums=(3, 4))
+        self._stage = self._compile(self._stage_of)
         self._links = self._compile(self._look_at_links)
         self._send = self._compile(jax.vmap(partial(send, scene)))
         traceable = self.engine.traceable
@@ -373,17 +375,18 @@ class Batch:
     ) -> Picture:
         """Return what a camera of the robot in one slot of one world sees; the others are as in `look`."""
         team, member = self.scene.team_of(slot)
-        eye = self._eye(team, camera, (width, height))
-        return self._photo(state.worlds, self.physics(state), (world, member), eye, (width, height))
+        _, lens, place = self._eye(team, camera, (width, height))
+        stage, bodies = self._stage(state.worlds, self.physics(state), world)
+        with jax.default_matmul_precision("highest"):
+            body = jax.tree.map(lambda x: x[member], bodies[team])
+            fov = state.worlds.teams[team].fov[world, member, place]
+            return shoot(stage, viewpoint(lens, body, np.int32(slot), fov), width, height)
 
     def _look_all(self, worlds: World, physics: PhysicsState, eye: Eye, size: tuple[int, int]) -> Picture:
         return each(lambda world, now: pictures(self.scene, world, now, eye, size), worlds, physics)
 
-    def _photo_one(
-        self, worlds: World, physics: PhysicsState, who: tuple, eye: Eye, size: tuple[int, int]
-    ) -> Picture:
-        world, now = jax.tree.map(lambda x: x[who[0]], (worlds, physics))
-        return photo(self.scene, world, now, who[1], eye, size)
+    def _stage_of(self, worlds: World, physics: PhysicsState, world: int) -> tuple[Stage, tuple[Bodies, ...]]:
+        return look_around(self.scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
 
     def zoom(
         self, state: State, team: int, camera: str | int | None, fov: Array, where: Array = True

@@ -34,7 +34,7 @@ MOST_FRAMES = 150
 HASTE = 2.0
 """How much faster than in the simulation time passes in a GIF."""
 COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
-GOAL = "#c4122f"
+GOAL, LOOSE = "#c4122f", "#f2730a"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +48,7 @@ class Film:
         times: When [s] (frames,).
         scores: The score by then (frames,).
         poses: Where the robots truly were: x, y [m] and yaw [rad] (frames, robots, 3).
+        loose: Where what lies loose truly was: x, y [m] (frames, objects, 2).
         goal: Where to go [m] (2,), in tasks that have such a place.
         end: What is known of the episode's end, "" if it went on.
     """
@@ -58,6 +59,7 @@ class Film:
     times: np.ndarray
     scores: np.ndarray
     poses: np.ndarray
+    loose: np.ndarray
     goal: np.ndarray | None
     end: str
 
@@ -82,26 +84,34 @@ def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> 
     act, memory, key = jax.jit(policy.act), policy.start(env.worlds), jax.random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
-    moments = [(0.0, float(state.score[WORLD]), _poses(env, state))]
+    moments = [(0.0, float(state.score[WORLD]), *_places(env, state))]
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
         if bool(state.done[WORLD]):
             end = "time is up" if bool(state.truncated[WORLD]) else "done"
             end = "physics failed" if bool(state.bad[WORLD]) else end
-            moments.append((step * env.period, float(state.final_score[WORLD]), moments[-1][2]))
+            moments.append((step * env.period, float(state.final_score[WORLD]), *moments[-1][2:]))
         else:
-            moments.append((step * env.period, float(state.score[WORLD]), _poses(env, state)))
-    times, scores, poses = (np.array(column) for column in zip(*moments, strict=True))
+            moments.append((step * env.period, float(state.score[WORLD]), *_places(env, state)))
+    times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
     place = None if goal is None or np.ndim(goal) != 2 or np.shape(goal)[1] != 2 else np.asarray(goal)[WORLD]
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
     return Film(
-        task=env.name, arena=arena, names=names, times=times, scores=scores, poses=poses, goal=place, end=end
+        task=env.name,
+        arena=arena,
+        names=names,
+        times=times,
+        scores=scores,
+        poses=poses,
+        loose=loose,
+        goal=place,
+        end=end,
     )
 
 
-def _poses(env: Env, state: EnvState) -> np.ndarray:
-    """Return where the robots of the world are, by slot (robots, 3)."""
+def _places(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
     physics = jax.tree.map(lambda rows: rows[WORLD], env.batch.physics(state.batch))
     found = np.zeros((env.scene.robots, 3))
     for team in env.scene.teams:
@@ -110,7 +120,7 @@ def _poses(env: Env, state: EnvState) -> np.ndarray:
         found[np.asarray(team.slots)] = np.column_stack(
             [np.asarray(states.pos)[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]
         )
-    return found
+    return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qpos[:, :2]]
 
 
 def _caption(shown: Film, frame: int) -> str:
@@ -119,8 +129,10 @@ def _caption(shown: Film, frame: int) -> str:
 
 
 def _draw(axes: Axes, shown: Film, frame: int) -> list[Any]:
-    """Draw the robots, their ways so far and the goal; return what was drawn."""
-    drawn: list[Any] = []
+    """Draw the robots, their ways so far, what lies loose and the goal; return what was drawn."""
+    # What an arena of several does not have waits far outside of the picture.
+    inside = {"scalex": False, "scaley": False, "zorder": 7}
+    drawn: list[Any] = axes.plot(*shown.loose[frame].T, "o", color=LOOSE, ms=6, mec="white", **inside)
     if shown.goal is not None:
         drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
     for robot in range(len(shown.names)):

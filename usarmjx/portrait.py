@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -16,10 +17,12 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec import RobotSpec
 from usarmjx.render import draw
 from usarmjx.scenery import PLANE, solids_of
-from usarmjx.viewpoint import FIELD
+from usarmjx.viewpoint import fitted
 
 VIEW = (math.radians(-35.0), math.radians(22.0))
 """Azimuth and elevation from which robots are drawn: from their front right."""
+ROOM = 1.2
+"""By how much what is in the picture is larger than the robot."""
 
 
 def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
@@ -29,18 +32,20 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solids = solids_of(model, data)
-    own = solids.kind != PLANE
-    radius = model.geom_rbound[own, None]
-    low, high = (solids.pos[own] - radius).min(0), (solids.pos[own] + radius).max(0)
-    middle, size = (
-        (low + high) / 2,
-        float(np.linalg.norm(np.minimum(high - low, 2 * np.array(robot.dimensions)))),
-    )
     azimuth, elevation = VIEW
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    eye = middle + back / np.linalg.norm(back) * size / (2 * math.tan(FIELD / 2)) * 1.15
-    return draw(solids, eye, np.array([*middle[:2], robot.dimensions[2] / 2]), width, height)
+    eye, target = fitted(_corners(model, data), back / np.linalg.norm(back), width / height)
+    return draw(solids_of(model, data), eye, target, width, height)
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return the corners of the boxes about all solids but the floor, with room around them (n, 3)."""
+    own = model.geom_type != PLANE
+    middle, half = np.split(model.geom_aabb[own], 2, axis=1)
+    local = middle[:, None] + np.array(list(product((-1, 1), repeat=3))) * half[:, None]
+    turned = np.einsum("gij,gcj->gci", data.geom_xmat[own].reshape(-1, 3, 3), local)
+    corners = (data.geom_xpos[own][:, None] + turned).reshape(-1, 3)
+    return corners.mean(0) + ROOM * (corners - corners.mean(0))
 
 
 def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:

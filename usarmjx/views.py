@@ -11,7 +11,7 @@ import numpy as np
 from usarmjx.cameras.light import SUN, Headlights, Lamps, lamps_of
 from usarmjx.cameras.mounts import Camera, headlight_of
 from usarmjx.cameras.paint import ROBOT
-from usarmjx.cameras.picture import Picture, take
+from usarmjx.cameras.picture import Picture, take, viewpoint
 from usarmjx.cameras.shading import Stage
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.plan import Bodies, body_poses
@@ -90,7 +90,7 @@ def pictures(
     team, camera, place = eye
     stage, bodies = look_around(scene, world, physics)
     members = bodies[team], jnp.asarray(scene.teams[team].slots), world.teams[team].fov[:, place]
-    return each(lambda body, slot, fov: take(camera, stage, body, slot, fov, *size), *members)
+    return each(lambda *member: take(stage, viewpoint(camera, *member), *size), *members)
 
 
 def each(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees
@@ -102,19 +102,3 @@ def each(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: AN
     if jax.default_backend() == "cpu":
         return jax.lax.map(lambda row: function(*row), values)
     return jax.vmap(function)(*values)
-
-
-def photo(
-    scene: Scene,
-    world: World,
-    physics: PhysicsState,
-    member: jax.Array,
-    eye: Eye,
-    size: tuple[int, int],
-) -> Picture:
-    """Return what a camera of one robot sees: the one at the place `member` () of its team."""
-    team, camera, place = eye
-    stage, bodies = look_around(scene, world, physics)
-    body = jax.tree.map(lambda x: x[member], bodies[team])
-    slot = jnp.asarray(scene.teams[team].slots)[member]
-    return take(camera, stage, body, slot, world.teams[team].fov[member, place], *size)

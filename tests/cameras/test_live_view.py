@@ -7,16 +7,19 @@ import mujoco
 import numpy as np
 
 from usarmjx.batch import Batch
+from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.paint import SKY_LABEL
+from usarmjx.cameras.picture import shoot, viewpoint
 from usarmjx.models.arena_spec import ArenaSpec, FalseAlarm, Light, Loose, StartPose, Victim, Water
 from usarmjx.models.materials import materials_of
 from usarmjx.models.pieces import pieces_of
+from usarmjx.models.plan import Bodies
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.spec import Mesh, Shape
-from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 from usarmjx.sensors.targets import sort_places
-from usarmjx.server.live_view import live_stage, take
+from usarmjx.server.live_view import live_stage
+from usarmjx.transforms import mat_from_angles
 
 CORNERS = np.array([(0, 0, 0), (0.4, 0, 0), (0, 0.4, 0), (0, 0, 0.6)], float)
 
@@ -67,26 +70,23 @@ def test_a_served_world_sees_what_a_batch_sees():
     room = {sort: len(members) + 5 for sort, members in places.items()}
     index = dict(enumerate(scene.teams[0].indices))
     stage = live_stage(POND, data, pieces, places, room, index, {1: P2DX})
-    root = scene.teams[0].root_qpos[0]
-    joints = np.zeros(len(scene.teams[0].qpos[0]), np.float32)
-    here = RobotState(
-        pos=physics.qpos[root[:3]],
-        quat=physics.qpos[root[3:]],
-        linear=np.zeros(3, np.float32),
-        angular=np.zeros(3, np.float32),
-        joint_pos=joints,
-        joint_vel=joints,
-    )
-    seen = take(stage, scene.teams[0].plan, 0, here, 0, 0.8727, (56, 40))
+    body = list(index[0].body)
+    bodies = Bodies(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
+    eye = viewpoint(cameras_of(P2DX)[0], bodies, 0, 0.8727)
+    seen = jax.device_get(shoot(stage, eye, 56, 40))
 
     # Another program rounds differently: at edges a ray may meet the other side.
     assert (seen.segmentation == wanted.segmentation).mean() > 0.99
     assert np.isclose(seen.depth, wanted.depth, atol=1e-4).mean() > 0.99
     assert (np.abs(seen.rgb.astype(int) - wanted.rgb) <= 1).mean() > 0.99
     assert len(np.unique(seen.segmentation)) >= 5
+    before = shoot._cache_size()
+    other = eye.replace(pos=eye.pos + 0.1, mat=mat_from_angles(*map(np.array, (0.1, 0.2, 0.3))))
+    shoot(stage, other.replace(fov=1.2, default=np.float32(1.0), slot=1, hides=~eye.hides), 56, 40)
+    assert shoot._cache_size() == before, "another camera costs no compilation"
     dark = live_stage(POND, data, pieces, places, room, index, {})
-    unlit = take(dark, scene.teams[0].plan, 0, here, 0, 0.8727, (56, 40))
+    unlit = jax.device_get(shoot(dark, eye, 56, 40))
     assert (seen.rgb != unlit.rgb).any()
     dry = live_stage(replace(POND, waters=()), data, pieces, places, room, index, {})
-    without = take(dry, scene.teams[0].plan, 0, here, 0, 0.8727, (56, 40))
+    without = jax.device_get(shoot(dry, eye, 56, 40))
     assert (without.rgb != unlit.rgb).any(-1)[seen.segmentation != SKY_LABEL].any(), "water tints"

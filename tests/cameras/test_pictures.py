@@ -21,7 +21,7 @@ from usarmjx.cameras.paint import (
     SKY_LABEL,
     VICTIM,
 )
-from usarmjx.cameras.picture import Picture
+from usarmjx.cameras.picture import Picture, shoot
 from usarmjx.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.arena_spec import ArenaSpec, Door, FalseAlarm, Light, Loose, StartPose, Victim
 from usarmjx.models.kit import camera
@@ -197,24 +197,49 @@ def test_an_omnidirectional_picture_is_what_mj_ray_meets_from_the_mirrors_focus(
     assert not picture.rgb.reshape(-1, 3)[~inside].any()
 
 
+WALL_AHEAD = replace(
+    ARENA_SPEC,
+    shapes=(box((3.0, 1.0, 1.0), (0.1, 1.0, 1.0)),),
+    victims=(),
+    false_alarms=(),
+    loose=(),
+    doors=(),
+)
+EYES, WIDE = 0.1, 400
+"""Distance of two eyes [m]; width of what each sees."""
+
+
+def check_disparity(batch: Batch, state, mount: Mount, fov: float, left: Picture, right: Picture) -> None:
+    """Two eyes see the edge of a wall f B / z pixels apart."""
+    edges = [int(np.flatnonzero(np.asarray(eye.segmentation)[0] != SKY_LABEL)[-1]) for eye in (left, right)]
+    place, _ = eye_of(*posed(batch, state, 0), mount, 0)
+    depth, focal = 2.9 - place[0], WIDE / 2 / math.tan(fov / 2)
+    assert edges[0] - edges[1] == pytest.approx(focal * EYES / depth, abs=1.01)  # whole pixels
+    assert edges[0] - edges[1] > 10
+    assert left.depth[0, edges[0] - 5] == pytest.approx(depth, abs=5e-3)  # it settles on its wheels
+
+
 @pytest.mark.oracle
-def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_over_depth(batch):
-    """The edge of a wall 3 m ahead: disparity f B / z pixels, B = 2 StereoSpacing."""
-    wall = replace(ARENA_SPEC, shapes=(box((3.0, 1.0, 1.0), (0.1, 1.0, 1.0)),), victims=(), false_alarms=())
-    wall = replace(wall, loose=(), doors=())
-    one = Batch(build_scene(wall, [ROBOT_SPEC]), 1, engine="c")
-    state, wide = one.reset(), 400
-    pair = jax.tree.map(np.asarray, one.photo(state, 0, 0, "Stereo", 2 * wide, 16))
-    left, right = pair.segmentation[:, :wide], pair.segmentation[:, wide:]
-    above = left[0] != SKY_LABEL, right[0] != SKY_LABEL
-    edge = [int(np.flatnonzero(row)[-1]) for row in above]
-    eye = float(one.physics(state).qpos[0, 0]) + 0.2
-    depth, focal = 2.9 - eye, wide / 2 / math.tan(0.5)
-    assert edge[0] - edge[1] == pytest.approx(focal * 0.1 / depth, abs=1.01)  # whole pixels
-    assert edge[0] - edge[1] > 10
-    assert pair.depth[0, edge[0] - 5] == pytest.approx(depth, abs=5e-3)  # it settles on its wheels
+def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_over_depth():
+    """Manual 3.2.6.2: B = 2 StereoSpacing; the left eye's picture is in the left half."""
+    one = Batch(build_scene(WALL_AHEAD, [ROBOT_SPEC]), 1, engine="c")
+    state = one.reset()
+    pair = one.photo(state, 0, 0, "Stereo", 2 * WIDE, 16)
+    halves = (jax.tree.map(lambda x, i=i: np.split(np.asarray(x), 2, 1)[i], pair) for i in range(2))
+    check_disparity(one, state, ROBOT_SPEC.cameras[1], 1.0, *halves)
     with pytest.raises(UsageError, match="even"):
         one.photo(state, 0, 0, "Stereo", 33, 16)
+
+
+@pytest.mark.oracle
+def test_the_two_cameras_of_a_stereo_p2at_do_so_too():
+    """Manual 12.2.1."""
+    one = Batch(build_scene(WALL_AHEAD, ["StereoP2AT"]), 1, engine="c")
+    state, mounts = one.reset(), ROBOTS.get("StereoP2AT").cameras
+    before = shoot._cache_size()
+    left, right = (one.photo(state, 0, 0, mount.name, WIDE, 16) for mount in mounts)
+    assert shoot._cache_size() <= before + 1, "one compilation for both"
+    check_disparity(one, state, mounts[0], cameras_of(ROBOTS.get("StereoP2AT"))[0].default, left, right)
 
 
 def test_a_robots_picture_is_the_same_alone_and_in_a_batch(batch, moved):

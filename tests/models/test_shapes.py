@@ -17,7 +17,7 @@ from usarmjx.models.state import RobotState
 from usarmjx.scene import build_scene
 from usarmjx.sensors.base import Reading, Sight
 from usarmjx.sensors.motion import InsMemory
-from usarmjx.sensors.raycast import Hits, cast_incidence
+from usarmjx.sensors.raycast import Hits, cast
 from usarmjx.sensors.suite import Memory
 from usarmjx.sensors.targets import Block, gather
 from usarmjx.world import Status, TeamState, World, control, look, observe, team_states, time_of
@@ -176,7 +176,7 @@ def test_blocks_and_hits(scene):
         assert isinstance(block, Block)
         check(block, (), {})
     rays = jnp.ones((5, 3))
-    hits = jax.eval_shape(cast_incidence, sorted_geoms, rays, rays, jnp.int32(0))
+    hits = jax.eval_shape(cast, sorted_geoms, rays, rays, jnp.int32(0))
     assert isinstance(hits, Hits)
     check(hits, (), {"rays": 5})
 

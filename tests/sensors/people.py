@@ -127,6 +127,14 @@ class Watch:
         names = [sensor.mounts[0].name for sensor in self.suite.sensors]
         return memory, {n: np.asarray(r.value) for n, r in zip(names, readings, strict=True)}
 
+    def sketch(self, name: str, room: Room, seed: int = 0, **where: Any) -> Any:
+        """What a sensor draws after a reading at one place."""
+        sight = self.sight(room, **where)
+        memory, _ = self.read(sight, self.start(sight), seed)
+        place = [sensor.mounts[0].name for sensor in self.suite.sensors].index(name)
+        assert self.suite.sensors[place].draws
+        return jax.device_get(self.suite.sensors[place].sketch(memory.own[place]))
+
     def once(self, room: Room, seed: int = 0, **where: Any) -> dict[str, np.ndarray]:
         """The values of the sensors at one place, just after the start."""
         sight = self.sight(room, **where)

@@ -12,7 +12,7 @@ import pytest
 from usarmjx.errors import UnsupportedGeomError
 from usarmjx.scene import build_scene
 from usarmjx.sensors.kernels import KERNELS
-from usarmjx.sensors.raycast import cast, cast_incidence
+from usarmjx.sensors.raycast import Gaze, cast
 from usarmjx.sensors.targets import FAR_AWAY, Geoms, check_types, gather
 
 Geom = mujoco.mjtGeom
@@ -125,7 +125,7 @@ def make_rays(room: Room, seed: int, count: int = RAYS):
 # Without XLA's optimiser, which would take longer than all the rays.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 see = quick_jit(cast)
-see_angle = quick_jit(cast_incidence)
+see_angle = quick_jit(partial(cast, gaze=Gaze(incidence=True)))
 NOBODY = jnp.int32(-2)
 
 

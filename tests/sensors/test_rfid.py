@@ -12,6 +12,7 @@ from usarmjx.errors import SpecError
 from usarmjx.models.arena_spec import Tag
 from usarmjx.models.spec import Mount, options
 from usarmjx.models.tags import tag_ids, tag_table
+from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.rfid import MOST, RISE, SLACK, RfidSettings, signal
 from usarmjx.sensors.settings import resolve
 from usarmjx.server.grammar import format
@@ -33,6 +34,7 @@ def watch():
         reader("Radius", "radius"),
         reader("Obstacle", "Obstacle"),
         reader("Strong", dBmTXPower=41.0, dBObstacleAttenuation=1e3),
+        *(reader(f"{mode}Lines", mode, bTraceRFIDs=True) for mode in ("Attenuation", "Radius", "Obstacle")),
         Mount(kind="RFID", name="Tilted", at=MOUNT, direction=TURN, options=options(SensingMode="Radius")),
     )
     return Watch(mounts, "TagBench")
@@ -172,6 +174,63 @@ def test_without_tags_nothing_is_read(watch):
     memory = watch.suite.start(sight, jax.random.key(0))
     _, readings = watch.suite.read(sight, memory, jax.random.key(0))
     assert not np.asarray(readings[0].value).any()
+
+
+# --- traced lines -------------------------------------------------------------------------------
+
+GREEN, RED, BLACK = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+TO_BE_TRACED = Room(
+    tags=(
+        Tag(at=(1.2, 0.0, 0.0), id=2000),  # behind the wall
+        Tag(at=(0.0, 1.0, 0.0), id=2001),
+        Tag(at=(-2.7, 0.0, 0.0), id=2002),
+        Tag(at=(0.0, -3.5, 0.0), id=2003, single_shot=True),
+        Tag(at=(0.0, 3.6, 0.0), id=2004),
+    ),
+    walls=(((1.0, 0.0, 0.5), (0.05, 0.5, 0.5), 0.0),),
+)
+
+
+def lines(watch, mode):
+    """Colours of the lines to the tags, by the tags' IDs; they start at the sensor."""
+    sketch = watch.sketch(f"{mode}Lines", TO_BE_TRACED, at=(0, 0, HEIGHT))
+    found = {}
+    for start, end, rgb in zip(
+        *(rows[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb)), strict=True
+    ):
+        np.testing.assert_allclose(start, (0, 0, HEIGHT), atol=1e-6)
+        (tag,) = [tag for tag in TO_BE_TRACED.tags if np.allclose(tag.at, end, atol=1e-6)]
+        found[tag.id] = tuple(rgb.tolist())
+    return found
+
+
+def test_all_lines_are_green_in_the_mode_radius(watch):
+    """Manual 10.9.3.1."""
+    assert lines(watch, "Radius") == dict.fromkeys((2000, 2001, 2002, 2003), GREEN)
+
+
+def test_lines_to_hidden_tags_are_red_in_the_mode_obstacle(watch):
+    """Manual 10.9.3.2: green for reachable tags, red for hidden ones."""
+    assert lines(watch, "Obstacle") == {2000: RED} | dict.fromkeys((2001, 2002, 2003), GREEN)
+
+
+def test_lines_are_the_redder_the_weaker_the_signal_and_black_out_of_reach(watch):
+    """Manual 10.9.3.3; green is what a tag at 1 m gives: 36 - 105 = -69 dBm, red the weakest that is read."""
+    found = lines(watch, "Attenuation")
+    assert found[2003] == found[2004] == BLACK
+    for tag, through in ((2000, 3.5), (2001, 0.0), (2002, 0.0)):
+        far = math.hypot(*TO_BE_TRACED.tags[tag - 2000].at, HEIGHT)
+        good = (36 - 20 * (5.25 + 2 * math.log10(far)) - through + 88) / (88 - 69)
+        assert found[tag] == pytest.approx((1 - good, good, 0.0), abs=1e-5)  # float32
+
+
+def test_nothing_is_drawn_unless_wanted(watch):
+    drawn = {sensor.mounts[0].name for sensor in watch.suite.sensors if sensor.draws}
+    assert drawn == {"AttenuationLines", "RadiusLines", "ObstacleLines"}
+    quiet = watch.suite.sensors[0]
+    assert watch.start(watch.sight(Room())).own[0].lines is None
+    with pytest.raises(NotImplementedError, match="RFID"):
+        Sensor.sketch(quiet, ())
 
 
 # --- settings, IDs, lines -----------------------------------------------------------------------

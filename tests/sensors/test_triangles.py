@@ -13,7 +13,7 @@ from usarmjx.models.pieces import TRIANGLE_KIND, fitted, pieces_of
 from usarmjx.models.spec import HeightField, Mesh, Shape
 from usarmjx.scene import build_scene
 from usarmjx.sensors.kernels import KERNELS
-from usarmjx.sensors.raycast import cast, cast_incidence
+from usarmjx.sensors.raycast import Gaze, cast
 from usarmjx.sensors.targets import gather
 
 RAY_ATOL = 1e-4  # m: float32 over a few metres, and what a range sensor may be off
@@ -31,7 +31,7 @@ def see(*rays):
 
 @quick_jit
 def see_angle(*rays):
-    return cast_incidence(*rays)
+    return cast(*rays, gaze=Gaze(incidence=True))
 
 
 def seen(place, owner=-1):

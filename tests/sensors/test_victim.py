@@ -36,6 +36,7 @@ def watch():
             options=options(Sigma=0.0, **WIDE),
         ),
         Mount(kind="VictSensor", name="Noisy", at=(0, 0, 0), options=options(Sigma=0.05, Mean=0.02)),
+        Mount(kind="VictSensor", name="Drawing", at=(0, 0, 0), options=options(bShowResults=True)),
     )
     return Watch(mounts, "VictimBench")
 
@@ -85,6 +86,28 @@ def test_it_sees_what_c_mujocos_rays_meet_and_where(watch, seed):
         np.testing.assert_allclose(value[box, 2:], expected, atol=1e-5)  # float32 over 6 m
         assert value[box, 1] == around.part[box]
     assert not value[~np.isin(np.arange(len(value)), np.flatnonzero(seen))][:, [0, 2, 3, 4]].any()
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("seed", range(3))
+def test_with_show_results_it_draws_where_c_mujocos_rays_end_and_what_they_meet(watch, seed):
+    """Manual 10.10.2; victims, false alarms, anything else and misses have a colour each."""
+    room, origin = random_room(seed), np.array([0.0, 0.0, 0.5])
+    sketch = watch.sketch("Drawing", room, at=tuple(origin))
+    lines = np.concatenate(grids(VictimSettings())).astype(float)
+    far, which = room.met(origin, lines)
+    np.testing.assert_array_equal(sketch.start, sketch.end)
+    assert sketch.shown.all()
+    people, alarms = room.people.boxes - 1, which == room.people.boxes - 1
+    missed = far > 6.0
+    colors = np.where(which[:, None] >= 0, (0, 1, 0), (1, 0, 0))
+    colors[alarms] = (1, 1, 0)
+    colors[missed] = (1, 1, 1)
+    same = np.isclose(sketch.end, origin + np.minimum(far, 6.0)[:, None] * lines, atol=1e-3).all(1)
+    assert same.mean() > 0.99, "but for rays that graze an edge"
+    assert (sketch.rgb == colors)[same].all(1).mean() > 0.99, "and those that end where two boxes meet"
+    assert len(np.unique(colors, axis=0)) >= 3
+    assert people > 0
 
 
 STANDING = Victim(

@@ -288,7 +288,7 @@ def test_a_robot_leaves_points_where_it_has_been(house):
     house.run()
     last = numbers(pick(heard(client), "GroundTruth"), "Location")
     drive(house, client, 1.0)
-    places, colors = house.world.traces.arrays()
+    places, colors = house.world.traces.sketch().start, house.world.traces.sketch().rgb
     assert len(places) == 6, "every 0.5 s for 3 s"
     assert (colors == (0, 1, 0)).all()
     # 2 rad/s on wheels of 0.13 m, a few per cent less for the slip; it drives along x from S1.

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -17,7 +18,9 @@ from usarmjx.scene import Entry, build_scene
 from usarmjx.server import commands as wire
 from usarmjx.server.adapter import Client
 from usarmjx.server.claim import ClaimedWorld
+from usarmjx.server.host import Shot
 from usarmjx.server.live import LiveWorld
+from usarmjx.server.views import expose
 
 WAVE = Segment(name="RightArm", initial=(-1.6, 0, 0), final=(-0.8, 0, 0), rates=(1, 0, 0))
 VICTIM = Victim(
@@ -40,13 +43,14 @@ FINDER = replace(
     TAGGER,
     name="Finder",
     sensors=(
-        Mount(kind="VictSensor", name="VictSensor", options=options(Sigma=0.0)),
+        Mount(kind="VictSensor", name="VictSensor", options=options(Sigma=0.0, bShowResults=True)),
         Mount(kind="RFID", name="Reader", options=options(bAlwaysReadRFIDmem=True)),
-        Mount(kind="RFID", name="Strict", options=options(SensingMode="Obstacle")),
+        Mount(kind="RFID", name="Strict", options=options(SensingMode="Obstacle", bTraceRFIDs=True)),
         Mount(kind="Sound", name="Ear", options=options(Noise=0.0)),
         Mount(kind="HumanMotion", name="Motion"),
         Mount(kind="CO2Sensor", name="CO2"),
     ),
+    cameras=(Mount(kind="Camera", name="Camera", at=(0.2, 0.0, -0.2), options=options(CameraDefFov=1.5)),),
 )
 
 
@@ -142,6 +146,30 @@ def test_walls_hide_tags(client):
     for name, ids in (("Reader", {1001, 3000}), ("Strict", {1001})):
         value = client.robot.pending[client.robot.suite.find("RFID", name)]
         assert {int(row[1]) for row in value if row[0]} - {0} == ids
+
+
+def test_pictures_show_the_lines_to_tags_and_where_the_victim_sensor_looks(client, monkeypatch):
+    """Manual 10.9.3.2 and 10.10.2; the picture itself is black here."""
+    world, (height, width) = client._world, (240, 320)
+    report(client, 0.2)
+    black = SimpleNamespace(
+        rgb=np.zeros((height, width, 3), np.uint8), depth=np.full((height, width), np.inf)
+    )
+    monkeypatch.setattr(world, "expose", lambda shots: lambda: [black for _ in shots])
+    shot = Shot(client.robot, 0, width, height)
+    (picture,) = expose(world, [shot])()
+    assert not black.rgb.any()
+    colors = {tuple(color) for color in np.unique(picture.reshape(-1, 3), axis=0).tolist()}
+    assert colors == {(0, 0, 0), (0, 255, 0), (255, 0, 0), (255, 255, 255)}, "a body, the floor, and nothing"
+    # From the reader, in the middle of the robot, to the tag left of what the victim sensor sees.
+    eye, reader = world.viewpoint(shot), world.state(client.robot).pos
+    tag = np.add(ARENA.tags[0].at, (0.0, 0.0, ARENA.floor))
+    focal = width / 2 / np.tan(1.5 / 2)
+    for share in (0.6, 0.8, 0.95):
+        x, y, z = (reader + share * (tag - reader) - eye.pos) @ eye.mat
+        column, row = int(width / 2 - focal * y / x), int(height / 2 - focal * z / x)
+        near = picture[row - 1 : row + 2, column - 1 : column + 2].reshape(-1, 3)
+        assert (near == (0, 255, 0)).all(1).any(), share
 
 
 def test_far_away_there_is_no_line_of_tags_and_no_victim(client):

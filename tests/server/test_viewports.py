@@ -158,13 +158,13 @@ def walk(told, speed, seconds, step=0.02):
 
 def test_points_are_an_interval_apart():
     traces = walk(Trace(True, 0.5, "Green"), speed=1.0, seconds=3.0)
-    places, colors = traces.arrays()
+    places, colors = traces.sketch().start, traces.sketch().rgb
     np.testing.assert_allclose(places[:, 0], [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], atol=1e-6)  # float32
     assert (colors == (0, 1, 0)).all()
 
 
 def test_points_are_7_unreal_units_apart_however_slow_the_robot():
-    places, _ = walk(Trace(True), speed=0.01, seconds=20.0).arrays()
+    places = walk(Trace(True), speed=0.01, seconds=20.0).sketch().start
     # A point comes at the first look, every 0.1 s, when it is far enough: at most a look's way further.
     assert (np.diff(places[:, 0]) > APART - 1e-6).all()
     assert (np.diff(places[:, 0]) <= APART + 0.01 * (PACE + 0.02) + 1e-6).all()
@@ -180,7 +180,7 @@ def test_a_long_way_keeps_its_ends_and_never_more_than_the_limit():
     for count in range(5000):
         traces.drop(trail, (float(count), 0.0, 0.0), float(count))
         assert len(traces.points) <= LIMIT
-    places, _ = traces.arrays()
+    places = traces.sketch().start
     assert traces.every == 16, "5000 points are more than 8 * 512, fewer than 16 * 512"
     assert places[0, 0] == 0
     assert (np.diff(places[:, 0]) == 16).all()

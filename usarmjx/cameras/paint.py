@@ -51,12 +51,12 @@ def piece_of(slot: Array, piece: Array) -> Array:
     return slot * PIECES + piece
 
 
-def hidden(owner: Array, slot: Array, hides: np.ndarray) -> Array:
+def hidden(owner: Array, slot: Array, hides: Array) -> Array:
     """Return the owners (n,) as those see it that look through a camera of the robot in a slot ().
 
     What its class's camera does not see (`Camera.hides`) belongs to the slot; nothing else belongs to anyone.
     """
-    piece = jnp.asarray(np.append(hides, False))[jnp.clip(owner - slot * PIECES, 0, len(hides))]
+    piece = jnp.append(jnp.asarray(hides), False)[jnp.clip(owner - slot * PIECES, 0, len(hides))]
     return jnp.where((owner // PIECES == slot) & piece, slot, -1)
 
 

@@ -1,7 +1,10 @@
 """A picture that a robot's camera takes: colours, depths, and what every pixel shows."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni, pinhole, untiled
@@ -14,6 +17,54 @@ from usarmjx.transforms import Array
 
 LARGEST = 4096
 """Most pixels along a side."""
+ROOM = 64
+"""Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
+
+
+class Viewpoint(struct.PyTreeNode, kw_only=True):
+    """From where a picture is taken, and through what: all that differs between cameras.
+
+    Attributes:
+        pos: Where the camera is [m] (3,).
+        mat: Its orientation; x is the optical axis, z up in the picture (3, 3).
+        eyes: Where its eyes are, in its own axes [m] (eyes, 3).
+        fov: Its field of view [rad] ().
+        default: That which it starts with [rad] ().
+        slot: Its robot's slot in the roster ().
+        hides: Geoms of its robot that it does not see: `Camera.hides`, then False (geoms,).
+        lens: What it looks through; static.
+    """
+
+    pos: Array
+    mat: Array
+    eyes: Array
+    fov: Array
+    default: Array
+    slot: Array
+    hides: Array
+    lens: str = struct.field(pytree_node=False)
+
+
+def viewpoint(camera: Camera, bodies: Bodies, slot: Array, fov: Array) -> Viewpoint:
+    """Return from where a robot's camera looks; numpy arrays if those given are.
+
+    Args:
+        camera: The camera.
+        bodies: Poses of the robot's bodies.
+        slot: Its slot in the roster ().
+        fov: The camera's field of view [rad] ().
+    """
+    pos, mat = bodies.pos[camera.body], bodies.mat[camera.body]
+    return Viewpoint(
+        pos=pos + mat @ camera.at,
+        mat=mat @ camera.mat,
+        eyes=camera.eyes,
+        fov=fov,
+        default=np.float32(camera.default),
+        slot=slot,
+        hides=np.pad(camera.hides, (0, -len(camera.hides) % ROOM)),
+        lens=camera.lens,
+    )
 
 
 class Picture(struct.PyTreeNode, kw_only=True):
@@ -44,10 +95,8 @@ def check_size(camera: Camera, width: int, height: int) -> None:
         raise UsageError(f"a stereo picture is {width} pixels wide; expected an even number, for two eyes")
 
 
-def take(
-    camera: Camera, stage: Stage, bodies: Bodies, slot: Array, fov: Array, width: int, height: int
-) -> Picture:
-    """Return what a robot's camera sees; pure, camera and size are static.
+def take(stage: Stage, eye: Viewpoint, width: int, height: int) -> Picture:
+    """Return what a robot's camera sees; pure, the size is static.
 
     The robot sees itself, but for what would cover the lens, see `Camera.hides`. A stereo camera's picture
     has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
@@ -55,32 +104,23 @@ def take(
     grows as it shrinks.
 
     Args:
-        camera: The camera.
         stage: What there is to see.
-        bodies: Poses of the robot's bodies.
-        slot: Its slot in the roster ().
-        fov: The camera's field of view [rad] ().
+        eye: From where.
         width: Pixels along a row.
         height: Rows.
-
-    Raises:
-        UsageError: A picture of that size cannot be taken; see `check_size`.
     """
-    check_size(camera, width, height)
-    eyes, wide = len(camera.eyes), width // len(camera.eyes)
-    body, mat = bodies.pos[camera.body], bodies.mat[camera.body]
-    turn, place = mat @ camera.mat, body + mat @ camera.at
-    offsets = jnp.asarray(camera.eyes)
-    if camera.lens == "omni":
-        rays = omni(wide, height, jnp.tan(camera.default / 2) / jnp.tan(fov / 2))
+    offsets = jnp.asarray(eye.eyes)
+    eyes, wide = len(offsets), width // len(offsets)
+    if eye.lens == "omni":
+        rays = omni(wide, height, jnp.tan(eye.default / 2) / jnp.tan(eye.fov / 2))
         offsets += jnp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
-        rays = pinhole(wide, height, fov)
-    along = jnp.stack([sum(turn[i, j] * rays.along[:, j] for j in range(3)) for i in range(3)], -1)
-    start = jnp.repeat(place + offsets @ turn.T, len(along), 0)
-    blocks = [block.replace(owner=hidden(block.owner, slot, camera.hides)) for block in stage.geoms.blocks]
+        rays = pinhole(wide, height, eye.fov)
+    along = jnp.stack([sum(eye.mat[i, j] * rays.along[:, j] for j in range(3)) for i in range(3)], -1)
+    start = jnp.repeat(eye.pos + offsets @ eye.mat.T, len(along), 0)
+    blocks = [block.replace(owner=hidden(block.owner, eye.slot, eye.hides)) for block in stage.geoms.blocks]
     stage = stage.replace(geoms=stage.geoms.replace(blocks=tuple(blocks)))
-    seen = shade(stage, start, jnp.tile(along, (eyes, 1)), jnp.asarray(slot))
+    seen = shade(stage, start, jnp.tile(along, (eyes, 1)), jnp.asarray(eye.slot))
     inside, depth = jnp.tile(rays.inside, eyes), seen.distance * jnp.tile(rays.depth, eyes)
     levels = jnp.where(inside[:, None], jnp.floor(255 * seen.rgb + 0.5), 0.0).astype(jnp.uint8)
 
@@ -93,3 +133,10 @@ def take(
         depth=picture(jnp.where(inside, depth, jnp.inf)),
         segmentation=picture(jnp.where(inside, seen.label, OUTSIDE).astype(jnp.int32)),
     )
+
+
+@partial(jax.jit, static_argnames=("width", "height"))
+@jax.default_matmul_precision("highest")
+def shoot(stage: Stage, eye: Viewpoint, width: int, height: int) -> Picture:
+    """As `take`, compiled once for all cameras with as many eyes and the same lens."""
+    return take(stage, eye, width, height)

@@ -21,6 +21,7 @@ from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
 from usarmjx.sensors.quantities import Quantity, total
 from usarmjx.sensors.raycast import BUNDLE, Hits
+from usarmjx.sensors.sketch import Sketch
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
 from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles
 
@@ -159,6 +160,15 @@ class Sensor(ABC):
         """Carry out a SET command; return the new memory, or None when the command is not valid."""
         del opcode, params, sight, memory
         return None
+
+    @property
+    def draws(self) -> bool:
+        """Whether it keeps a sketch for pictures in its memory; see `sketch`."""
+        return False
+
+    def sketch(self, memory: Any) -> Sketch:  # noqa: ANN401
+        """Return what a sensor that `draws` shows of its last reading in pictures."""
+        raise NotImplementedError(f"{self.kind} draws nothing")
 
     def with_noise(self, factor: Array) -> "Sensor":
         """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""

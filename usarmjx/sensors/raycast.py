@@ -57,11 +57,13 @@ class Gaze(NamedTuple):
         bundle: So many rays after each other start and go about the same way. What is nowhere near their cone
             costs them next to nothing.
         reach: What is farther is not met [m].
+        incidence: Whether to find out at which angle they meet surfaces.
     """
 
     passes: frozenset[str] = frozenset()
     bundle: int = BUNDLE
     reach: float = math.inf
+    incidence: bool = False
 
 
 ANYTHING = Gaze()
@@ -279,20 +281,9 @@ def cast(
     gaze: Gaze = ANYTHING,
     wanted: jax.Array | None = None,
 ) -> Hits:
-    """Return the distance to the first surface that each ray meets (rays,); no angles. See `nearest`."""
+    """Return the first surface that each ray meets, see `nearest`; at which angle, if the gaze asks."""
     first = nearest(geoms, origin, direction, viewer, gaze, wanted)
-    return Hits(distance=first.distance, cosine=jnp.zeros_like(first.distance))
-
-
-def cast_incidence(
-    geoms: Geoms,
-    origin: jax.Array,
-    direction: jax.Array,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
-    wanted: jax.Array | None = None,
-) -> Hits:
-    """As `cast`, with the angle at which each ray meets its surface."""
-    first = nearest(geoms, origin, direction, viewer, gaze, wanted)
-    normal = normals(geoms, first, origin, direction)
-    return Hits(distance=first.distance, cosine=jnp.abs((normal * direction).sum(-1)))
+    cosine = jnp.zeros_like(first.distance)
+    if gaze.incidence:
+        cosine = jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))
+    return Hits(distance=first.distance, cosine=cosine)

@@ -13,6 +13,7 @@ from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import NOT_NEGATIVE, OneOf
 from usarmjx.models.spec import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.sketch import Sketch, blank
 from usarmjx.sensors.surroundings import Surroundings
 from usarmjx.transforms import Array
 
@@ -39,7 +40,7 @@ class RfidSettings(Common):
         d_bm_tx_power: Power of the transmitter [dBm].
         d_bm_rx_sensibility: Weakest signal that is received [dBm].
         d_b_obstacle_attenuation: Loss through an obstacle; there is never more than one [dB].
-        trace_rfi_ds: Whether to show in pictures how tags are reached; has no effect.
+        trace_rfi_ds: Whether pictures show lines to the tags.
         always_read_rfi_dmem: Whether each report tells what is written on the tags.
     """
 
@@ -71,16 +72,24 @@ def signal(settings: RfidSettings, distance: Array, blocked: Array, xp: ModuleTy
     return settings.d_bm_tx_power - loss - settings.d_b_obstacle_attenuation * blocked
 
 
+def _goodness(settings: RfidSettings, strength: jax.Array) -> jax.Array:
+    """Return how green a line is (...,): 1 as strong as from a metre away, 0 as weak as can be received."""
+    least, best = settings.d_bm_rx_sensibility, signal(settings, np.float32(1.0), np.float32(0.0), np)
+    return jnp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
+
+
 class RfidMemory(struct.PyTreeNode, kw_only=True):
     """What an RFID sensor remembers.
 
     Attributes:
         answered: Which of the single-shot tags have answered it (tags + MOST,).
         near: IDs of the tags that it read last, -1 for none (MOST,).
+        lines: Lines to the tags; None unless they are wanted.
     """
 
     answered: jax.Array
     near: jax.Array
+    lines: Sketch | None = None
 
 
 class _Tags(struct.PyTreeNode, kw_only=True):
@@ -139,7 +148,8 @@ class Rfid(Sensor):
         """Nothing was read yet."""
         del key
         room = sight.around.tag_there.shape[0] + MOST
-        return RfidMemory(answered=jnp.zeros(room, bool), near=jnp.full(MOST, -1, jnp.int32))
+        lines = blank(MOST) if self.draws else None
+        return RfidMemory(answered=jnp.zeros(room, bool), near=jnp.full(MOST, -1, jnp.int32), lines=lines)
 
     def read(self, sight: Sight, memory: RfidMemory, key: jax.Array) -> tuple[RfidMemory, jax.Array]:
         """Read all tags in reach once; those that answer only once never again."""
@@ -147,23 +157,47 @@ class Rfid(Sensor):
         settings = self.settings[0]
         pos, mat = self.mount_poses(sight.bodies)
         tags = _nearest(sight.around, pos[0])
-        if settings.mode == ATTENUATION:
+        blocked = jnp.zeros(MOST, bool)
+        if settings.mode != RADIUS:
             blocked = sight.hits.distance < tags.far - SLACK
-            reached = signal(settings, tags.far, blocked) >= settings.d_bm_rx_sensibility
+        if settings.mode == ATTENUATION:
+            near, strength = tags.there, signal(settings, tags.far, blocked)
+            reached = near & (strength >= settings.d_bm_rx_sensibility)
+            good = _goodness(settings, strength)
         else:
             reach = jnp.where(tags.single, settings.max_single_shot_range, settings.max_range)
-            reached = tags.far <= reach
-        if settings.mode == OBSTACLE:
-            reached &= sight.hits.distance >= tags.far - SLACK
-        read = tags.there & reached & ~memory.answered[tags.place]
+            near = tags.there & (tags.far <= reach)
+            reached, good = near & ~blocked, (~blocked).astype(jnp.float32)
+        read = reached & ~memory.answered[tags.place]
         offset = jnp.where(read[:, None], tags.pos - pos[0], 0.0)
         told = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         row = jnp.stack([read.astype(jnp.float32), jnp.where(read, tags.id, 0).astype(jnp.float32)], -1)
+        lines = None
+        if self.draws:
+            rgb = jnp.stack([1 - good, good, jnp.zeros(MOST)], -1)
+            black = (settings.mode == ATTENUATION) & ~reached[:, None]
+            start = jnp.broadcast_to(pos[0], tags.pos.shape)
+            lines = Sketch(start=start, end=tags.pos, rgb=jnp.where(black, 0.0, rgb), shown=near)
         memory = RfidMemory(
             answered=memory.answered.at[tags.place].max(read & tags.single),
             near=jnp.where(read, tags.id, -1),
+            lines=lines,
         )
         return memory, jnp.concatenate([row, told], -1)
+
+    @property
+    def draws(self) -> bool:
+        """With bTraceRFIDs (manual 10.9.2)."""
+        return self.settings[0].trace_rfi_ds
+
+    def sketch(self, memory: RfidMemory) -> Sketch:
+        """Lines to the nearest tags (manual 10.9.3).
+
+        Green to those that are reached, red to those behind an obstacle, none to those out of range; in the
+        mode Attenuation from green to red by the strength of the signal, black to those out of reach.
+        """
+        assert memory.lines is not None
+        return memory.lines
 
     def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
         """Read and Write (manual 10.9.5, 10.9.6) are valid for a tag that is in range; the first parameter.

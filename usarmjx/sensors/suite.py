@@ -23,7 +23,7 @@ from usarmjx.errors import UnknownNameError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
-from usarmjx.sensors.raycast import NO_HITS, Gaze, Hits, cast, cast_incidence
+from usarmjx.sensors.raycast import NO_HITS, Gaze, Hits, cast
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
 from usarmjx.sensors.targets import Geoms
@@ -95,10 +95,9 @@ class Suite:
         hits = []
         for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
             if count:
-                caster = cast_incidence if sensor.needs_incidence else cast
                 rays = sensor.aim(bodies, around)
-                how = Gaze(sensor.passes, sensor.bundle, sensor.reach)
-                hits.append(caster(geoms, *rays, slot, how, None if due is None else due[i]))
+                how = Gaze(sensor.passes, sensor.bundle, sensor.reach, sensor.needs_incidence)
+                hits.append(cast(geoms, *rays, slot, how, None if due is None else due[i]))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def start(self, sight: Sight, key: jax.Array) -> Memory:

@@ -11,6 +11,7 @@ from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.ranging import steps, too_many
+from usarmjx.sensors.sketch import Sketch, blank
 from usarmjx.transforms import Array
 
 TOLERANCE = 1e-3
@@ -18,6 +19,8 @@ TOLERANCE = 1e-3
 PATTERNS = ((0, 0), (1, 0), (1, 1), (0, 1))
 """The four grids of rays that a reading is made of: by how many half steps each is shifted to the right and
 down."""
+GREEN, YELLOW, RED, WHITE = np.array([(0, 1, 0), (1, 1, 0), (1, 0, 0), (1, 1, 1)], np.float32)
+"""Of points where rays end: on a victim, a false alarm, anything else, nothing (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class VictimSettings(Common):
         horizontal_step: Angle between two columns of a grid [rad].
         vertical_fov: Angle from the first row of rays to the last [rad].
         vertical_step: Angle between two rows of a grid [rad].
-        show_results: Whether to show in pictures where rays end; has no effect.
+        show_results: Whether pictures show where rays end, and on what.
         mean: Mean error of a coordinate, as a share of the distance.
         sigma: Standard deviation of the error, as a share of the distance.
     """
@@ -110,7 +113,9 @@ class VictSensor(Sensor):
         """Look once with all four grids."""
         settings, around = self.settings[0], sight.around
         pos, mat = self.mount_poses(sight.bodies)
-        met = self._met(sight)
+        end, inside = self._ends(sight)
+        bounds = np.cumsum([len(grid) for grid in grids(settings)])[:-1]
+        met = jnp.stack([grid.any(1) for grid in jnp.split(inside, bounds, axis=1)])
         offset = jnp.asarray(around.box_pos) - pos[0]
         place = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         far = jnp.linalg.norm(offset, axis=-1)
@@ -120,15 +125,19 @@ class VictSensor(Sensor):
         error = settings.mean + settings.sigma * jax.random.normal(noise, place.shape)
         told = jnp.where(seen[:, None], place + far[:, None] * error, 0.0)
         row = jnp.stack([seen.astype(jnp.float32), jnp.asarray(around.part, jnp.float32)], -1)
+        if self.draws:
+            rgb = jnp.where((sight.hits.distance <= settings.distance)[:, None], RED, WHITE)
+            for owned, color in ((around.owner < 0, YELLOW), (around.owner >= 0, GREEN)):
+                rgb = jnp.where((inside & owned[:, None]).any(0)[:, None], color, rgb)
+            memory = Sketch(start=end, end=end, rgb=rgb, shown=jnp.ones(len(end), bool))
         return memory, jnp.concatenate([row, told], -1)
 
-    def _met(self, sight: Sight) -> jax.Array:
-        """Return which boxes each grid met (4, boxes): those whose surface is where a ray ends."""
+    def _ends(self, sight: Sight) -> tuple[jax.Array, jax.Array]:
+        """Return where rays end [m] (rays, 3), and which boxes' surfaces are there (boxes, rays)."""
         settings, around = self.settings[0], sight.around
         origin, along = self.rays(sight.bodies)
         near = sight.hits.distance <= settings.distance
-        end = origin + jnp.where(near, sight.hits.distance, 0.0)[:, None] * along
-        ends = np.cumsum([len(grid) for grid in grids(settings)])[:-1]
+        end = origin + jnp.minimum(sight.hits.distance, settings.distance)[:, None] * along
 
         def one(pos: Array, mat: Array, size: Array) -> jax.Array:
             away = end - pos
@@ -136,12 +145,26 @@ class VictSensor(Sensor):
             for axis in range(3):  # sums of products, which a GPU does not round to TensorFloat-32
                 place = sum(mat[j, axis] * away[:, j] for j in range(3))
                 inside &= jnp.abs(place) <= size[axis] + TOLERANCE
-            return jnp.stack([grid.any() for grid in jnp.split(inside, ends)])
+            return inside
 
         if around.box_pos.shape[0] == 0:
-            return jnp.zeros((len(PATTERNS), 0), bool)
+            return end, jnp.zeros((0, len(end)), bool)
         boxes = (around.box_pos, around.box_mat, around.box_size)
-        return jax.vmap(one, out_axes=1)(*map(jnp.asarray, boxes))
+        return end, jax.vmap(one)(*map(jnp.asarray, boxes))
+
+    def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - a sketch if it draws
+        """Nothing was met yet."""
+        del sight, key
+        return blank(sum(len(grid) for grid in grids(self.settings[0]))) if self.draws else ()
+
+    @property
+    def draws(self) -> bool:
+        """With bShowResults (manual 10.10.2)."""
+        return self.settings[0].show_results
+
+    def sketch(self, memory: Sketch) -> Sketch:
+        """Points where rays end, coloured by what is there."""
+        return memory
 
 
 SENSORS.add(VictSensor.kind, VictSensor)

@@ -6,7 +6,7 @@ parks it again. All worlds of the batch run on; only the served one listens to c
 
 import logging
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -18,11 +18,12 @@ from usarmjx.cameras.picture import Picture
 from usarmjx.control import Command, idle
 from usarmjx.errors import UsageError
 from usarmjx.models.effecters import Opcode
-from usarmjx.models.plan import body_plan
+from usarmjx.models.plan import Bodies, BodyPlan, body_plan, body_poses
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
+from usarmjx.sensors.suite import Memory
 from usarmjx.server.host import HostWorld, Robot, Shot, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
 from usarmjx.world import TeamState, feel, team_states, time_of
@@ -183,6 +184,15 @@ class ClaimedWorld(HostWorld):
         states = team_states(self._batch.scene.teams[team], physics)
         return jax.tree.map(lambda x: np.asarray(x[place]), states)
 
+    def bodies(self, robot: Robot) -> Bodies:
+        """Return where the robot's bodies are."""
+        return jax.device_get(_poses(robot.plan)(self.state(robot)))
+
+    def memory(self, robot: Robot) -> Memory:
+        """Return what the robot's sensors remember."""
+        team, place = self._batch.scene.team_of(robot.slot)
+        return jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.teams[team].memory)
+
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return np.asarray(self._batch.physics(self._state).qpos[self._instance, self._batch.scene.door_qpos])
@@ -205,9 +215,7 @@ class ClaimedWorld(HostWorld):
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
-        team, place = self._batch.scene.team_of(robot.slot)
-        memory = jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.teams[team].memory)
-        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), memory)
+        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), self.memory(robot))
         if memory is not None:
             self._edit(robot, memory=memory)
         return memory is not None
@@ -223,3 +231,8 @@ class ClaimedWorld(HostWorld):
         command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.teams[team].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
+
+
+@cache
+def _poses(plan: BodyPlan) -> Callable[[RobotState], Bodies]:
+    return jax.jit(partial(body_poses, plan))

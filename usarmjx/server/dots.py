@@ -1,12 +1,12 @@
-"""Points of traces in a picture: small coloured balls, hidden by what is in front of them (manual 9.4)."""
+"""What is drawn into a picture: small balls and thin lines, hidden by what is in front (manual 9.4)."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, RIM
-from usarmjx.cameras.mounts import Camera
+from usarmjx.cameras.picture import Viewpoint
+from usarmjx.sensors.sketch import Sketch
 
 RADIUS = 0.03
 """Of a ball (chosen) [m]."""
@@ -14,38 +14,52 @@ LEAST = 0.75
 """Pixels that a ball's radius is at least, so that it always has one's middle in it."""
 NEAR = 0.05
 """Nothing nearer to the camera than this is drawn [m]."""
+SKIN = 0.02
+"""What is so close in front of a line does not hide it: it may end on a surface [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Eye:
-    """What takes a picture.
-
-    Attributes:
-        place: Where it is [m] (3,).
-        turn: Its orientation; x is the optical axis, z up in the picture (3, 3).
-        fov: Its field of view [rad].
-        camera: What camera it is of.
-    """
-
-    place: np.ndarray
-    turn: np.ndarray
-    fov: float
-    camera: Camera
-
-
-def paint(rgb: np.ndarray, depth: np.ndarray, eye: Eye, places: np.ndarray, colors: np.ndarray) -> None:
-    """Draw balls into a picture, the far ones first; they have no shadow, and mirrors do not show them.
+def paint(rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, sketch: Sketch) -> None:
+    """Draw lines and then balls into a picture; they have no shadow, and mirrors do not show them.
 
     Args:
         rgb: The picture, which is changed (height, width, 3) uint8.
         depth: Its depths; see `cameras.picture` (height, width) [m].
-        eye: What has taken it.
-        places: Middles of the balls [m] (balls, 3).
-        colors: Their red, green and blue, 0 to 1 (balls, 3).
+        eye: From where it was taken; its eye is where it is itself.
+        sketch: What to draw; points become balls.
     """
+    start, end, colors = (rows[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb))
+    colors, points = np.round(255 * colors).astype(np.uint8), (start == end).all(-1)
+    for line in zip(start[~points], end[~points], colors[~points], strict=True):
+        _line(rgb, depth, eye, *line)
+    _balls(rgb, depth, eye, start[points], colors[points])
+
+
+def _line(
+    rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, start: np.ndarray, end: np.ndarray, color: np.ndarray
+) -> None:
+    """Draw a line that is a pixel wide."""
     height, width = depth.shape
-    project = _omni if eye.camera.lens == "omni" else _pinhole
-    right, down, away, scale = project(eye, (places - eye.place) @ eye.turn, width, height)
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    foot = float((eye.pos - start) @ along)
+    aside = max(float(np.linalg.norm(start + foot * along - eye.pos)), 1e-3)
+    # Points that are evenly apart as the eye sees them, closer than pixels anywhere in the picture.
+    first, last = math.atan2(-foot, aside), math.atan2(length - foot, aside)
+    count = math.ceil(2 * (last - first) * max(width, height) / math.tan(eye.fov / 2)) + 2
+    way = np.clip(foot + aside * np.tan(np.linspace(first, last, count)), 0.0, length)
+    right, down, away, _ = _project(eye, start + way[:, None] * along, width, height)
+    seen = (away > NEAR) & (right >= 0) & (right < width) & (down >= 0) & (down < height)
+    column, row, away = right[seen].astype(int), down[seen].astype(int), away[seen]
+    clear = depth[row, column] > away - SKIN
+    rgb[row[clear], column[clear]] = color
+
+
+def _balls(
+    rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, places: np.ndarray, colors: np.ndarray
+) -> None:
+    """Draw balls, the far ones first."""
+    height, width = depth.shape
+    right, down, away, scale = _project(eye, places, width, height)
     seen = (away > NEAR) & np.isfinite(right) & np.isfinite(down)
     for ball in sorted(np.flatnonzero(seen), key=lambda ball: -away[ball]):
         radius = max(scale[ball] * RADIUS, LEAST)
@@ -56,13 +70,21 @@ def paint(rgb: np.ndarray, depth: np.ndarray, eye: Eye, places: np.ndarray, colo
             continue
         rows, columns = np.mgrid[part][:, : depth[part].shape[0], : depth[part].shape[1]] + 0.5
         inside = np.hypot(columns - right[ball], rows - down[ball]) <= radius
-        rgb[part][inside & (depth[part] > away[ball] - RADIUS)] = np.round(255 * colors[ball])
+        rgb[part][inside & (depth[part] > away[ball] - RADIUS)] = colors[ball]
+
+
+def _project(
+    eye: Viewpoint, places: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return column and row, depth [m] and pixels per metre of points (points, 3); nan: not seen."""
+    project = _omni if eye.lens == "omni" else _pinhole
+    return project(eye, (places - eye.pos) @ eye.mat, width, height)
 
 
 def _pinhole(
-    eye: Eye, along: np.ndarray, width: int, height: int
+    eye: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return column and row, depth [m] and pixels per metre of points in the eye's axes."""
+    """Return that of points in the eye's axes."""
     focal = width / 2 / math.tan(eye.fov / 2)
     away = along[:, 0]
     scale = focal / np.maximum(away, NEAR)
@@ -70,13 +92,13 @@ def _pinhole(
 
 
 def _omni(
-    eye: Eye, along: np.ndarray, width: int, height: int
+    eye: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the same in a parabolic mirror; see `cameras.lenses.omni`."""
     along = along - (MIRROR_DISTANCE, 0.0, 0.0)
     away = np.linalg.norm(along, axis=1)
     angle = np.arccos(np.clip(-along[:, 0] / np.maximum(away, 1e-9), -1.0, 1.0))
-    zoom = math.tan(eye.camera.default / 2) / math.tan(eye.fov / 2)
+    zoom = math.tan(eye.default / 2) / math.tan(eye.fov / 2)
     rim = min(width, height) / 2 * zoom
     radius = np.where(angle < RIM, rim * np.tan(angle / 2) / math.tan(RIM / 2), np.nan)
     aside = np.maximum(np.hypot(along[:, 1], along[:, 2]), 1e-9)

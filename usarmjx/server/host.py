@@ -11,19 +11,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import jax
 import numpy as np
 
 from usarmjx.cameras.mounts import Camera, cameras_of
-from usarmjx.cameras.picture import Picture
+from usarmjx.cameras.picture import Picture, Viewpoint, viewpoint
 from usarmjx.control import Command
 from usarmjx.errors import UsageError
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.effecters import Effecter, Opcode, effecters_of
-from usarmjx.models.plan import BodyPlan
+from usarmjx.models.plan import Bodies, BodyPlan
 from usarmjx.models.spec import RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.operate import OK, Outcome
-from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.sensors.sketch import Sketch
+from usarmjx.sensors.suite import Memory, Suite, suite_of
 from usarmjx.server.found import written
 from usarmjx.server.multi_view import MultiView
 from usarmjx.server.traces import Traces
@@ -195,6 +197,11 @@ class HostWorld(ABC):
         robot.fovs[camera] = float(robot.cameras[camera].clamp(fov))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
+    def viewpoint(self, shot: Shot) -> Viewpoint:
+        """Return from where a picture would be taken now; numpy arrays."""
+        robot, fov = shot.robot, np.float32(shot.robot.fovs[shot.camera])
+        return viewpoint(robot.cameras[shot.camera], self.bodies(robot), np.int32(robot.slot), fov)
+
     @abstractmethod
     def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them.
@@ -217,6 +224,23 @@ class HostWorld(ABC):
     @abstractmethod
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves; numpy arrays."""
+
+    @abstractmethod
+    def bodies(self, robot: Robot) -> Bodies:
+        """Return where the robot's bodies are; numpy arrays."""
+
+    @abstractmethod
+    def memory(self, robot: Robot) -> Memory:
+        """Return what the robot's sensors remember."""
+
+    def sketches(self) -> list[Sketch]:
+        """Return what the robots' sensors draw into pictures; numpy arrays."""
+        found = []
+        for robot in self.robots.values():
+            draws = [place for place, sensor in enumerate(robot.suite.sensors) if sensor.draws]
+            own = self.memory(robot).own if draws else ()
+            found += [robot.suite.sensors[place].sketch(own[place]) for place in draws]
+        return jax.device_get(found)
 
     @abstractmethod
     def door_angles(self) -> np.ndarray:

@@ -10,14 +10,13 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.cameras.picture import Picture
+from usarmjx.cameras.picture import Picture, shoot
 from usarmjx.control import Command, idle
 from usarmjx.engines.c import buffer_warnings, move_geoms
 from usarmjx.errors import UsageError
@@ -28,7 +27,7 @@ from usarmjx.models.effecters import Effecter, Opcode, no_tags
 from usarmjx.models.layout import RobotIndex, index_robot
 from usarmjx.models.materials import materials_of
 from usarmjx.models.pieces import pieces_of
-from usarmjx.models.plan import BodyPlan, body_plan, lowest_point, robot_state
+from usarmjx.models.plan import Bodies, body_plan, lowest_point, robot_state
 from usarmjx.models.spec import OPAQUE, SKY, RobotSpec
 from usarmjx.models.state import RobotState
 from usarmjx.models.tags import tag_table
@@ -37,13 +36,13 @@ from usarmjx.operate import Load, Operation, mount_point, perform
 from usarmjx.scene import prefix_of
 from usarmjx.scene_geoms import door_qpos
 from usarmjx.sensors.base import Sensor, Sight
-from usarmjx.sensors.raycast import NO_HITS, Gaze, cast_incidence
-from usarmjx.sensors.suite import suite_of
+from usarmjx.sensors.raycast import NO_HITS, Gaze, cast
+from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.sensors.surroundings import Surroundings, survey
 from usarmjx.sensors.targets import FAR_AWAY, Block, Geoms, Sort, sort_places
 from usarmjx.server.compiled import RAYS, Compiled, passed_in
 from usarmjx.server.host import HostWorld, Robot, Shot, status_of
-from usarmjx.server.live_view import live_stage, take
+from usarmjx.server.live_view import live_stage
 from usarmjx.transforms import Vec3, quat_from_angles
 
 log = logging.getLogger(__name__)
@@ -91,13 +90,13 @@ class LiveWorld(HostWorld):
         self._steps = 0
         self._spawned = 0
         self._index: dict[int, RobotIndex] = {}
-        self._memory: dict[int, Any] = {}
+        self._memory: dict[int, Memory] = {}
         self._stock: dict[int, np.ndarray] = {}
         self._homes: dict[int, np.ndarray] = {}
         self._compiled: dict[str, Compiled] = {}
         self._sort_pieces()
         self._room = _room_for(self._places)
-        self._cast = jax.jit(cast_incidence, static_argnames="gaze")
+        self._cast = jax.jit(cast, static_argnames="gaze")
         self._compile_cast(self._room, passed_in(Sensor.passes, arena))
 
     @property
@@ -121,7 +120,7 @@ class LiveWorld(HostWorld):
 
     def _compile_cast(self, room: dict[Sort, int], passes: frozenset[str]) -> None:
         rays = np.ones((RAYS, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=Gaze(passes))
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=Gaze(passes, incidence=True))
 
     def _sort_pieces(self) -> None:
         """Find out what rays see of the present model."""
@@ -231,7 +230,8 @@ class LiveWorld(HostWorld):
             bodies, origin, direction = compiled.stretch(state, seeks)
             hits = NO_HITS
             for passes, mine in compiled.gazes:
-                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), gaze=Gaze(passes))
+                gaze = Gaze(passes, incidence=True)
+                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), gaze=gaze)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.born)
             sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
@@ -282,6 +282,10 @@ class LiveWorld(HostWorld):
         """Return where the robot is and how it moves."""
         return self._state(robot.slot)
 
+    def memory(self, robot: Robot) -> Memory:
+        """Return what the robot's sensors remember."""
+        return self._memory[robot.slot]
+
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
@@ -297,13 +301,15 @@ class LiveWorld(HostWorld):
         }
         what = self._pieces, self._places, self._room, self._index, lit
         stage = live_stage(self.arena, self._data, *what)
-        takes = [partial(take, stage, *self._pose(shot), (shot.width, shot.height)) for shot in shots]
-        return lambda: [one() for one in takes]
+        held = [(self.viewpoint(shot), shot.width, shot.height) for shot in shots]
+        return lambda: [jax.device_get(shoot(stage, *what)) for what in held]
 
-    def _pose(self, shot: Shot) -> tuple[BodyPlan, int, RobotState, int, float]:
-        """Return which camera takes a picture, and from where."""
-        robot = shot.robot
-        return robot.plan, shot.camera, self._state(robot.slot), robot.slot, robot.fovs[shot.camera]
+    def bodies(self, robot: Robot) -> Bodies:
+        """Return where the robot's bodies are."""
+        mujoco.mj_kinematics(self._model, self._data)
+        body = list(self._index[robot.slot].body)
+        pos, mat = self._data.xpos[body], self._data.xmat[body].reshape(-1, 3, 3)
+        return Bodies(pos=pos.astype(np.float32), mat=mat.astype(np.float32))
 
     def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""

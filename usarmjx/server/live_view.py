@@ -1,14 +1,13 @@
 """What cameras see of a served world on C MuJoCo, as arrays with room to spare: see `live`."""
 
 from collections.abc import Mapping
-from functools import partial
 
 import jax
 import mujoco
 import numpy as np
 
 from usarmjx.cameras.light import SUN, Headlights, lamps_of
-from usarmjx.cameras.mounts import Camera, cameras_of, headlight_of
+from usarmjx.cameras.mounts import headlight_of
 from usarmjx.cameras.paint import (
     ROBOT,
     WATER,
@@ -20,17 +19,12 @@ from usarmjx.cameras.paint import (
     labels_of,
     piece_of,
 )
-from usarmjx.cameras.picture import Picture
-from usarmjx.cameras.picture import take as take_picture
 from usarmjx.cameras.shading import Stage
 from usarmjx.models.arena_spec import ArenaSpec
 from usarmjx.models.layout import RobotIndex
 from usarmjx.models.pieces import Pieces
-from usarmjx.models.plan import BodyPlan, body_poses
 from usarmjx.models.spec import GLASS, RobotSpec
-from usarmjx.models.state import RobotState
 from usarmjx.sensors.targets import FAR_AWAY, Block, Geoms, Sort
-from usarmjx.transforms import Array
 from usarmjx.views import EVERYWHERE, TILE
 
 WATER_SORT: Sort = (int(mujoco.mjtGeom.mjGEOM_BOX), GLASS)
@@ -151,45 +145,3 @@ def _headlights(
         pos[k], along[k] = data.xpos[body] + mat @ lamp.at, mat @ lamp.along
         on[k], label[k] = True, ROBOT + slot
     return Headlights(pos=pos, along=along, on=on, label=label)
-
-
-@partial(jax.jit, static_argnames=("plan", "camera", "size"))
-def _take(
-    stage: Stage,
-    plan: BodyPlan,
-    camera: Camera,
-    state: RobotState,
-    slot: Array,
-    fov: Array,
-    size: tuple[int, int],
-) -> Picture:
-    with jax.default_matmul_precision("highest"):
-        return take_picture(camera, stage, body_poses(plan, state), slot, fov, *size)
-
-
-def take(
-    stage: Stage,
-    plan: BodyPlan,
-    camera: int,
-    state: RobotState,
-    slot: int,
-    fov: float,
-    size: tuple[int, int],
-) -> Picture:
-    """Return what a robot's camera sees; numpy arrays. Compiled for each class, camera, size and room.
-
-    Args:
-        stage: What there is to see.
-        plan: The robot's class.
-        camera: Place of the camera among those of the class.
-        state: Where the robot is.
-        slot: Its slot.
-        fov: The camera's field of view [rad].
-        size: Width and height of the picture.
-
-    Raises:
-        UsageError: A picture of that size cannot be taken.
-    """
-    eye = cameras_of(plan.robot)[camera]
-    picture = _take(stage, plan, eye, state, np.int32(slot), np.float32(fov), size)
-    return jax.device_get(picture)

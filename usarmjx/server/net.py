@@ -2,8 +2,10 @@
 
 import asyncio
 import contextlib
+import gc
 import logging
 import signal
+import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +27,10 @@ SOCKET_BACKLOG = 64 * 1024
 """While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
 RESYNC = 0.5
 """A server that is further behind the clock than this gives up catching up [s]."""
+SELDOM = 1000
+"""Young objects are looked through for garbage so often before old ones are; Python's default is 10."""
+SWITCH = 5e-4
+"""The loop gets its turn so soon when a thread beside it runs Python, as when JAX traces a function [s]."""
 
 
 @dataclass(frozen=True)
@@ -269,4 +275,9 @@ def serve(world: HostWorld, settings: Settings, services: Sequence[Service] = ()
     async def main() -> None:
         await Server(world, settings, services).run()
 
+    sys.setswitchinterval(SWITCH)
+    # To look for garbage among the hundreds of thousands of objects that JAX keeps holds up all threads, and
+    # that again and again while a function is traced.
+    gc.freeze()
+    gc.set_threshold(*gc.get_threshold()[:2], SELDOM)
     asyncio.run(main())

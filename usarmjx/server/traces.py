@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from usarmjx.sensors.sketch import Sketch
 from usarmjx.server.commands import Trace
 from usarmjx.transforms import Vec3
 
@@ -72,8 +73,8 @@ class Traces:
             del self.points[1::2]
             self.every *= 2
 
-    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return places [m] and colours, 0 to 1, of all points (points, 3)."""
+    def sketch(self) -> Sketch:
+        """Return all points, to be drawn; numpy arrays."""
         places = np.array([place for place, _ in self.points], np.float32).reshape(-1, 3)
         colors = np.array([COLORS[color] for _, color in self.points], np.float32).reshape(-1, 3)
-        return places, colors
+        return Sketch(start=places, end=places, rgb=colors, shown=np.ones(len(places), bool))

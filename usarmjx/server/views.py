@@ -1,16 +1,13 @@
-"""What an image client sees: which cameras of a served world, where in its picture, with traces."""
+"""What an image client sees: which cameras of a served world, where in its picture, what is drawn there."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
 
-import jax
 import numpy as np
 
-from usarmjx.cameras.picture import Picture
-from usarmjx.models.plan import Bodies, BodyPlan, body_poses
-from usarmjx.models.state import RobotState
-from usarmjx.server.dots import Eye, paint
+from usarmjx.cameras.picture import Picture, Viewpoint
+from usarmjx.sensors.sketch import Sketch
+from usarmjx.server.dots import paint
 from usarmjx.server.host import HostWorld, Robot, Shot
 
 
@@ -84,41 +81,31 @@ def _of_everybody(world: HostWorld, size: tuple[int, int]) -> View:
 
 
 def expose(world: HostWorld, shots: Sequence[Shot]) -> Callable[[], list[np.ndarray]]:
-    """Hold the world still; return what then takes pictures (height, width, 3), robots' traces in them.
+    """Hold the world still; return what then takes pictures (height, width, 3).
 
-    The second half may run in another thread, while the world goes on.
+    They show the robots' traces and what sensors draw. The second half may run in another thread, while the
+    world goes on.
     """
     if not shots:
         return list
     take = world.expose(shots)
-    if not world.traces.points:
+    sketches = [sketch for sketch in (world.traces.sketch(), *world.sketches()) if sketch.shown.any()]
+    if not sketches:
         return lambda: [picture.rgb for picture in take()]
-    places, colors = world.traces.arrays()
-    held = [(shot, world.state(shot.robot), shot.robot.fovs[shot.camera]) for shot in shots]
+    eyes = [world.viewpoint(shot) for shot in shots]
 
     def develop() -> list[np.ndarray]:
-        pairs = zip(take(), held, strict=True)
-        return [_with_dots(picture, *what, places, colors) for picture, what in pairs]
+        return [_drawn(picture, eye, sketches) for picture, eye in zip(take(), eyes, strict=True)]
 
     return develop
 
 
-def _with_dots(
-    picture: Picture, shot: Shot, state: RobotState, fov: float, places: np.ndarray, colors: np.ndarray
-) -> np.ndarray:
-    camera = shot.robot.cameras[shot.camera]
-    bodies = jax.device_get(_poses(shot.robot.plan)(state))
-    mat = bodies.mat[camera.body]
-    turn, middle = mat @ camera.mat, bodies.pos[camera.body] + mat @ camera.at
+def _drawn(picture: Picture, eye: Viewpoint, sketches: Sequence[Sketch]) -> np.ndarray:
+    """Return a picture with what is to be drawn into it, seen by each of its eyes."""
     rgb, depth = np.array(picture.rgb), np.asarray(picture.depth)
-    wide = shot.width // len(camera.eyes)
-    for number, offset in enumerate(camera.eyes):
+    wide = rgb.shape[1] // len(eye.eyes)
+    for number, offset in enumerate(eye.eyes):
         part = np.s_[:, number * wide : (number + 1) * wide]
-        eye = Eye(place=middle + turn @ offset, turn=turn, fov=fov, camera=camera)
-        paint(rgb[part], depth[part], eye, places, colors)
+        for sketch in sketches:
+            paint(rgb[part], depth[part], eye.replace(pos=eye.pos + eye.mat @ offset), sketch)
     return rgb
-
-
-@cache
-def _poses(plan: BodyPlan) -> Callable[[RobotState], Bodies]:
-    return jax.jit(partial(body_poses, plan))

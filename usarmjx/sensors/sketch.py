@@ -1,0 +1,28 @@
+"""What sensors draw into the pictures of cameras, so that one sees what they do (manual 10.9.2, 10.10.2)."""
+
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.transforms import Array
+
+
+class Sketch(struct.PyTreeNode, kw_only=True):
+    """Straight lines; one that ends where it starts is a point.
+
+    Attributes:
+        start: Where they start [m] (lines, 3).
+        end: Where they end [m] (lines, 3).
+        rgb: Red, green and blue, 0 to 1 (lines, 3).
+        shown: Which of them there are (lines,).
+    """
+
+    start: Array
+    end: Array
+    rgb: Array
+    shown: Array
+
+
+def blank(lines: int) -> Sketch:
+    """Return a sketch with room for some lines, of which there is none."""
+    nowhere = jnp.zeros((lines, 3))
+    return Sketch(start=nowhere, end=nowhere, rgb=nowhere, shown=jnp.zeros(lines, bool))
