@@ -52,6 +52,7 @@ class Config:
         layers: Widths of the policy's hidden layers.
         critic_layers: Widths of the critic's hidden layers.
         memory: Units of the GRU behind the hidden layers of policy and critic; 0: no memory.
+        shared: All classes of robots have one policy; it tells them apart by an offset of its first layer.
         normalise_obs: Shift and scale what the networks see by its running mean and deviation.
         normalise_values: Let the critic learn values shifted and scaled in the same way.
         stagger: Begin the first episodes at random times, so that the worlds' time-outs do not coincide.
@@ -83,6 +84,7 @@ class Config:
     layers: tuple[int, ...] = (64, 64)
     critic_layers: tuple[int, ...] = (64, 64)
     memory: int = 0
+    shared: bool = False
     normalise_obs: bool = True
     normalise_values: bool = True
     stagger: bool = True

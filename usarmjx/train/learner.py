@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from usarmjx.errors import UsageError
 from usarmjx.train.config import Config
 from usarmjx.train.env import AgentGroup
 from usarmjx.train.networks import LearnedPolicy, Network, Params, PolicyParams, init_network
@@ -18,10 +19,28 @@ POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = ra
 
 
 class Weights(struct.PyTreeNode, kw_only=True):
-    """Weights of the networks, per group."""
+    """Weights of the networks.
+
+    Attributes:
+        policy: Per group; of a policy that all share only one.
+        critic: Per group.
+        classes: What a shared policy adds to its first layer for each group (width,); else nothing.
+    """
 
     policy: tuple[Params, ...]
     critic: tuple[Params, ...]
+    classes: tuple[jax.Array, ...] = ()
+
+    @property
+    def policies(self) -> tuple[Params, ...]:
+        """Those of each group's policy."""
+        if not self.classes:
+            return self.policy
+        params = self.policy[0]["params"]
+        first = params["layer_0"]
+        return tuple(
+            {"params": {**params, "layer_0": {**first, "bias": first["bias"] + own}}} for own in self.classes
+        )
 
 
 class Learner(struct.PyTreeNode, kw_only=True):
@@ -54,11 +73,13 @@ class Networks:
         policy: The policy.
         critic_layers: Widths of the critic's hidden layers.
         privileged_size: Numbers that only critics see.
+        shared: Whether all groups have one policy.
     """
 
     policy: LearnedPolicy
     critic_layers: tuple[int, ...]
     privileged_size: int
+    shared: bool = False
 
     @property
     def groups(self) -> tuple[AgentGroup, ...]:
@@ -82,8 +103,11 @@ class Networks:
     def init(self, key: jax.Array) -> Weights:
         """Return weights to begin with."""
         policy, critic = (jax.random.fold_in(key, s) for s in (POLICY_STREAM, CRITIC_STREAM))
+        policies = self.policy.init(policy)
+        none = jnp.zeros(self.policy.layers[0])
         return Weights(
-            policy=self.policy.init(policy),
+            policy=policies[:1] if self.shared else policies,
+            classes=tuple(none for _ in self.groups) if self.shared else (),
             critic=tuple(
                 init_network(self.critic(g), jax.random.fold_in(critic, g), group, self.privileged_size)
                 for g, group in enumerate(self.groups)
@@ -92,10 +116,16 @@ class Networks:
 
 
 def make_networks(groups: tuple[AgentGroup, ...], privileged_size: int, config: Config) -> Networks:
-    """Return the networks for some agents."""
-    return Networks(
-        LearnedPolicy(groups, config.layers, config.memory), config.critic_layers, privileged_size
-    )
+    """Return the networks for some agents.
+
+    Raises:
+        UsageError: They are to share a policy, but what they see or do differs in size.
+    """
+    if config.shared and len({(group.obs_size, group.action_size) for group in groups}) > 1:
+        sizes = ", ".join(f"{one.name} sees {one.obs_size} and does {one.action_size}" for one in groups)
+        raise UsageError(f"these cannot share a policy, they see and do different numbers: {sizes}")
+    policy = LearnedPolicy(groups, config.layers, config.memory)
+    return Networks(policy, config.critic_layers, privileged_size, shared=config.shared)
 
 
 def make_optimiser(config: Config) -> optax.GradientTransformation:
@@ -124,7 +154,7 @@ def _blank_learner(networks: Networks, config: Config) -> Learner:
 def policy_params(learner: Learner) -> PolicyParams:
     """Return the policy alone."""
     return PolicyParams(
-        weights=learner.weights.policy,
+        weights=learner.weights.policies,
         mean=tuple(one.mean for one in learner.obs),
         std=tuple(one.std for one in learner.obs),
     )

@@ -108,12 +108,10 @@ def loss(
     learner = learner.replace(weights=weights)
     values, _ = judge(networks, learner, (steps.obs, steps.privileged), bounds.critic, steps.fresh)
     sums: dict[str, Any] = {}
-    imitating = networks.imitating(learner, config)
+    imitating, policies = networks.imitating(learner, config), weights.policies
     for g, raw in enumerate(steps.raw):
         seen = normalise(learner.obs[g].mean, learner.obs[g].std, steps.obs[g])
-        logits, _ = networks.policy.network(g).apply(
-            weights.policy[g], seen, None, bounds.policy[g], steps.fresh
-        )
+        logits, _ = networks.policy.network(g).apply(policies[g], seen, None, bounds.policy[g], steps.fresh)
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
         # Entropy of a squashed action has no closed form: it is estimated from one drawn per step.
