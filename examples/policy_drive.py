@@ -1,18 +1,20 @@
-"""Drive a robot to a place with a trained policy.
+"""Drive a robot to a place with a trained policy, or with the one written by hand.
 
     python -m usarmjx export runs/x goal.npz
     python -m usarmjx serve --arena yellow &
     python examples/policy_drive.py goal.npz --to 6.0,1.9
+    python examples/policy_drive.py --baseline --to 6.0,1.9
 
 The policy is one of the task drive-to-goal, trained for the same class of robot. From the lines that the
 server sends, this makes the observation that the policy was trained with; NumPy is all that it needs for
-that. Axes are the server's: x forward, y right, yaw clockwise; the policy's are y left, yaw
-counter-clockwise.
+that. The baseline, which goes along walls that bar the way, needs JAX. Axes are the server's: x forward,
+y right, yaw clockwise; the policy's are y left, yaw counter-clockwise.
 """
 
 import argparse
 import math
 import sys
+from typing import Any
 
 import numpy as np
 from usarsim_client import Message, UsarsimClient
@@ -47,8 +49,44 @@ def observation(pose, goal, ranges) -> np.ndarray:
     return np.array([*seen, *np.clip(np.array(nearest) / CLEAR, 0.0, 1.0)], np.float32)
 
 
+class Baseline:
+    """The policy by hand of drive-to-goal, with what `PolicyDriver` asks of a policy.
+
+    Args:
+        robot: Its class.
+        ranges: The type of sensor that tells what is around it.
+    """
+
+    def __init__(self, robot: str, ranges: str):
+        import jax
+
+        from usarmjx.models.compose import Physics
+        from usarmjx.models.robots import ROBOTS
+        from usarmjx.train.baselines.goal import toward, unwalled
+        from usarmjx.train.tasks.drive_to_goal import DriveToGoal
+        from usarmjx.train.tasks.ranges import range_lines
+
+        spec = ROBOTS.get(robot)
+        self.period = DriveToGoal.repeat * Physics().period
+        self.groups = [{"obs_size": 4 + len(range_lines(spec, (ranges,))[1])}]
+        self.first = unwalled()
+        self.decide = jax.jit(lambda seen, memory: toward(spec, (ranges,), memory, seen))
+        self.decide(np.ones(self.groups[0]["obs_size"], np.float32), self.first)  # compiled before it drives
+
+    def start(self, group: int):
+        """Return what it remembers at first."""
+        del group
+        return self.first
+
+    def act(self, group: int, seen, memory):
+        """Return the action, and what it remembers after it."""
+        del group
+        memory, action = self.decide(seen, memory)
+        return np.asarray(action), memory
+
+
 class PolicyDriver:
-    """Takes in messages and drives a skid-steered robot, whose actions are Right and Left.
+    """Takes in messages and drives a skid-steered robot, whose actions are Left and Right.
 
     Args:
         robot: The connection; its robot exists.
@@ -59,10 +97,18 @@ class PolicyDriver:
         ranges: The type of sensor that tells what is around it.
     """
 
-    def __init__(self, robot: UsarsimClient, policy: NumpyPolicy, group: int, goal, pose: str, ranges: str):
+    def __init__(
+        self,
+        robot: UsarsimClient,
+        policy: NumpyPolicy | Baseline,
+        group: int,
+        goal,
+        pose: str,
+        ranges: str,
+    ):
         self.robot, self.policy, self.group, self.goal = robot, policy, group, goal
         self.kinds, self.pose, self.ranges = (pose, ranges), None, None
-        self.memory = policy.start(group)
+        self.memory: Any = policy.start(group)
         self.needs_ranges = policy.groups[group]["obs_size"] > 4
         self.now, self.began, self.acted = 0.0, 0.0, -math.inf
 
@@ -90,7 +136,7 @@ class PolicyDriver:
         """Let the policy decide, and command the wheels."""
         seen = observation(self.pose, self.goal, self.ranges or ())
         action, self.memory = self.policy.act(self.group, seen, self.memory)
-        right, left = (100.0 * float(share) for share in action)
+        left, right = (100.0 * float(share) for share in action)
         self.robot.drive(left, right, normalized=True)
         self.acted, self.pose, self.ranges = self.now, None, None
 
@@ -117,7 +163,9 @@ def vector(text: str) -> tuple[float, ...]:
 def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description="Drive a robot to a place with a trained policy.")
-    parser.add_argument("policy", help="file of `usarmjx export`")
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("policy", nargs="?", help="file of `usarmjx export`")
+    which.add_argument("--baseline", action="store_true", help="the policy by hand")
     parser.add_argument("--to", type=vector, required=True, help="goal as x,y; --to=-1,2 if x is below 0 [m]")
     parser.add_argument("--start", type=vector, default=(4.5, 1.9, 1.8), help="x,y,z to start at [m]")
     parser.add_argument("--robot", default="P2AT", help="its class; one with the DRIVE keys Left and Right")
@@ -131,8 +179,8 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=3000)
     options = parser.parse_args()
     try:
-        policy = NumpyPolicy(options.policy)
-        group = policy.group(options.robot)
+        policy = Baseline(options.robot, options.ranges) if options.baseline else NumpyPolicy(options.policy)
+        group = 0 if isinstance(policy, Baseline) else policy.group(options.robot)
         with UsarsimClient(options.host, options.port, timeout=60.0) as robot:
             robot.init(f"USARBot.{options.robot}", options.name, options.start)
             driver = PolicyDriver(robot, policy, group, options.to, options.pose, options.ranges)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -17,7 +18,9 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.server import grammar
 from usarmjx.server.live import LiveWorld
 from usarmjx.server.wording import sensor_report
+from usarmjx.train.baselines import BASELINES
 from usarmjx.train.make import make
+from usarmjx.train.task import drive_keys
 
 policy_drive = load("policy_drive")
 parse_line = load("usarsim_client").parse_line
@@ -71,18 +74,54 @@ def test_at_the_goal_there_is_no_bearing():
     np.testing.assert_array_equal(seen, [0, 0, 0, 0, *[1] * 16])
 
 
-def test_an_exported_policy_drives_a_robot_to_its_goal_over_tcp(tmp_path):
-    """3 m at 0.7 m/s; the INS is wrong by a few centimetres by then, the robot stops within 0.5 m."""
-    file = policy_file(tmp_path / "goal.npz", obs_size=20)
+def test_each_side_gets_its_own_share_of_an_action():
+    told, side = {}, dict(zip(drive_keys(ROBOTS.get("P2AT")), (0.2, -0.7), strict=True))
+    driver = policy_drive.PolicyDriver.__new__(policy_drive.PolicyDriver)
+    driver.policy = SimpleNamespace(act=lambda *_: (np.array(list(side.values())), None))
+    driver.robot = SimpleNamespace(drive=lambda left, right, **_: told.update(Left=left, Right=right))
+    driver.group, driver.memory, driver.now = 0, None, 0.0
+    driver.pose, driver.goal, driver.ranges = (0.0, 0.0, 0.0), (1.0, 0.0), [5.0] * 16
+    driver.act()
+    assert told == pytest.approx({key: 100 * share for key, share in side.items()})
+
+
+def seconds_to_goal(*words):
+    """How long the example takes for the 3 m to a goal on an empty floor [simulated s]."""
     world = LiveWorld(FLAT, Physics(), jax.random.key(1), seats=16)
     world.prepare(ROBOTS.get("P2AT"))
-    words = [str(file), "--to", "2.0,2.0", "--start", "0.0,0.0,-0.3", "--seconds", "20"]
+    words = [*words, "--to", "2.0,2.0", "--start", "0.0,0.0,-0.3", "--seconds", "20"]
     with serving(world, realtime_factor=2.0) as (port, _):
         command = [sys.executable, str(EXAMPLES / "policy_drive.py"), *words, "--port", str(port)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=HERE)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("there after")
-    assert 3.0 < float(done.stdout.split()[2]) < 15.0
+    return float(done.stdout.split()[2])
+
+
+def test_an_exported_policy_drives_a_robot_to_its_goal_over_tcp(tmp_path):
+    """3 m at 0.7 m/s; the INS is wrong by a few centimetres by then, the robot stops within 0.5 m."""
+    file = policy_file(tmp_path / "goal.npz", obs_size=20)
+    assert 3.0 < seconds_to_goal(str(file)) < 15.0
+
+
+@pytest.mark.slow
+def test_the_baseline_drives_a_robot_to_its_goal_over_tcp():
+    """Straight on, as nothing bars the way: 2.3 m at 0.9 m/s at most, after a turn."""
+    assert 2.3 / 0.9 < seconds_to_goal("--baseline") < 15.0
+
+
+def test_the_baseline_of_a_client_does_what_that_of_the_environment_does():
+    """One robot in the yellow arena, the same observations to both; float32 rounding between programs."""
+    env = make("drive-to-goal", engine="c", arena="yellow", physics=Physics(timestep=0.01, substeps=5))
+    policy, state = BASELINES.get("drive-to-goal")(env), env.reset(5)
+    client = policy_drive.Baseline("P2AT", "Sonar")
+    assert client.groups[0]["obs_size"] == env.groups[0].obs_size
+    ours, theirs = client.start(0), policy.start(1)
+    for _ in range(3):
+        action, ours = client.act(0, np.asarray(state.obs[0][0, 0]), ours)
+        theirs, told = policy.act(theirs, state.obs, jax.random.key(0))
+        np.testing.assert_allclose(action, told[0][0, 0], atol=1e-5)
+        state = env.step(state, told)
 
 
 def test_it_needs_no_jax():

@@ -5,17 +5,17 @@ import json
 import numpy as np
 
 AHEAD, TURN = 1.5, 2.5
-"""How much the cosine and the sine of the goal's bearing count: tanh(AHEAD cos +- TURN sin)."""
+"""How much the cosine and the sine of the goal's bearing count: tanh(AHEAD cos -+ TURN sin)."""
 
 
 def policy_file(path, overrides=None, obs_size=4, task="drive-to-goal"):
-    """Write the policy: right = tanh(AHEAD cos + TURN sin), left = tanh(AHEAD cos - TURN sin).
+    """Write the policy: left = tanh(AHEAD cos - TURN sin), right = tanh(AHEAD cos + TURN sin).
 
     The hidden units are cosine and sine + 2, which ELU leaves as they are.
     """
     hidden = np.zeros((obs_size, 2), np.float32)
     hidden[0, 0] = hidden[1, 1] = 1.0
-    head = np.array([[AHEAD, AHEAD, 0, 0], [TURN, -TURN, 0, 0]], np.float32)
+    head = np.array([[AHEAD, AHEAD, 0, 0], [-TURN, TURN, 0, 0]], np.float32)
     about = {
         "format": 1,
         "task": task,

@@ -14,7 +14,7 @@ from usarmjx.models.spec import Shape
 from usarmjx.sensors.base import Reading
 from usarmjx.train.orders import carry_out
 from usarmjx.train.task import View
-from usarmjx.train.tasks.team import scanner_poses
+from usarmjx.train.tasks.team_parts import scanner_poses
 from usarmjx.world import first_episode
 
 WIDTH, DEPTH = 6.0, 3.0

@@ -11,19 +11,19 @@ from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import MailSettings, deliver, empty, no_mail
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.knowledge import (
-    AHEAD,
+    BESIDE,
     HEADER,
-    Minds,
     Scan,
     ignorance,
     letters,
     listen,
-    plan,
+    moved,
     sectors,
     see,
     touch_base,
 )
 from usarmjx.train.maps import FREE, MARK, UNKNOWN, WALL, MapGrid
+from usarmjx.train.planning import AHEAD, Minds, plan
 from usarmjx.train.wavefront import FAR
 
 GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(13, 9))
@@ -161,6 +161,20 @@ def test_robots_go_to_the_frontier_and_keep_apart():
     assert float(jnp.abs(mind.goal[0, 1] - mind.goal[1, 1])) >= 0.6
     ahead = np.asarray(mind.next[:2, 0]) - 0.6
     np.testing.assert_allclose(ahead, AHEAD * GRID.cell, atol=1e-5)
+
+
+def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
+    poses = [(1.8, 1.2, 0.0)] * ROBOTS
+    table = np.array(hall())
+    table[:, :2] = 0  # unknown at both ends: free squares from 0.6 m to 2.4 m
+    mind = team(poses).replace(evidence=jnp.asarray(table), heard=jnp.full((ROBOTS, ROBOTS), -99.0))
+    new = thought(GRID, mind, jnp.float32(0.0))
+    np.testing.assert_allclose(new.goal[:, 0], 2.4, atol=1e-5)
+    mind = moved(GRID, mind, mind.pose)
+    near = np.linalg.norm(GRID.middles - np.array([1.8, 1.2]), axis=-1) < BESIDE
+    np.testing.assert_array_equal(mind.been, np.broadcast_to(near, mind.been.shape))
+    been = thought(GRID, mind, jnp.float32(0.0))
+    assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= BESIDE).all()
 
 
 def test_nobody_has_a_way_where_there_is_no_frontier():

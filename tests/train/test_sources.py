@@ -76,6 +76,8 @@ def test_every_packaged_policy_is_for_the_task_that_it_is_named_after():
         assert name in TASKS
         assert NumpyPolicy(file).task == name
         assert file.stat().st_size < 1_000_000
+        env, _, notes = find_source(name).env(engine="c")  # refused if the task is another one now
+        assert (env.name, notes) == (name, [])
 
 
 def test_settings_of_the_training_come_back_and_those_that_cannot_are_told():

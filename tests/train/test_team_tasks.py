@@ -15,7 +15,7 @@ from usarmjx.train.knowledge import SECTORS
 from usarmjx.train.maps import FREE, MARK
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
-from usarmjx.train.tasks.team import coverage, local
+from usarmjx.train.tasks.team_parts import coverage, local
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))
@@ -90,6 +90,17 @@ def test_observations_have_one_size_and_are_finite(explored):
     assert np.isfinite(np.asarray(seen)).all()
     assert np.abs(np.asarray(seen)[:, 4:]).max() <= 1.0
     assert np.isfinite(np.asarray(task.privileged(view, memory))).all()
+
+
+def kinds(memory):
+    """What a compiled function asks of its arguments: shapes and types."""
+    return [(x.shape, x.dtype, x.weak_type) for x in jax.tree.leaves(memory)]
+
+
+def test_a_step_leaves_the_types_of_what_is_remembered_as_they_are(explored):
+    """Else all would be compiled again in the second step."""
+    _, steps = explored
+    assert kinds(steps[1][1]) == kinds(steps[0][1])
 
 
 def test_places_are_seen_in_a_robots_own_axes():
@@ -232,23 +243,31 @@ def seen(**told):
     return jnp.asarray(row)
 
 
+def told(**what):
+    """What the frontier baseline does when it sees that, in an episode of 200 steps."""
+    return drive(seen(**what), 200)
+
+
 def test_the_frontier_baseline_drives_where_its_way_leads():
-    speed, turn = drive(seen(_0=1.0))
+    speed, turn = told(_0=1.0)
     assert speed > 0.8
     assert abs(turn) < 1e-6
-    assert drive(seen(_1=1.0))[0] < 0.05  # to the left: turn first
-    assert drive(seen(_1=1.0))[1] > 0.4
-    assert drive(seen(_1=-1.0))[1] < -0.4
-    assert drive(seen(_0=1.0, _4=1.0)).tolist() == [0.0, 0.0]  # no way
-    assert drive(seen(_0=1.0, _11=0.01))[0] == 0.0  # something right ahead
-    assert drive(seen(_0=1.0, _5=0.0, _18=0.5))[0] < 0  # stuck
+    assert told(_1=1.0)[0] < 0.05  # to the left: turn first
+    assert told(_1=1.0)[1] > 0.4
+    assert told(_1=-1.0)[1] < -0.4
+    assert told(_4=1.0).tolist() == [0.0, 0.0]  # no way: the next place is here
+    assert told(_0=1.0, _4=1.0)[0] > 0.8  # a long one
+    assert told(_0=1.0, _11=0.01)[0] == 0.0  # something right ahead
+    left = np.arange(40) / 200  # shares of the time
+    backs = [bool(told(_0=1.0, _5=0.0, _18=share)[0] < 0) for share in left]
+    assert backs == 2 * [*[True] * 5, *[False] * 15]  # stuck: back for a second, then three to try again
 
 
 class Fake:
     """What the relay baseline asks of an environment."""
 
     def __init__(self, robots, talk="all"):
-        self.scene = type("Scene", (), {"robots": robots})
+        self.scene, self.episode_steps = type("Scene", (), {"robots": robots}), 200
         self.task = type("Task", (), {"talk": talk})
 
 

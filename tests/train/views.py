@@ -31,5 +31,6 @@ def told(view, team=0, **values):
     """The same view with what a team's sensors told, by type; others told nothing that is right."""
     suite = view.scene.teams[team].suite
     known = {suite.place(kind): jnp.asarray(value, jnp.float32) for kind, value in values.items()}
-    readings = tuple(Reading(value=known.get(i), fresh=None) for i in range(len(suite.sensors)))
+    fresh = jnp.ones(len(view.scene.teams[team].slots), bool)
+    readings = tuple(Reading(value=known.get(i), fresh=fresh) for i in range(len(suite.sensors)))
     return view.replace(readings=(readings,))

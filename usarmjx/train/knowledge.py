@@ -6,7 +6,6 @@ robot but by its own sensors and by mail that came over the radio.
 
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,21 +15,13 @@ from flax import struct
 from usarmjx.comms.mail import Letters, Mail
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train import maps
-from usarmjx.train.maps import FREE, MapGrid
-from usarmjx.train.wavefront import FAR, descend, distances, frontier, passable, place_of
+from usarmjx.train.maps import MapGrid
+from usarmjx.train.wavefront import FAR
 from usarmjx.transforms import Array
 
 HEADER = 6
 """Numbers of a message before the map: where the sender is (x, y, yaw), where it is going (x, y), and its
 last contact with the base (a time)."""
-AHEAD = 3
-"""So many squares ahead on its way is the place that a robot steers for."""
-LONGEST = 40
-"""So many squares ahead on its way is, at most, the place that a robot says it is going to."""
-TIGHT = 6.0
-"""So many squares longer seems a step to a square with a wall beside it: there is just room for a robot."""
-NARROW = 20.0
-"""So many squares longer seems the way to a frontier with a wall beside it, where there is little to see."""
 SECTORS = 12
 """Sectors in which scans are looked at for what is near."""
 RANGE = 4.0
@@ -39,21 +30,12 @@ OPEN = 100.0
 """What a robot without a scanner sees in every sector [m]."""
 STALE = 20.0
 """After so long without a word a robot does not know where another one is [s]."""
-DOORSTEP = 1.5
-"""A robot that comes home comes so close to its base [m]."""
 RECENT = 1.0
 """For so long after its last word a robot is taken to be where it was [s]."""
-ROOM = 0.6
-"""Ways keep so far from other robots' middles [m]."""
+BESIDE = 0.75
+"""A robot has been at a place that it was so near to [m]."""
 BODY = 0.65
 """What a scanner meets so near to another robot's middle is that robot, not a wall [m]."""
-LEFT_TO_OTHERS = 6.0
-"""So much longer does the way to a frontier seem that another robot is nearer to, in squares."""
-CROWDED, CROWD = 20.0, 3.0
-"""So much longer, in squares, does the way to a frontier seem where another robot is going; less, the farther
-away, and nothing from so far on [m]."""
-BEHIND = 3.0
-"""So much longer, in squares, does the way to a frontier right behind a robot seem: it would have to turn."""
 
 
 class Knowledge(struct.PyTreeNode, kw_only=True):
@@ -63,6 +45,7 @@ class Knowledge(struct.PyTreeNode, kw_only=True):
         evidence: Their own looks at squares; see `maps.weigh` (robots, i, j).
         marked: Where they have seen what they look for (robots, i, j).
         told: What others told them of squares (robots, i, j).
+        been: Where they have been (robots, i, j).
         pose: Where they believe to be: x, y [m] and yaw [rad] (robots, 3).
         mates: What they last heard of each other: the header of the message; row listener, column sender
             (robots, robots, HEADER).
@@ -81,6 +64,7 @@ class Knowledge(struct.PyTreeNode, kw_only=True):
     evidence: Array
     marked: Array
     told: Array
+    been: Array
     pose: Array
     mates: Array
     heard: Array
@@ -111,6 +95,7 @@ def ignorance(grid: MapGrid, pose: Array) -> Knowledge:
         evidence=jnp.zeros(table, jnp.int8),
         marked=jnp.zeros(table, bool),
         told=jnp.zeros(table, jnp.uint8),
+        been=jnp.zeros(table, bool),
         pose=pose,
         mates=jnp.broadcast_to(others, (robots, robots, HEADER)),
         heard=jnp.zeros((robots, robots)),
@@ -236,126 +221,15 @@ def touch_base(mind: Knowledge, linked: Array, base: int, time: Array) -> Knowle
     return mind.replace(contact=jnp.where(direct, time, mind.contact))
 
 
-def moved(mind: Knowledge, pose: Array, share: float = 0.05) -> Knowledge:
+def moved(grid: MapGrid, mind: Knowledge, pose: Array, share: float = 0.05) -> Knowledge:
     """Return what robots know after they looked at their INS: poses (robots, 3).
 
     Args:
+        grid: The squares.
         mind: What they knew.
         pose: Where they believe to be.
         share: Of the way to the present place that `trail` goes: with 0.05, it is some 20 steps late.
     """
     trail = mind.trail + share * (pose[:, :2] - mind.trail)
-    return mind.replace(pose=pose, trail=trail)
-
-
-class Minds(NamedTuple):
-    """How the robots of a team think about where to go.
-
-    Attributes:
-        peers: Whose ways each robot minds: row itself, column the other (robots, robots).
-        flyers: Which fly over walls, to squares that they have not looked at (robots,).
-    """
-
-    peers: np.ndarray
-    flyers: np.ndarray
-
-
-def alike(robots: int) -> Minds:
-    """Return how robots think that all drive and explore."""
-    return Minds(peers=~np.eye(robots, dtype=bool), flyers=np.zeros(robots, bool))
-
-
-def plan(
-    grid: MapGrid, mind: Knowledge, time: Array, minds: Minds | None = None, wanted: Array | None = None
-) -> Knowledge:
-    """Return what robots know after they thought about where to go: to a frontier, by `penalties`.
-
-    Args:
-        grid: The squares.
-        mind: What they knew.
-        time: The time [s] ().
-        minds: How they think; None: see `alike`.
-        wanted: What the way to squares costs at its end, where they do not look for a frontier; NaN: they do
-            (robots, i, j).
-    """
-    minds = minds or alike(len(mind.pose))
-    squares = jnp.where(minds.flyers[:, None, None], FREE, mind.squares)
-    unseen = minds.flyers[:, None, None] & (mind.evidence == 0)
-    wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted
-    ages = jnp.where(minds.peers, time - mind.heard, jnp.inf)
-
-    def one(
-        here: Array, new: Array, pose: Array, mates: Array, age: Array, me: Array, want: Array
-    ) -> tuple[jax.Array, ...]:
-        cost = penalties(grid, pose, mates, age, me) + jnp.where(passable(here), 0.0, NARROW)
-        sources = jnp.where(jnp.isnan(want), jnp.where(frontier(here) | new, cost, FAR), want)
-        return way(grid, here, pose, sources, taken=taken(grid, mates, age))
-
-    slots = jnp.arange(len(squares))
-    ways = jax.vmap(one)(squares, unseen, mind.pose, mind.mates, ages, slots, wanted)
-    return mind.replace(next=ways[0], goal=ways[1], far=ways[2])
-
-
-def penalties(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Array) -> jax.Array:
-    """Return how much longer the way to each square seems for what it is, in squares (i, j).
-
-    A robot leaves a frontier to those that are nearer to it, as the crow flies, and that it has heard of, of
-    two at the same distance to the one of the lower slot; it shuns where others are going, and would rather
-    not turn around.
-
-    Args:
-        grid: The squares.
-        pose: Of the robot (3,).
-        mates: What it heard of the others (robots, HEADER).
-        age: How long ago [s]; infinite: it does not mind that one (robots,).
-        me: Its slot ().
-    """
-    middles = grid.middles
-    known = age < STALE
-    mine = jnp.linalg.norm(middles - pose[:2], axis=-1)
-    theirs = jnp.linalg.norm(middles[:, :, None] - mates[:, :2], axis=-1)
-    first = jnp.arange(len(mates)) < me
-    nearer = (theirs < mine[..., None] - 1e-3) | ((theirs < mine[..., None] + 1e-3) & first)
-    rank = (known & nearer).sum(-1)
-    gap = jnp.linalg.norm(middles[:, :, None] - mates[:, 3:5], axis=-1)
-    crowd = jnp.where(known & first, jnp.clip(1 - gap / CROWD, 0.0, 1.0), 0.0).sum(-1)
-    along = middles - pose[:2]
-    ahead = (along * jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])).sum(-1) / jnp.maximum(mine, 1e-3)
-    return LEFT_TO_OTHERS * rank + CROWDED * crowd + BEHIND * (1 - ahead) / 2
-
-
-def taken(grid: MapGrid, mates: Array, age: Array) -> jax.Array:
-    """Return which squares are too close to where another robot said a moment ago to be (i, j)."""
-    gap = jnp.linalg.norm(grid.middles[:, :, None] - mates[:, :2], axis=-1)
-    return ((gap < ROOM) & (age < RECENT)).any(-1)
-
-
-def way(
-    grid: MapGrid,
-    squares: Array,
-    pose: Array,
-    sources: Array,
-    *,
-    taken: Array | bool = False,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the next place on a robot's way to the nearest source, where it leads, and how long it is.
-
-    Args:
-        grid: The squares.
-        squares: What it knows of them (i, j).
-        pose: Of the robot (3,).
-        sources: What a way that ends in a square costs at its end; `FAR`: none ends there (i, j).
-        taken: Squares that it does not drive through, though they are free (i, j).
-
-    Returns:
-        Two places [m] (2,), and the length in squares (); without a way both are where the robot is.
-    """
-    gap = jnp.linalg.norm(grid.middles - pose[:2], axis=-1)
-    open_ = (squares == FREE) & ~(taken & (gap > grid.cell))
-    here = grid.index(pose[:2])
-    open_ = open_.at[here[0], here[1]].set(True)
-    far = distances(sources, open_, jnp.where(passable(squares), 0.0, TIGHT), until=here)
-    path = place_of(grid, descend(far, here, LONGEST))
-    length = far[here[0], here[1]]
-    there = length < FAR
-    return jnp.where(there, path[AHEAD - 1], pose[:2]), jnp.where(there, path[-1], pose[:2]), length
+    here = jnp.linalg.norm(grid.middles - pose[:, None, None, :2], axis=-1) < BESIDE
+    return mind.replace(pose=pose, trail=trail, been=mind.been | here)

@@ -1,6 +1,6 @@
 """Whether the radio matters in a task: a good policy with its radio, with a perfect one, and with none.
 
-    python -m usarmjx.train.radio_matters explore --worlds 16 --seeds 5 --engine c
+    python -m usarmjx.train.radio_matters explore --worlds 12 --seeds 5 --engine c
 
 With a perfect radio the policy's score must be higher, without messages lower, by 10 % of its score with the
 task's own radio, and the 95 % intervals over the seeds must not overlap; and with its own radio at least 20 %
@@ -21,8 +21,10 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.env import Env
 from usarmjx.train.evaluate import Interval, interval
 from usarmjx.train.make import make_task
+from usarmjx.train.recipe import Generated
 from usarmjx.train.task import TASKS
-from usarmjx.train.tasks.team import PERFECT, TeamTask
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import PERFECT
 
 GAIN, UNLINKED = 0.1, 0.2
 """What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""
@@ -52,6 +54,20 @@ def variants(task: TeamTask) -> dict[str, TeamTask]:
     return {"perfect": replace(task, radio=PERFECT), "real": task, "none": quiet}
 
 
+def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
+    """Return a task with as many generated arenas as worlds, of all levels alike: each world has its own.
+
+    Raises:
+        UsageError: Worlds that are no multiple of the levels.
+    """
+    arena = task.arena
+    if not isinstance(arena, Generated):
+        return task
+    if worlds % len(arena.levels):
+        raise UsageError(f"{worlds} worlds for {len(arena.levels)} levels of arenas: expected a multiple")
+    return replace(task, arena=replace(arena, count=worlds // len(arena.levels)))
+
+
 def play(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out."""
     policy = BASELINES.get(name)(env)
@@ -77,19 +93,19 @@ def measure(
 
     Args:
         name: Of the task.
-        worlds: Episodes of each seed.
+        worlds: Episodes of each seed, one in each of as many arenas, which are the same for all seeds.
         seeds: The seeds.
         engine: See `make`.
         overrides: Fields of the task to set otherwise.
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have.
-        UsageError: A task without a radio.
+        UsageError: A task without a radio; worlds that are no multiple of the levels of generated arenas.
     """
     team, rows = make_task(name, **overrides), []
     if not isinstance(team, TeamTask):
         raise UsageError(f"{name} is no task for a team: its robots have no radio")
-    for variant, task in variants(team).items():
+    for variant, task in variants(few_arenas(team, worlds)).items():
         env = Env(task, worlds, name=name, engine=engine)
         runs = [play(env, name, seed) for seed in seeds]
         means = [float(scores.mean()) for scores, _ in runs]
@@ -127,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [name for name, task in TASKS if isinstance(task, TeamTask)]
     parser = argparse.ArgumentParser(description="Whether the radio matters in a task.")
     parser.add_argument("task", choices=names)
-    parser.add_argument("--worlds", type=int, default=16, help="episodes of each seed")
+    parser.add_argument("--worlds", type=int, default=12, help="episodes of each seed, each in an arena")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--steps", type=int, help="actions of an episode")

@@ -10,6 +10,7 @@ from usarmjx.train.baselines.hover import inspector
 from usarmjx.train.baselines.pursuit import pursuit
 from usarmjx.train.baselines.relay import relay
 from usarmjx.train.baselines.roam import roam
+from usarmjx.train.baselines.soccer import players
 from usarmjx.train.env import Env
 from usarmjx.train.policy import Policy
 
@@ -22,3 +23,4 @@ BASELINES.add("relay-chain", relay)
 BASELINES.add("convoy", pursuit)
 BASELINES.add("stairs", climber)
 BASELINES.add("hover-inspect", inspector)
+BASELINES.add("soccer", players)

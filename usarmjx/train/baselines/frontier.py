@@ -14,8 +14,10 @@ CLOSE = 0.35 / 4
 """What is so near ahead stops a robot; as observed (0.35 m)."""
 STUCK = 0.3
 """A robot that has come less far lately than this share of 0.5 m, though it should, backs up."""
-NOWHERE = 0.99
-"""Length of the way, as observed, from which there is none."""
+TURN_OF, BACK = 20, 5
+"""Of so many steps it backs up for so many, and then tries again."""
+THERE = 0.05
+"""The next place is so near, as observed, only where there is no way (6 cm)."""
 
 
 def frontier(env: Env) -> Policy:
@@ -23,26 +25,29 @@ def frontier(env: Env) -> Policy:
 
     def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
         del key
-        return memory, tuple(drive(seen) for seen in obs)
+        return memory, tuple(drive(seen, env.episode_steps) for seen in obs)
 
-    del env
     return Policy(start=lambda worlds: (), act=act)
 
 
-def drive(seen: jax.Array) -> jax.Array:
-    """Return actions (..., 2) of robots that drive the way they observe (..., n); see `TeamTask`."""
+def drive(seen: jax.Array, steps: int) -> jax.Array:
+    """Return actions (..., 2) of robots that drive the way they observe (..., n); see `TeamTask`.
+
+    Args:
+        seen: What they observe.
+        steps: Of an episode.
+    """
     ahead, left = seen[..., 0], seen[..., 1]
-    far, moved = seen[..., 4], seen[..., 5]
+    moved = seen[..., 5]
     clear, time = seen[..., 6 : 6 + SECTORS], seen[..., 6 + SECTORS]
     bearing = jnp.arctan2(left, ahead)
     turn = jnp.clip(TURN * bearing, -FASTEST_TURN, FASTEST_TURN)
     middle = clear[..., SECTORS // 2 - 2 : SECTORS // 2 + 2].min(-1)
     speed = CRUISE * jnp.clip(jnp.cos(bearing), 0.0, 1.0) ** 3 * jnp.clip((middle - 0.05) / CLOSE, 0.0, 1.0)
-    there = jnp.hypot(ahead, left) < 0.05
-    idle = there | (far > NOWHERE)
-    # Backing up, in turns of some steps, and turning to the side that is freer.
+    idle = jnp.hypot(ahead, left) < THERE
+    # Backing up and turning to the side that is freer.
     sides = clear[..., SECTORS // 2 :].min(-1) - clear[..., : SECTORS // 2].min(-1)
-    back = (moved < STUCK) & (jnp.mod(time * 40, 1.0) < 0.5) & ~idle
+    back = (moved < STUCK) & (jnp.mod(jnp.round(time * steps), TURN_OF) < BACK) & ~idle
     speed = jnp.where(back, -0.5, speed)
     turn = jnp.where(back, 0.3 * jnp.sign(sides), turn)
     return jnp.where(idle[..., None], 0.0, jnp.stack([speed, turn], -1))

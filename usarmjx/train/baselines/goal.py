@@ -31,6 +31,11 @@ class BugMemory(struct.PyTreeNode, kw_only=True):
     best: jax.Array
 
 
+def unwalled(*shape: int) -> BugMemory:
+    """Return what robots remember at first (shape)."""
+    return BugMemory(side=jnp.zeros(shape), best=jnp.zeros(shape))
+
+
 def toward(
     robot: RobotSpec, kinds: tuple[str, ...], memory: BugMemory, obs: jax.Array
 ) -> tuple[BugMemory, jax.Array]:
@@ -75,7 +80,4 @@ def go_to_goal(env: Env) -> Policy:
         memory, actions = jax.vmap(jax.vmap(one))(memory, obs[0])
         return memory, (actions,)
 
-    def start(worlds: int) -> BugMemory:
-        return BugMemory(side=jnp.zeros((worlds, 1)), best=jnp.zeros((worlds, 1)))
-
-    return Policy(start=start, act=act)
+    return Policy(start=lambda worlds: unwalled(worlds, 1), act=act)

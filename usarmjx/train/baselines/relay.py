@@ -27,13 +27,13 @@ def relay(env: Env) -> Policy:
 
     def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
         del key
-        return memory, tuple(_chained(seen, robots) for seen in obs)
+        return memory, tuple(_chained(seen, robots, env.episode_steps) for seen in obs)
 
     return Policy(start=lambda worlds: (), act=act)
 
 
-def _chained(seen: jax.Array, robots: int) -> jax.Array:
-    told = drive(seen)
+def _chained(seen: jax.Array, robots: int, steps: int) -> jax.Array:
+    told = drive(seen, steps)
     slot = jnp.round(seen[..., 7 + SECTORS] * robots).astype(jnp.int32)
     powers = seen[..., -(robots - 1) :]
     before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]

@@ -6,6 +6,7 @@ from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.hover_inspect import HoverInspect
 from usarmjx.train.tasks.relay_chain import RelayChain
+from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
@@ -18,3 +19,4 @@ TASKS.add("relay-chain", RelayChain())
 TASKS.add("convoy", Convoy())
 TASKS.add("stairs", Stairs())
 TASKS.add("hover-inspect", HoverInspect())
+TASKS.add("soccer", Soccer())

@@ -10,7 +10,8 @@ from usarmjx.models.spec import RobotSpec
 from usarmjx.train.equip import mapper
 from usarmjx.train.maps import FREE
 from usarmjx.train.task import Verdict, View
-from usarmjx.train.tasks.team import TeamMemory, TeamTask, coverage
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import TeamMemory, coverage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Explore(TeamTask):
 
     about: ClassVar[str] = "A team explores a building."
 
-    episode_steps: int = 300
+    episode_steps: int = 200
     robot: str | RobotSpec = "P2AT"
     count: int = 4
     share: float = 0.5

@@ -9,13 +9,14 @@ from flax import struct
 
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec import RobotSpec
-from usarmjx.train import knowledge
+from usarmjx.train import knowledge, planning
 from usarmjx.train.buildings import Buildings
 from usarmjx.train.equip import mapper, station
 from usarmjx.train.knowledge import Knowledge
 from usarmjx.train.recipe import Arenas
 from usarmjx.train.task import Verdict, View
-from usarmjx.train.tasks.team import WIDE, TeamMemory, TeamTask, base_of, local
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import WIDE, TeamMemory, base_of, local
 from usarmjx.train.wavefront import FAR, distances, frontier, passable
 
 OUTWARD = 3.0
@@ -92,12 +93,11 @@ class RelayChain(TeamTask):
         grid, base = self.ground(view.scene).grid, base_of(view.scene)
         squares = mind.squares
         gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1) / grid.cell
-        worth = OUTWARD * (gap.max() - gap)
-        away = jax.vmap(lambda m: jnp.where(passable(m), worth + SEEN * ~frontier(m), FAR))(squares)
+        away = jax.vmap(lambda known: _outward(known, gap))(squares)
         home = (view.time - mind.contact > LOST) & (self.talk != "none")
-        doorstep = jnp.where(gap * grid.cell < knowledge.DOORSTEP, gap, FAR)
+        doorstep = jnp.where(gap * grid.cell < planning.DOORSTEP, gap, FAR)
         wanted = jnp.where(home[:, None, None], doorstep, away)
-        return knowledge.plan(grid, mind, view.time, self.minds(view.scene), wanted)
+        return planning.plan(grid, mind, view.time, self.minds(view.scene), wanted)
 
     def start(self, view: View, key: jax.Array) -> TeamMemory:
         """Measure how deep the building is."""
@@ -155,3 +155,15 @@ class RelayChain(TeamTask):
     def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and who reaches the base."""
         return jnp.concatenate([super().privileged(view, memory), memory.extra.linked])
+
+
+def _outward(squares: jax.Array, gap: jax.Array) -> jax.Array:
+    """Return what ways cost at their ends that lead outward: 0 at the outermost frontier (i, j).
+
+    Args:
+        squares: What a robot knows of them (i, j).
+        gap: How far they are from the base, as the crow flies [squares] (i, j).
+    """
+    open_ = passable(squares)
+    outermost = jnp.where(open_, gap, 0.0).max()
+    return jnp.where(open_, OUTWARD * (outermost - gap) + SEEN * ~frontier(squares), FAR)

@@ -1,68 +1,46 @@
 """What the tasks for teams have in common: maps, messages about them, contacts, observations."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
 from usarmjx.scene import Scene, Team
-from usarmjx.sensors.motion import wrap
-from usarmjx.train import knowledge
+from usarmjx.train import knowledge, planning
 from usarmjx.train.buildings import Buildings, Ground, ground_of, reachable_of
 from usarmjx.train.clearance import clearance
 from usarmjx.train.equip import flies, pose_sensor
-from usarmjx.train.knowledge import HEADER, Knowledge, Minds, Scan, ignorance
-from usarmjx.train.maps import FREE, MARK, UNKNOWN, WALL, around, look
+from usarmjx.train.knowledge import HEADER, Knowledge, ignorance
+from usarmjx.train.maps import FREE, MARK, UNKNOWN, WALL, around
 from usarmjx.train.orders import Orders
+from usarmjx.train.planning import Minds
 from usarmjx.train.recipe import Arenas
 from usarmjx.train.task import Task, View
-from usarmjx.transforms import flip_angles, flip_vector
+from usarmjx.train.tasks.team_parts import (
+    LONG,
+    NEAR,
+    SPACING,
+    STILL,
+    WALLED,
+    WIDE,
+    WIDTH,
+    TeamMemory,
+    base_of,
+    coverage,
+    has_scanner,
+    local,
+    mates_seen,
+    newly_seen,
+    scan_of,
+    true_places,
+    unlinked,
+)
 
 Talk = Literal["all", "base", "none"]
-
-STATION = "ComStation"
-WALLED = RadioSettings(pdo=-40.0, do=1.0, n=2.0, cutoff=-50.0, max_obs=8, atten_fac=6.0)
-"""A radio for which walls are walls: 3.2 m in the open, half of that behind one, a quarter behind two."""
-PERFECT = RadioSettings(cutoff=-1e6)
-"""A radio that is always heard."""
-WIDTH, SPACING = 11, 0.6
-"""Places along a side of the map that a robot sees around itself, and the distance between two [m]."""
-NEAR, WIDE, LONG = 1.2, 6.0, 60.0
-"""What is seen as 1: the distance of the next place on the way [m], that of robots and goals [m], the length
-of a way [squares]."""
-STILL = 0.5
-"""So far a robot has come lately, if it drives [m]."""
-
-
-class TeamMemory(struct.PyTreeNode, kw_only=True):
-    """What team tasks remember of an episode.
-
-    Attributes:
-        mind: What each robot knows (robots, ...).
-        step: Actions so far ().
-        reachable: Which squares a robot gets to (i, j).
-        explored: Which of them the team's scanners have truly seen to be free (i, j).
-        touching: Which robots touch something (robots,).
-        contacts: How often robots began to touch something ().
-        unlinked: Sum over steps of the share of pairs of robots that have no link ().
-        score: So far ().
-        extra: The task's own.
-    """
-
-    mind: Knowledge
-    step: jax.Array
-    reachable: jax.Array
-    explored: jax.Array
-    touching: jax.Array
-    contacts: jax.Array
-    unlinked: jax.Array
-    score: jax.Array
-    extra: Any = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +52,7 @@ class TeamTask(Task):
     The messages are mail and go over links that hold; from robot to robot news travels by one link a step.
 
     Observation, in the robot's axes (x ahead, y to the left):
-    - the way to the nearest frontier of its map, see `knowledge.plan`: the next place on it (x, y; 1 is
+    - the way to the nearest frontier of its map, see `planning.plan`: the next place on it (x, y; 1 is
       1.2 m), where it leads (x, y; 1 is 6 m), its length (1: 60 squares or none), how far the robot has come
       lately (1: 0.5 m);
     - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
@@ -146,26 +124,15 @@ class TeamTask(Task):
     def learn(self, view: View, mind: Knowledge) -> Knowledge:
         """Return what the robots know after they looked at their sensors and mail, and thought."""
         grid = self.ground(view.scene).grid
-        mind = knowledge.moved(mind, self.poses(view))
+        mind = knowledge.moved(grid, mind, self.poses(view))
         if view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
             mind = knowledge.listen(grid, mind, view.mail, period)
         for team, members in enumerate(view.scene.teams):
             if has_scanner(members):
-                mind = knowledge.see(grid, mind, self._scan(view, team, mind.pose[members.slots]), view.time)
+                mind = knowledge.see(grid, mind, scan_of(view, team, mind.pose[members.slots]), view.time)
         mind = self.notice(view, mind)
         return self.decide(view, mind)
-
-    def _scan(self, view: View, team: int, poses: jax.Array) -> Scan:
-        members = view.scene.teams[team]
-        sensor = members.suite.sensors[members.suite.place("RangeScanner")]
-        return Scan(
-            slots=members.slots,
-            settings=sensor.settings[0],
-            poses=scanner_poses(members, poses),
-            ranges=view.sensor(team, "RangeScanner"),
-            fresh=view.fresh(team, "RangeScanner"),
-        )
 
     def notice(self, view: View, mind: Knowledge) -> Knowledge:
         """Return what the robots know after they looked for what the task is about; by default nothing."""
@@ -174,7 +141,7 @@ class TeamTask(Task):
 
     def decide(self, view: View, mind: Knowledge) -> Knowledge:
         """Return what the robots know after they thought about where to go: to a frontier."""
-        return knowledge.plan(self.ground(view.scene).grid, mind, view.time, self.minds(view.scene))
+        return planning.plan(self.ground(view.scene).grid, mind, view.time, self.minds(view.scene))
 
     def minds(self, scene: Scene) -> Minds:
         """Return how the robots think; nobody minds what does not move."""
@@ -228,36 +195,12 @@ class TeamTask(Task):
             unlinked=zero,
             score=zero,
         )
-        shown, _ = self.shown(view, memory)
+        shown, _ = newly_seen(view, memory, ground.grid)
         return memory.replace(explored=shown)
-
-    def shown(self, view: View, memory: TeamMemory) -> tuple[jax.Array, jax.Array]:
-        """Return what of the arena is explored now (i, j), and whose part of what is new that is (robots,).
-
-        Scans are drawn from where the scanners truly are; what several show at once is shared.
-        """
-        grid, scene = self.ground(view.scene).grid, view.scene
-        new = jnp.zeros((scene.robots, *grid.shape), bool)
-        for team, members in enumerate(scene.teams):
-            if not has_scanner(members):
-                continue
-            robots = view.robots(team)
-            w, x, y, z = jnp.moveaxis(robots.quat, -1, 0)
-            yaw = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-            true = jnp.concatenate([robots.pos[:, :2], yaw[:, None]], -1)
-            scan = self._scan(view, team, true)
-            free, _ = jax.vmap(lambda pose, ranges, s=scan.settings: look(grid, s, pose, ranges))(
-                scan.poses, scan.ranges
-            )
-            new = new.at[members.slots].set(free & scan.fresh[:, None, None])
-        new = new & memory.reachable & ~memory.explored
-        seers = new.sum(0)
-        credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
-        return memory.explored | new.any(0), credit
 
     def touched(self, view: View) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
-        near = jnp.full(view.scene.robots, jnp.inf)
+        near = jnp.full(view.scene.robots, jnp.inf, jnp.float32)
         for members, gap in zip(view.scene.teams, clearance(view), strict=True):
             near = near.at[members.slots].set(gap)
         return near <= self.touch
@@ -269,7 +212,7 @@ class TeamTask(Task):
             The memory, whose part of what was explored is whose (robots,), and who began to touch something
             (robots,).
         """
-        explored, credit = self.shown(view, memory)
+        explored, credit = newly_seen(view, memory, self.ground(view.scene).grid)
         touching = self.touched(view)
         begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
         memory = memory.replace(
@@ -311,7 +254,7 @@ class TeamTask(Task):
             jnp.minimum(moved / STILL, 1.0)[:, None],
             jnp.minimum(mind.clear / knowledge.RANGE, 1.0),
             jnp.stack([left, number], -1),
-            self._mates(view, mind),
+            mates_seen(view, mind),
         ]
         flyers = self.minds(view.scene).flyers[:, None, None]
         swept = jnp.where(mind.squares == MARK, MARK, jnp.where(mind.evidence < 0, FREE, UNKNOWN))
@@ -320,69 +263,7 @@ class TeamTask(Task):
         near = near.reshape(robots, -1)
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 
-    def _mates(self, view: View, mind: Knowledge) -> jax.Array:
-        """Return what each robot knows of the others (robots, 4 others)."""
-        robots = view.scene.robots
-        others = knowledge.others(robots)
-        rows = np.arange(robots)[:, None]
-        age = (view.time - mind.heard)[rows, others]
-        there = jax.vmap(lambda pose, mates: local(pose, mates))(mind.pose, mind.mates[rows, others, :2])
-        there = jnp.where((age < knowledge.STALE)[..., None], there / WIDE, 0.0)
-        linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
-        facts = [there, jnp.minimum(age / knowledge.STALE, 1.0)[..., None], linked[rows, others][..., None]]
-        return jnp.concatenate(facts, -1).reshape(robots, -1)
-
     def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
         """Share explored, time, score, true poses (x, y as shares of the arena, cosine and sine of yaw)."""
         facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
-        extent = np.array(view.scene.arena.extent, np.float32)
-        rows = [jnp.stack(facts)]
-        for team in range(len(view.scene.teams)):
-            robots = view.robots(team)
-            w, z = robots.quat[:, 0], robots.quat[:, 3]
-            place = (robots.pos[:, :2] - extent[:, 0]) / (extent[:, 1] - extent[:, 0])
-            rows += [place.ravel(), jnp.stack([w * w - z * z, 2 * w * z], -1).ravel()]
-        return jnp.concatenate(rows)
-
-
-def local(pose: jax.Array, place: jax.Array) -> jax.Array:
-    """Return places [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
-    away = place - pose[..., :2]
-    cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
-    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
-
-
-def has_scanner(team: Team) -> bool:
-    """Return whether a team's robots have a range scanner."""
-    return any(sensor.kind == "RangeScanner" for sensor in team.suite.sensors)
-
-
-def scanner_poses(team: Team, poses: jax.Array) -> jax.Array:
-    """Return where the scanners of robots at poses x, y [m], yaw [rad] are (robots, 3)."""
-    mount = team.suite.sensors[team.suite.place("RangeScanner")].mounts[0]
-    x, y, _ = flip_vector(mount.at)
-    cos, sin = jnp.cos(poses[:, 2]), jnp.sin(poses[:, 2])
-    place = poses[:, :2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
-    yaw = wrap(poses[:, 2] + flip_angles(mount.direction)[2])
-    return jnp.concatenate([place, yaw[:, None]], -1)
-
-
-def base_of(scene: Scene) -> int | None:
-    """Return the slot of the base station; None: there is none."""
-    for team in scene.teams:
-        if team.robot.name == STATION:
-            return int(team.slots[0])
-    return None
-
-
-def unlinked(view: View) -> jax.Array:
-    """Return the share of pairs of robots, the base too, that have no link ()."""
-    if view.world.links is None:
-        return jnp.ones(())
-    links = view.links
-    return 1 - links.in_range.sum() / jnp.maximum(links.paired.sum(), 1)
-
-
-def coverage(memory: TeamMemory) -> jax.Array:
-    """Return the share of the squares a robot gets to that are explored ()."""
-    return memory.explored.sum() / jnp.maximum(memory.reachable.sum(), 1)
+        return jnp.concatenate([jnp.stack(facts), true_places(view)])

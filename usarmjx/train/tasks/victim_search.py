@@ -11,7 +11,7 @@ from flax import struct
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec import RobotSpec
 from usarmjx.scene import Scene, Team
-from usarmjx.train import knowledge
+from usarmjx.train import knowledge, planning
 from usarmjx.train.buildings import Buildings
 from usarmjx.train.equip import flies, pose_sensor, seeker, station
 from usarmjx.train.knowledge import Knowledge
@@ -19,7 +19,8 @@ from usarmjx.train.maps import FREE, MARK, MapGrid
 from usarmjx.train.orders import Move, Orders
 from usarmjx.train.recipe import Arenas
 from usarmjx.train.task import Verdict, View
-from usarmjx.train.tasks.team import STATION, WIDE, TeamMemory, TeamTask, base_of, local
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import STATION, WIDE, TeamMemory, base_of, local
 from usarmjx.train.wavefront import FAR
 from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
 
@@ -99,7 +100,7 @@ class VictimSearch(TeamTask):
     reports: ClassVar[bool] = True
 
     arena: Arenas = field(default_factory=lambda: Buildings(victims=5, reachable=1.0))
-    episode_steps: int = 600
+    episode_steps: int = 300
     wheeled: tuple[str, ...] = ("P2AT",) * 4
     tracked: tuple[str, ...] = ("kenaf",) * 2
     flying: tuple[str, ...] = ("AirRobot",) * 2
@@ -152,9 +153,9 @@ class VictimSearch(TeamTask):
         late = (left < to_base / HASTE + SPARE) & (view.time - mind.contact > AWAY)
         home = ((mind.news > mind.contact) | late) & (self.talk != "none")
         gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1)
-        doorstep = jnp.where(gap < knowledge.DOORSTEP, gap, FAR)
+        doorstep = jnp.where(gap < planning.DOORSTEP, gap, FAR)
         wanted = jnp.where(home[:, None, None], doorstep, jnp.nan)
-        return knowledge.plan(grid, mind, view.time, self.minds(scene), wanted)
+        return planning.plan(grid, mind, view.time, self.minds(scene), wanted)
 
     # What they are told.
 
