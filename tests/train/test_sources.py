@@ -37,7 +37,7 @@ def test_a_policy_from_a_file_acts_as_numpy_says(tmp_path):
     _, (actions,) = policy.act(policy.start(5), (obs,), jax.random.key(0))
     expected, _ = told.act(0, obs, told.start(0, 5, 1))
     np.testing.assert_allclose(actions, expected, atol=1e-5)  # single precision, three sums of a few terms
-    by_hand = np.tanh(1.5 * obs[..., 0] + 2.5 * obs[..., 1])
+    by_hand = np.tanh(1.5 * obs[..., 0] - 2.5 * obs[..., 1])
     np.testing.assert_allclose(actions[..., 0], by_hand, atol=1e-5)
 
 
