@@ -7,18 +7,22 @@ that no picture is the one before.
 import statistics
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from usarmjx.batch import Batch, State
+from usarmjx.bench_peer import measure_peer, with_camera
 from usarmjx.bench_tools import append, heading, timed
 from usarmjx.cameras.light import daylight
 from usarmjx.cameras.mounts import cameras_of, find_camera
 from usarmjx.cameras.picture import check_size
 from usarmjx.engines.base import PhysicsState
+from usarmjx.errors import UsageError
 from usarmjx.scene import Scene, build_scene
 from usarmjx.views import each, look_around, pictures
 from usarmjx.world import World
@@ -29,7 +33,10 @@ ZOOM = 0.99
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCase:
-    """What to measure: `steps` pictures of every robot's main camera, `repeats` times."""
+    """What to measure: `steps` pictures of every robot's main camera, `repeats` times.
+
+    With `peer` also those of MuJoCo Warp's own renderer, of the first robot's camera in each world.
+    """
 
     worlds: int
     robots: int = 1
@@ -41,6 +48,7 @@ class CameraCase:
     steps: int = 5
     repeats: int = 5
     seed: int = 0
+    peer: bool = False
 
 
 def _loop(case: CameraCase, batch: Batch, state: State) -> Callable[[jax.Array], jax.Array]:
@@ -83,8 +91,10 @@ def measure_camera(case: CameraCase, file: Path | None = None) -> str:
     Raises:
         UnknownNameError: No such arena or robot, or a robot without a camera.
         SpecError: More robots than the arena has start poses.
-        UsageError: A picture of that size cannot be taken.
+        UsageError: A picture of that size cannot be taken; a peer is asked for, but warp-lang is missing.
     """
+    if case.peer and find_spec("warp") is None:
+        raise UsageError("MuJoCo Warp's renderer needs warp-lang: pip install usarmjx[cuda]")
     scene = build_scene(case.arena, [case.robot] * case.robots)
     batch = Batch(scene, case.worlds, engine=case.engine, seed=case.seed)
     state = batch.reset()
@@ -100,13 +110,27 @@ def measure_camera(case: CameraCase, file: Path | None = None) -> str:
         "pixels_per_s": work * case.width * case.height / statistics.median(times),
         "times_s": times,
         "compile_s": first - times[0],
+        "peer": _peer(case, scene, batch, state) if case.peer else None,
     }
     append(record, file)
     return _summary(record)
 
 
+def _peer(case: CameraCase, scene: Scene, batch: Batch, state: State) -> list[dict[str, Any]]:
+    """Return what MuJoCo Warp's renderer takes for the same, with and without shadows."""
+    robot, size = scene.teams[0].robot, (case.width, case.height)
+    model = with_camera(scene, cameras_of(robot)[find_camera(robot)], size)
+    qpos = np.asarray(batch.physics(state).qpos)
+    return [measure_peer(model, qpos, size, case.steps, case.repeats, shadows) for shadows in (True, False)]
+
+
 def _summary(record: dict[str, Any]) -> str:
     case, scene = record["case"], record["scene"]
+    peers = [
+        f"MuJoCo Warp's {one['frames_per_s']:13,.1f} /s, {one['geoms']} geoms, "
+        + ("with shadows" if one["shadows"] else "no shadows")
+        for one in record["peer"] or ()
+    ]
     return "\n".join(
         [
             f"{case['worlds']} worlds x {case['robots']} {case['robot']} in {case['arena']}, "
@@ -116,5 +140,6 @@ def _summary(record: dict[str, Any]) -> str:
             f"geoms         {scene['geoms']}, lit by {scene['lit_by']}",
             f"a picture     {record['in_the_picture']}",
             f"compile [s]   {record['compile_s']:.1f}",
+            *peers,
         ]
     )

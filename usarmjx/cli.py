@@ -259,6 +259,7 @@ def bench_camera(
     steps: Annotated[int, typer.Option(min=1, help="Rounds of pictures per repeat.")] = 5,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
     seed: SeedOption = 0,
+    peer: Annotated[bool, typer.Option("--peer", help="Measure MuJoCo Warp's renderer too.")] = False,
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
@@ -278,6 +279,7 @@ def bench_camera(
             steps=steps,
             repeats=repeats,
             seed=seed,
+            peer=peer,
         )
         typer.echo(measure_camera(case, json))
 
