@@ -80,6 +80,10 @@ def test_warp_drives_as_c_mujoco_does(scene, reference):
     state = drive_for(batch)
     np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
     batch.check(state)
+    # Warp only sets bits of overflow: an old one must not count again in every later step.
+    full = state.replace(physics=state.physics.tree_replace({"_impl.overflow": jnp.array([1, 0])}))
+    assert np.asarray(batch.engine.overflow(full.physics, None)).tolist() == [1, 0]
+    assert np.asarray(batch.step(full).worlds.status.overflow).tolist() == [0, 0]
 
 
 def test_the_robots_really_met_the_ramp_and_the_step(reference):

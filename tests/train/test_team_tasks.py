@@ -166,6 +166,15 @@ def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
     assert float(jnp.linalg.norm(memory.mind.goal[1] - memory.mind.pose[0, :2])) < 1.6
 
 
+def test_contacts_cost_those_that_touch_and_the_rest_goes_to_all():
+    path = paths((0.6, 0.9), (0.235, 2.1), (1.8, 0.9))  # robot 1 ends as near to the wall as half its width
+    _, steps = searching([chain(3, (0, 1))] * (STEPS + 1), path, [], hint=0.0, price=0.25)
+    rewards = np.array([np.asarray(verdict.reward[0]) for _, _, verdict in steps[1:]])
+    assert float(steps[-1][2].metrics["contacts"]) == 1
+    np.testing.assert_allclose(rewards[:, 0].sum() - rewards[:, 1].sum(), -0.25, atol=1e-5)
+    np.testing.assert_allclose(rewards.sum(), float(steps[-1][2].score), rtol=1e-4)
+
+
 def test_without_messages_to_each_other_robots_still_write_to_the_base():
     task = VictimSearch(arena=room(STARTS), wheeled=("P2AT",) * 2, tracked=(), flying=(), talk="base")
     scene = task.scene()

@@ -243,7 +243,12 @@ class WarpEngine(MjxEngine):
             njmax=3 * 3 * contacts,
         )
 
+    def advance(self, own: mjx.Data, inputs: Inputs) -> mjx.Data:
+        """Step every world by one control step, which begins with no overflow: Warp only ever sets bits."""
+        clear = jnp.zeros_like(own._impl.overflow)
+        return super().advance(own.tree_replace({"_impl.overflow": clear}), inputs)
+
     def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:
-        """Return the overflow bits of the last step (worlds,)."""
+        """Return the overflow bits of the last control step (worlds,)."""
         del inputs
         return (own._impl.overflow & ~ITERATION_BITS).reshape(self.worlds, -1).max(-1).astype(jnp.int32)

@@ -59,7 +59,7 @@ class RelayChain(TeamTask):
 
     Action: as `TeamTask`.
 
-    Reward: what a step adds to the score, in equal parts to all.
+    Reward: what a step adds to the score; contacts cost those that touch, all else goes to all in equal parts.
 
     Attributes:
         robot: Class of the robots.
@@ -126,11 +126,12 @@ class RelayChain(TeamTask):
             there = grid.index(view.robots(team).pos[:, :2])
             depths = depths.at[members.slots].set(chain.depth[there[:, 0], there[:, 1]])
         reach = jnp.where(linked, depths, 0.0).max()
-        gain = 100.0 * reach / self.episode_steps - self.price * begun.sum()
-        memory = memory.replace(extra=chain.replace(linked=linked), score=memory.score + gain)
+        gain, contacts = 100.0 * reach / self.episode_steps, self.price * begun
+        score = memory.score + gain - contacts.sum()
+        memory = memory.replace(extra=chain.replace(linked=linked), score=score)
         return Verdict(
             memory=memory,
-            reward=self.per_group(scene, jnp.full(scene.robots, gain / len(agents))),
+            reward=self.per_group(scene, gain / len(agents) - contacts),
             terminated=jnp.zeros((), bool),
             score=memory.score,
             metrics={

@@ -84,8 +84,9 @@ class VictimSearch(TeamTask):
 
     Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height.
 
-    Reward: what a step adds to the final score, in equal parts to all; and `hint` times 100 times the share
-    of the building that the robot was the first to see, which is not part of the score.
+    Reward: what a step adds to the final score, where contacts cost those that touch and all else goes to
+    all in equal parts; and `hint` times 100 times the share of the building that the robot was the first to
+    see, which is not part of the score.
 
     Attributes:
         wheeled: Robots on wheels.
@@ -208,10 +209,10 @@ class VictimSearch(TeamTask):
         mapped = (found.mapped.sum() - before.mapped.sum()) / squares
         linked = found.connected - before.connected
         gain = left * (60.0 * share + 30.0 * mapped) + 10.0 * linked / steps
-        gain -= self.price * begun.sum() + self.wrong * (found.wrong - before.wrong)
-        agents = self.agents(scene)
-        reward = jnp.full(scene.robots, gain / len(agents)) + self.hint * 100.0 * credit
-        memory = memory.replace(extra=found, score=memory.score + gain)
+        gain -= self.wrong * (found.wrong - before.wrong)
+        shared, contacts = gain / len(self.agents(scene)), self.price * begun
+        reward = shared + self.hint * 100.0 * credit - contacts
+        memory = memory.replace(extra=found, score=memory.score + gain - contacts.sum())
         return Verdict(
             memory=memory,
             reward=self.per_group(scene, reward),
