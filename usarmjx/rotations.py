@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from usarmjx.transforms import Array
+
 MIN_NORM = 1e-9
 """Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
 
@@ -16,6 +18,21 @@ def mat_from_quat(quat: jax.Array) -> jax.Array:
         jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
     )
     return jnp.stack(rows, -2)
+
+
+def turned(mat: Array, vector: Array) -> jax.Array:
+    """Return `mat @ vector`, (..., 3, 3) and (..., 3), as sums of products.
+
+    Unlike thousands of small matrix products, these melt into what is computed before and after them, and
+    keep all their bits on a GPU.
+    """
+    mat, vector = jnp.asarray(mat), jnp.asarray(vector)
+    return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
+
+
+def composed(mat: Array, other: Array) -> jax.Array:
+    """Return `mat @ other`, both (..., 3, 3), as `turned` does."""
+    return jnp.stack([turned(mat, other[..., i]) for i in range(3)], -1)
 
 
 def rotation_vector(mat: jax.Array) -> jax.Array:

@@ -30,7 +30,7 @@ from usarmjx.models.arena_set import Site
 from usarmjx.models.doors import door_boxes
 from usarmjx.models.plan import Bodies, geom_poses
 from usarmjx.models.spec import GLASS, OPAQUE
-from usarmjx.rotations import mat_from_quat
+from usarmjx.rotations import composed, mat_from_quat, turned
 from usarmjx.scene import Scene
 from usarmjx.scene_geoms import Look
 from usarmjx.sensors.targets import FAR_AWAY, Geoms, gather, sort_places
@@ -120,8 +120,8 @@ def loose_rows(scene: Scene, physics: PhysicsState) -> Rows:
     loose = scene.loose_geoms
     root = physics.qpos[loose.root_qpos]
     turn = mat_from_quat(root[:, 3:])[loose.owner]
-    pos = root[loose.owner, :3] + jnp.einsum("gij,gj->gi", turn, loose.local.pos)
-    return _rows(loose.local, pos, turn @ loose.local.mat)._replace(compact=True)
+    pos = root[loose.owner, :3] + turned(turn, loose.local.pos)
+    return _rows(loose.local, pos, composed(turn, loose.local.mat))._replace(compact=True)
 
 
 def door_rows(scene: Scene, physics: PhysicsState) -> Rows:

@@ -21,7 +21,7 @@ from usarmjx.models.parts import joint_names, parts_of
 from usarmjx.models.pieces import pieces_of
 from usarmjx.models.spec import CHASSIS, RobotSpec
 from usarmjx.models.state import RobotState
-from usarmjx.rotations import mat_from_quat
+from usarmjx.rotations import composed, mat_from_quat, turned
 from usarmjx.transforms import Array
 
 
@@ -179,14 +179,14 @@ def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
         half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
         rest = plan.turn[body]
         straight = np.array_equal(rest, np.eye(3))
-        pos.append(pos[parent] + mat[parent] @ (plan.offset[body] + (slide if straight else rest @ slide)))
-        frame = mat[parent] if straight else mat[parent] @ rest
-        mat.append(frame @ mat_from_quat(half))
+        away = plan.offset[body] + (slide if straight else turned(rest, slide))
+        pos.append(pos[parent] + turned(mat[parent], away))
+        frame = mat[parent] if straight else composed(mat[parent], rest)
+        mat.append(composed(frame, mat_from_quat(half)))
     return Bodies(pos=jnp.stack(pos), mat=jnp.stack(mat))
 
 
 def geom_poses(plan: BodyPlan, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
     """Return the world poses of a robot's geoms: centres (geoms, 3) and orientations (geoms, 3, 3)."""
     mat = bodies.mat[plan.geom_body]
-    pos = bodies.pos[plan.geom_body] + jnp.einsum("gij,gj->gi", mat, plan.geom_pos)
-    return pos, mat @ plan.geom_mat
+    return bodies.pos[plan.geom_body] + turned(mat, plan.geom_pos), composed(mat, plan.geom_mat)

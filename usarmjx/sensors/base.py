@@ -19,6 +19,7 @@ from usarmjx.models.settings import NOT_NEGATIVE
 from usarmjx.models.spec import SKY, Mount
 from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
+from usarmjx.rotations import composed, turned
 from usarmjx.sensors.quantities import Quantity, total
 from usarmjx.sensors.raycast import BUNDLE, Hits
 from usarmjx.sensors.sketch import Sketch
@@ -236,7 +237,7 @@ class Sensor(ABC):
         local = mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
         index = self.bodies_of_mounts()
         mat = bodies.mat[index]
-        return bodies.pos[index] + jnp.einsum("mij,mj->mi", mat, at), mat @ local
+        return bodies.pos[index] + turned(mat, at), composed(mat, local)
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")

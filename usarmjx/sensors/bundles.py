@@ -67,14 +67,14 @@ def entry(kind: int, size: Three, tip: Three, axis: Three, thick: jax.Array, slo
     """
     middle, half = extent(kind, size)
     near, far = 0.0 * thick, jnp.inf
-    for at, along, low, reach in zip(tip, axis, middle, half, strict=True):
-        ahead = along >= 0
-        place, speed = jnp.where(ahead, at - low, low - at), jnp.where(ahead, along, -along)
+    for i, (at, along) in enumerate(zip(tip, axis, strict=True)):
+        offset, room = at if middle is None else at - middle[i], half[i] + thick
+        place, speed = jnp.where(along >= 0, offset, -offset), jnp.abs(along)
         # In at one side, where the cone's wall closes in on it; out at the other, if the cone is that narrow.
         opening, closing = speed + slope, speed - slope
         closing = jnp.where(jnp.abs(closing) < TINY, TINY, closing)
         share = 1.0 / (opening * closing)
-        enter, leave = (-place - reach - thick) * closing * share, (reach + thick - place) * opening * share
+        enter, leave = (-place - room) * closing * share, (room - place) * opening * share
         near = jnp.maximum(near, jnp.where(closing < 0, jnp.maximum(enter, leave), enter))
         far = jnp.where(closing > 0, jnp.minimum(far, leave), far)
     return jnp.where(slope < 0, 0.0, jnp.where(near <= far, near, jnp.inf))

@@ -55,8 +55,8 @@ def ray_box(origin: Three, direction: Three, size: Three) -> jax.Array:
     far: Any = math.inf
     for axis in range(3):
         share = 1.0 / jnp.where(jnp.abs(direction[axis]) < TINY, TINY, direction[axis])
-        a, b = (-size[axis] - origin[axis]) * share, (size[axis] - origin[axis]) * share
-        near, far = jnp.maximum(near, jnp.minimum(a, b)), jnp.minimum(far, jnp.maximum(a, b))
+        middle, half = origin[axis] * share, size[axis] * jnp.abs(share)
+        near, far = jnp.maximum(near, -middle - half), jnp.minimum(far, half - middle)
     return jnp.where(near <= far, _nearest(near, far), jnp.inf)
 
 
@@ -185,10 +185,9 @@ KERNELS: dict[int, Callable[[Three, Three, Three], jax.Array]] = {
 }
 
 
-def extent(kind: int, size: Three) -> tuple[Three, Three]:
-    """Middle and half lengths of the box about a geom, along the axes of its frame."""
-    zero = 0.0 * size[0]
-    middle = (zero, zero, zero)
+def extent(kind: int, size: Three) -> tuple[Three | None, Three]:
+    """Middle (None: the frame's origin) and half lengths of the box about a geom, along the frame's axes."""
+    zero, middle = 0.0 * size[0], None
     if kind == GeomType.mjGEOM_PLANE:
         wide, long = (jnp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
         return middle, (wide, long, zero)

@@ -11,6 +11,7 @@ import numpy as np
 from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.models.spec import GLASS, SKY
+from usarmjx.rotations import turned
 from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
 from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
 
@@ -112,7 +113,7 @@ class Sonar(Sensor):
         """All beams' lines, beam by beam."""
         pos, mat = self.mount_poses(bodies)
         cones = np.stack([cone(settings.beam_angle) for settings in self.settings])
-        direction = jnp.einsum("mij,mlj->mli", mat, cones)
+        direction = turned(mat[:, None], cones)
         origin = jnp.broadcast_to(pos[:, None], direction.shape)
         return origin.reshape(-1, 3), direction.reshape(-1, 3)
 
@@ -233,7 +234,7 @@ class RangeScanner(Sensor):
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """One line per step of the fan."""
         pos, mat = self.mount_poses(bodies)
-        direction = jnp.asarray(self.lines()) @ mat[0].T
+        direction = turned(mat[0], self.lines())
         return jnp.broadcast_to(pos[0], direction.shape), direction
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401

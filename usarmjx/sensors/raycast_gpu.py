@@ -6,7 +6,7 @@ farther than what every ray has met.
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -17,8 +17,10 @@ from jax.experimental.pallas import triton
 from usarmjx.sensors.bundles import NARROW, SLACK, WIDE, Cone, entry, entry_ball
 from usarmjx.sensors.kernels import KERNELS, TINY, ball
 
-CHUNK = 128
-"""Most geoms that a program looks at together; a power of two."""
+LANES = 64
+"""Geoms that a program looks at together; more take more registers, and then fewer programs run at a time."""
+MOST = 256
+"""Most geoms whose distances a program keeps while it tests the nearest; a power of two."""
 FEW = 2
 """So many geoms are tested without looking."""
 OWNER, RADIUS, FIELDS = 15, 16, 17
@@ -39,7 +41,7 @@ class Slab(NamedTuple):
 class Packed(NamedTuple):
     """Geoms by number (FIELDS, room), for looking at many, and by geom (room, 16), for looking at one.
 
-    There is room for a power of two, or a multiple of `CHUNK`.
+    There is room for whole groups of `LANES`; for whole passes of `MOST` if there are more than that.
     """
 
     fields: Any
@@ -49,7 +51,8 @@ class Packed(NamedTuple):
 def pack(kind: int, block: Any) -> Packed:  # noqa: ANN401 - a raycast.Block
     """Return a block's geoms."""
     count = len(block.owner)
-    room = max(16, 1 << (count - 1).bit_length()) if count <= CHUNK else -(-count // CHUNK) * CHUNK
+    step = LANES if count <= MOST else MOST
+    room = -(-count // step) * step
     last = jnp.stack([block.owner.astype(jnp.float32), ball(kind, tuple(block.size.T))])
     rows = jnp.concatenate([block.pos.T, block.mat.reshape(-1, 9).T, block.size.T, last])
     fields = jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
@@ -92,32 +95,40 @@ Best = tuple[jax.Array, jax.Array]
 """How far away (size,) and which (size,) the nearest is up to now."""
 
 
-def _chunk(slab: Slab, block: Packed, width: int, bundle: _Bundle, turn: Any, best: Best) -> Best:  # noqa: ANN401
-    """Return the best of some geoms and what there was."""
-    lanes = jax.lax.broadcasted_iota(jnp.int32, (width,), 0)
-    begin = turn * width
-    here = pl.ds(begin, width)
+def _look(slab: Slab, block: Packed, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+    """Return keys of some geoms, which sort as their distances do (LANES,).
+
+    The last bits of a key are the geom's number in the pass, which is `number` for the first one here.
+    """
+    lanes = jax.lax.broadcasted_iota(jnp.int32, (LANES,), 0)
+    here = pl.ds(begin, LANES)
     near = _approach(slab, block.fields, here, bundle)
     there = (lanes + begin < slab.count) & (block.fields[OWNER, here] != bundle.viewer)
-    # Distance and lane in one number, which sorts as the distance does: the lane takes its last bits.
     bits = jax.lax.bitcast_convert_type(jnp.where(there, near, jnp.inf), jnp.int32)
-    keys = (bits & ~(width - 1)) | lanes
+    return (bits & ~(MOST - 1)) | (lanes + number)
+
+
+def _pass(slab: Slab, block: Packed, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
+    """Return the best of so many geoms from a place on, at most `MOST`, and what there was."""
+    keys = [_look(slab, block, begin + number, number, bundle) for number in range(0, count, LANES)]
+
+    def least(keys: Sequence[jax.Array]) -> jax.Array:
+        return jnp.min(reduce(jnp.minimum, keys))
 
     def more(carry: Any) -> jax.Array:  # noqa: ANN401
         _, key, (reach, _) = carry
         farthest = jnp.max(jax.lax.bitcast_convert_type(reach, jnp.int32))  # integers are reduced faster
-        return key <= (farthest | (width - 1))
+        return key <= (farthest | (MOST - 1))
 
     def test(carry: Any) -> Any:  # noqa: ANN401
         keys, key, (reach, found) = carry
-        place = begin + (key & (width - 1))
+        place = begin + (key & (MOST - 1))
         t = _test(slab, block.geoms, place, bundle)
         closer = t < reach
-        keys = jnp.where(keys == key, LAST, keys)
-        best = jnp.where(closer, t, reach), jnp.where(closer, slab.first + place, found)
-        return keys, jnp.min(keys), best
+        keys = [jnp.where(group == key, LAST, group) for group in keys]
+        return keys, least(keys), (jnp.where(closer, t, reach), jnp.where(closer, slab.first + place, found))
 
-    return jax.lax.while_loop(more, test, (keys, jnp.min(keys), best))[2]
+    return jax.lax.while_loop(more, test, (keys, least(keys), best))[2]
 
 
 LAST = 0x7FFFFFFF
@@ -167,14 +178,13 @@ def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best
     """Return the best of all geoms and what there was."""
     for slab, block in zip(slabs, map(Packed, blocks[::2], blocks[1::2]), strict=True):
         room = block.fields.shape[1]
-        width = min(room, CHUNK)
-        look = partial(_chunk, slab, block, width, bundle)
+        look = partial(_pass, slab, block, min(room, MOST), bundle)
         if slab.count <= FEW:
             best = _all(slab, block, bundle, best)
-        elif room == width:
+        elif room <= MOST:
             best = look(0, best)
         else:
-            best = jax.lax.fori_loop(0, room // width, look, best)
+            best = jax.lax.fori_loop(0, room // MOST, lambda turn, best, f=look: f(turn * MOST, best), best)
     return best
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import POSITIVE
+from usarmjx.rotations import turned
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.ranging import BEAM
 
@@ -56,7 +57,7 @@ class Touch(Sensor):
         """All buttons' lines, button by button, parallel to its x axis."""
         pos, mat = self.mount_poses(bodies)
         spots = np.stack([button(settings.diameter) for settings in self.settings])
-        origin = pos[:, None] + jnp.einsum("mij,mlj->mli", mat, spots)
+        origin = pos[:, None] + turned(mat[:, None], spots)
         along = jnp.broadcast_to(mat[:, None, :, 0], origin.shape)
         return origin.reshape(-1, 3), along.reshape(-1, 3)
 

@@ -59,7 +59,8 @@ class RelayChain(TeamTask):
 
     Action: as `TeamTask`.
 
-    Reward: what a step adds to the score; contacts cost those that touch, all else goes to all in equal parts.
+    Reward: what a step adds to the score, where contacts cost those that touch and all else goes to all in
+    equal parts.
 
     Attributes:
         robot: Class of the robots.
