@@ -26,7 +26,6 @@ def turned(mat: Array, vector: Array) -> jax.Array:
     Unlike thousands of small matrix products, these melt into what is computed before and after them, and
     keep all their bits on a GPU.
     """
-    mat, vector = jnp.asarray(mat), jnp.asarray(vector)
     return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
 
 
