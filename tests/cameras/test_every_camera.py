@@ -1,0 +1,126 @@
+"""The cameras of every robot class sit where its description says, and see what MuJoCo's rays meet there."""
+
+from functools import cache
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from usarmjx.cameras.mounts import cameras_of
+from usarmjx.cameras.paint import ROBOT
+from usarmjx.cameras.picture import shoot, viewpoint
+from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.models.materials import materials_of
+from usarmjx.models.pieces import pieces_of
+from usarmjx.models.plan import Bodies
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec import Shape
+from usarmjx.scene import build_scene
+from usarmjx.sensors.targets import sort_places
+from usarmjx.server.live_view import live_stage
+
+NAMES = [name for name in ROBOTS.names() if ROBOTS.get(name).cameras]
+WIDTH, HEIGHT = 32, 24
+REACH = 1e-3
+"""Depths against C MuJoCo [m]: single precision over some ten metres."""
+TURNED = 0.2
+"""Angle of all joints [rad]: of the packages that cameras sit on, too."""
+WALL, FAR, TALL = 0.1, 12.0, 20.0
+
+STUDIO = ArenaSpec(
+    name="studio",
+    floor=0.0,
+    shapes=tuple(
+        Shape(kind="box", at=at, size=size, surface="wall", rgba=rgba)
+        for at, size, rgba in (
+            ((FAR, 0, 0), (WALL, FAR, TALL), (0.8, 0.2, 0.2, 1)),
+            ((-FAR, 0, 0), (WALL, FAR, TALL), (0.2, 0.8, 0.2, 1)),
+            ((0, FAR, 0), (FAR, WALL, TALL), (0.2, 0.2, 0.8, 1)),
+            ((0, -FAR, 0), (FAR, WALL, TALL), (0.8, 0.8, 0.2, 1)),
+        )
+    ),
+    starts=(StartPose(tag="A", at=(0.0, 0.0, 2.0), yaw=0.3),),
+    extent=((-FAR, FAR), (-FAR, FAR)),
+)
+
+
+@cache
+def posed(name):
+    """A robot that hangs in the studio with turned joints: its scene, state, and what there is to see."""
+    scene = build_scene(STUDIO, [ROBOTS.get(name)])
+    data = mujoco.MjData(scene.model)
+    joints = [j for j in range(scene.model.njnt) if scene.model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+    data.qpos[scene.model.jnt_qposadr[joints]] = TURNED
+    mujoco.mj_kinematics(scene.model, data)
+    pieces = pieces_of(scene.model, np.arange(scene.model.ngeom), materials_of(scene.model, STUDIO))
+    return scene, data, pieces, sort_places(pieces.kind, pieces.material.tolist())
+
+
+@cache
+def room():
+    """Room for the geoms of any robot, so that one compiled function takes all pictures."""
+    everyone = [posed(name)[3] for name in NAMES]
+    return {sort: max(len(p.get(sort, ())) for p in everyone) for places in everyone for sort in places}
+
+
+def picture(name, camera):
+    """What a camera sees."""
+    scene, data, pieces, places = posed(name)
+    index = scene.teams[0].indices[0]
+    stage = live_stage(STUDIO, data, pieces, places, room(), {0: index}, {})
+    body = list(index.body)
+    bodies = Bodies(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
+    return jax.device_get(shoot(stage, viewpoint(camera, bodies, 0, camera.default), WIDTH, HEIGHT))
+
+
+def rolled(angles):
+    """The matrix of USARSim's roll, pitch and yaw, in its axes: about x, then y, then z."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def ray(name, start, along):
+    """How far MuJoCo's ray gets before it meets something other than the robot."""
+    scene, data, *_ = posed(name)
+    own, gone, geom = set(scene.teams[0].indices[0].body), 0.0, np.zeros(1, np.int32)
+    while True:
+        met = mujoco.mj_ray(scene.model, data, start + gone * along, along, None, 1, -1, geom)
+        gone += met
+        if met < 0:
+            return np.inf
+        if scene.model.geom_bodyid[geom[0]] not in own:
+            return gone
+        gone += 1e-6
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", NAMES)
+def test_a_camera_sees_what_c_mujoco_meets_from_its_mount(name):
+    flip = np.diag([1.0, -1.0, -1.0])  # USARSim's y is to the right and its z down
+    scene, data, *_ = posed(name)
+    for camera in cameras_of(ROBOTS.get(name)):
+        if camera.lens != "pinhole":
+            continue  # mirrors: tests/cameras/test_lenses.py
+        seen = picture(name, camera)
+        part = scene.teams[0].plan.parts.index(camera.mount.parent)
+        body = scene.teams[0].indices[0].body[part]
+        turn = data.xmat[body].reshape(3, 3)
+        axes = turn @ flip @ rolled(np.array(camera.mount.direction)) @ flip
+        wide = WIDTH // len(camera.eyes)
+        start = data.xpos[body] + turn @ flip @ np.array(camera.mount.at) + axes @ camera.eyes[0]
+        free = seen.segmentation[:, :wide] < ROBOT
+        assert free.mean() > 0.3, f"{camera.mount.name} looks at its own robot"
+        for row in range(1, HEIGHT, 5):
+            for column in range(1, wide, 5):
+                if not free[row, column]:
+                    continue
+                left = np.tan(camera.default / 2) * (1 - 2 * (column + 0.5) / wide)
+                up = np.tan(camera.default / 2) * (HEIGHT - 2 * (row + 0.5)) / wide
+                along = axes @ np.array([1.0, left, up])
+                length = np.linalg.norm(along)
+                expected = ray(name, start, along / length) / length
+                assert seen.depth[row, column] == pytest.approx(expected, abs=REACH), camera.mount.name
