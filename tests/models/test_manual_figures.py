@@ -1,9 +1,11 @@
 """Figures and equipment of all robots as the manual lists them, and that ini files reach every class."""
 
+import numpy as np
 import pytest
 
 from usarmjx.configure import item_settings
 from usarmjx.models.ini_robots import load_robots
+from usarmjx.models.measure import extent
 from usarmjx.models.plan import body_plan
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
@@ -40,6 +42,8 @@ EQUIPMENT = {
     "Submarine": ({"Sonar": 1}, [], 1),
 }
 EXACT = 1e-9
+BUILT = 0.005
+"""Built against listed dimensions [m]: wheels at the ends of a Kurt reach 1 mm too far each."""
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -54,6 +58,15 @@ def test_figures_are_the_manuals(name):
     assert body_plan(robot).mass == pytest.approx(robot.mass, rel=1e-6), "as reported, so built"
     if height is not None:
         assert body_plan(robot).clearance == pytest.approx(height, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["Submarine", "Tarantula", "ERS", "Soryu", "Kurt2D", "Kurt3D", "AirRobot", "Passarola"]
+)
+def test_built_robots_fill_the_manuals_box(name):
+    """Of the other classes some sensor or camera stands above it, or a wheel or arm reaches beyond."""
+    low, high = extent(ROBOTS.get(name))
+    np.testing.assert_allclose(high - low, FIGURES[name][0], atol=BUILT)
 
 
 def test_single_figures_are_the_manuals():
