@@ -14,7 +14,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.cameras.mounts import cameras_of, find_camera
-from usarmjx.cameras.picture import Picture, check_size, shoot, viewpoint
+from usarmjx.cameras.picture import Picture, Viewpoint, check_size, shoot, viewpoint
 from usarmjx.cameras.shading import Stage
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
@@ -381,6 +381,14 @@ class Batch:
             body = jax.tree.map(lambda x: x[member], bodies[team])
             fov = state.worlds.teams[team].fov[world, member, place]
             return shoot(stage, viewpoint(lens, body, np.int32(slot), fov), width, height)
+
+    def photo_from(
+        self, state: State, world: int, eye: Viewpoint, width: int = 320, height: int = 240
+    ) -> Picture:
+        """Return what there is to see of a world from any place."""
+        stage, _ = self._stage(state.worlds, self.physics(state), world)
+        with jax.default_matmul_precision("highest"):
+            return shoot(stage, eye, width, height)
 
     def _look_all(self, worlds: World, physics: PhysicsState, eye: Eye, size: tuple[int, int]) -> Picture:
         return each(lambda world, now: pictures(self.scene, world, now, eye, size), worlds, physics)

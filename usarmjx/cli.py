@@ -133,6 +133,10 @@ def serve(
             "--multi-view", help="All robots' first cameras in one picture, by [USARBot.MultiView] of --ini."
         ),
     ] = False,
+    spectator_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Show the world on a page of this port; else no page."),
+    ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
     """Serve one world of a batch over the Gamebots protocol, its radio and its cameras."""
@@ -145,6 +149,7 @@ def serve(
         from usarmjx.server.multi_view import read_multi_view
         from usarmjx.server.net import Service, Settings
         from usarmjx.server.net import serve as run
+        from usarmjx.server.spectator_net import SpectatorServer, SpectatorSettings
         from usarmjx.server.wireless_net import WirelessSettings, check_addresses, make_wireless
         from usarmjx.server.worlds import make_world
 
@@ -172,6 +177,8 @@ def serve(
         )
         services: list[Service] = [make_wireless(world, radio, air)] if wireless else []
         services += [ImageServer(world, pictures)] if images else []
+        if spectator_port is not None:
+            services.append(SpectatorServer(world, SpectatorSettings(host, spectator_port)))
         run(world, Settings(host, port, max_connections, realtime_factor), services)
 
 

@@ -24,7 +24,7 @@ from usarmjx.models.state import RobotState
 from usarmjx.scene import PARKING_HEIGHT
 from usarmjx.sensors.base import Sight
 from usarmjx.sensors.suite import Memory
-from usarmjx.server.host import HostWorld, Robot, Shot, status_of
+from usarmjx.server.host import HostWorld, Robot, Shot, Vista, status_of
 from usarmjx.transforms import Vec3, quat_from_angles
 from usarmjx.world import TeamState, feel, team_states, time_of
 
@@ -203,12 +203,14 @@ class ClaimedWorld(HostWorld):
         self._edit(robot, fov=np.array(robot.fovs, np.float32))
         return done
 
-    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them."""
         state, instance = self._state, self._instance
 
-        def take(shot: Shot) -> Picture:
+        def take(shot: Shot | Vista) -> Picture:
             size = {"width": shot.width, "height": shot.height}
+            if isinstance(shot, Vista):
+                return jax.device_get(self._batch.photo_from(state, instance, shot.eye, **size))
             return jax.device_get(self._batch.photo(state, instance, shot.robot.slot, shot.camera, **size))
 
         return lambda: [take(shot) for shot in shots]

@@ -120,6 +120,21 @@ class Shot:
     height: int
 
 
+@dataclass(frozen=True, eq=False)
+class Vista:
+    """A picture to take from where no robot's camera need be.
+
+    Attributes:
+        eye: From where; numpy arrays.
+        width: [pixels]
+        height: [pixels]
+    """
+
+    eye: Viewpoint
+    width: int
+    height: int
+
+
 def status_of(outcome: Outcome) -> str:
     """Return the Status that RES tells of one robot's operation (manual 11)."""
     if not outcome.done:
@@ -197,13 +212,15 @@ class HostWorld(ABC):
         robot.fovs[camera] = float(robot.cameras[camera].clamp(fov))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
-    def viewpoint(self, shot: Shot) -> Viewpoint:
+    def viewpoint(self, shot: Shot | Vista) -> Viewpoint:
         """Return from where a picture would be taken now; numpy arrays."""
+        if isinstance(shot, Vista):
+            return shot.eye
         robot, fov = shot.robot, np.float32(shot.robot.fovs[shot.camera])
         return viewpoint(robot.cameras[shot.camera], self.bodies(robot), np.int32(robot.slot), fov)
 
     @abstractmethod
-    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them.
 
         The first half is quick. The second half may run in another thread, while the world goes on.

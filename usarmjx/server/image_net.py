@@ -1,32 +1,26 @@
 """The image server on a real socket, in the loop of the Gamebots server (manual 3.2.5, 14.5.3).
 
-Pictures are taken only for clients that wait for one, and drawn and encoded in a thread beside the loop,
-which may be busy for a part of the time only: the robots' reports come first.
+Pictures are taken only for clients that wait for one, and drawn and encoded in a thread beside the loop.
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
-import numpy as np
-
-from usarmjx.server.host import HostWorld, Shot
+from usarmjx.server.darkroom import Darkroom, Wholes
+from usarmjx.server.host import HostWorld
 from usarmjx.server.images import ImageSession, Region, frame
 from usarmjx.server.multi_view import MultiView
-from usarmjx.server.views import View, expose, view_of
+from usarmjx.server.views import View, view_of
 from usarmjx.server.wireless_sockets import CHUNK, STALL, address_of, hang_up, limit_kernel_buffer, listen
 
 log = logging.getLogger(__name__)
 
 SIZE = (320, 240)
 """Width and height of pictures if nobody says otherwise."""
-SHARE = 0.6
-"""The thread that draws works for no more than this part of the time."""
-LONGEST_REST = 0.2
-"""It rests no longer than this after a picture, whose first one of a kind takes seconds to compile [s]."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +89,7 @@ class ImageServer:
         self._guests: list[Guest] = []
         self._listener: asyncio.Server | None = None
         self._stepped = asyncio.Event()
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="pictures")
-        self._job: asyncio.Task[None] | None = None
-        self._rested = 0.0
+        self._darkroom = Darkroom(world)
         self.port = settings.port
         world.multi_view = settings.multi_view
 
@@ -124,9 +116,8 @@ class ImageServer:
             elif now - guest.since > STALL:
                 log.info("%s:%d: dropped, it does not read", *address_of(guest.writer))
                 guest.writer.transport.abort()
-        if waiting and now >= self._rested and (self._job is None or self._job.done()):
-            self._job = asyncio.create_task(self._send(waiting, now))
-            self._job.add_done_callback(_report)
+        if waiting and self._darkroom.free(now):
+            self._darkroom.begin(self._send(waiting, now))
 
     def stop(self) -> None:
         """Hang up on everybody."""
@@ -134,9 +125,7 @@ class ImageServer:
             self._listener.close()
         for guest in self._guests:
             guest.writer.transport.abort()
-        if self._job is not None:
-            self._job.cancel()
-        self._beside.shutdown(wait=False, cancel_futures=True)
+        self._darkroom.close()
 
     async def _send(self, guests: Sequence[Guest], now: float) -> None:
         """Take the pictures that guests wait for, each once however many wait for the same."""
@@ -145,17 +134,14 @@ class ImageServer:
             if guest.session.region is not None:
                 view = view_of(self._world, *address_of(guest.writer), self._settings.size)
                 wanted[guest] = view, guest.session.region
-        shots = list(dict.fromkeys(shot for view, _ in wanted.values() for shot, _, _ in view.tiles))
-        draw = _draw, expose(self._world, shots), shots, set(wanted.values()), self._settings.format
-        began = time.monotonic()
+        parts = set(wanted.values())
         try:
-            frames = await asyncio.get_running_loop().run_in_executor(self._beside, *draw)
+            make = partial(_frames, parts, self._settings.format)
+            frames = await self._darkroom.take([view for view, _ in parts], make)
         except Exception:
             for guest in wanted:
                 guest.writer.transport.abort()
             raise
-        ended = time.monotonic()
-        self._rested = ended + min(LONGEST_REST, (ended - began) * (1 - SHARE) / SHARE)
         for guest, asked in wanted.items():
             if not guest.writer.is_closing():
                 guest.session.sent(now)
@@ -195,23 +181,12 @@ class ImageServer:
         return bool(here)
 
 
-def _draw(
-    take: Callable[[], list[np.ndarray]],
-    shots: Sequence[Shot],
-    wanted: Collection[tuple[View, Region]],
-    number: int,
+def _frames(
+    wanted: Collection[tuple[View, Region]], number: int, wholes: Wholes
 ) -> dict[tuple[View, Region], bytes]:
-    """Return the frames of parts of views; runs beside the loop."""
-    pictures = dict(zip(shots, take(), strict=True))
-    wholes = {view: view.compose(pictures) for view, _ in wanted}
+    """Return the frames of parts of views."""
     frames = {}
     for view, (left, top, width, height) in wanted:
         part = wholes[view][top : top + height, left : left + width]
         frames[view, (left, top, width, height)] = frame(number, part)
     return frames
-
-
-def _report(task: asyncio.Task[None]) -> None:
-    """Log what went wrong in a task that nobody waits for."""
-    if not task.cancelled() and (error := task.exception()):
-        log.error("no picture could be taken", exc_info=error)

@@ -41,7 +41,7 @@ from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.sensors.surroundings import Surroundings, survey
 from usarmjx.sensors.targets import FAR_AWAY, Block, Geoms, Sort, sort_places
 from usarmjx.server.compiled import RAYS, Compiled, passed_in
-from usarmjx.server.host import HostWorld, Robot, Shot, status_of
+from usarmjx.server.host import HostWorld, Robot, Shot, Vista, status_of
 from usarmjx.server.live_view import live_stage
 from usarmjx.transforms import Vec3, quat_from_angles
 
@@ -290,7 +290,7 @@ class LiveWorld(HostWorld):
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
 
-    def expose(self, shots: Sequence[Shot]) -> Callable[[], list[Picture]]:
+    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them."""
         self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)

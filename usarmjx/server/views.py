@@ -8,7 +8,7 @@ import numpy as np
 from usarmjx.cameras.picture import Picture, Viewpoint
 from usarmjx.sensors.sketch import Sketch
 from usarmjx.server.dots import paint
-from usarmjx.server.host import HostWorld, Robot, Shot
+from usarmjx.server.host import HostWorld, Robot, Shot, Vista
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class View:
     """
 
     size: tuple[int, int]
-    tiles: tuple[tuple[Shot, int, int], ...] = ()
+    tiles: tuple[tuple[Shot | Vista, int, int], ...] = ()
 
-    def compose(self, pictures: Mapping[Shot, np.ndarray]) -> np.ndarray:
+    def compose(self, pictures: Mapping[Shot | Vista, np.ndarray]) -> np.ndarray:
         """Return the whole (height, width, 3) from the pictures of its tiles."""
         width, height = self.size
         whole = np.zeros((height, width, 3), np.uint8)
@@ -42,16 +42,16 @@ def view_of(world: HostWorld, address: str, port: int, size: tuple[int, int]) ->
     tied = world.ties.of(address, port)
     if tied is not None:
         robot = next((r for r in world.robots.values() if r.name.lower() == tied[0].lower()), None)
-        return View(size) if robot is None else _of_robot(robot, tied[1], size)
+        return View(size) if robot is None else of_robot(robot, tied[1], size)
     if world.multi_view is not None:
-        return _of_everybody(world, size)
+        return of_everybody(world, size)
     robots = [robot for robot in world.robots.values() if robot.cameras]
     if not robots:
         return View(size)
-    return _of_robot(min(robots, key=lambda robot: (robot.born, robot.slot)), "", size)
+    return of_robot(min(robots, key=lambda robot: (robot.born, robot.slot)), "", size)
 
 
-def _of_robot(robot: Robot, camera: str, size: tuple[int, int]) -> View:
+def of_robot(robot: Robot, camera: str, size: tuple[int, int]) -> View:
     """Return one camera's picture, or the robot's viewports."""
     tiles = ((camera, 0, 0, 1),) if camera else robot.viewports.tiles()
     found = []
@@ -70,7 +70,8 @@ def _shot(robot: Robot, camera: int, width: int, height: int) -> Shot | None:
     return Shot(robot, camera, width, height) if width and height else None
 
 
-def _of_everybody(world: HostWorld, size: tuple[int, int]) -> View:
+def of_everybody(world: HostWorld, size: tuple[int, int]) -> View:
+    """Return the MultiView: all robots' first cameras; nothing without one."""
     tiles = []
     for _, robot in sorted(world.robots.items()):
         if world.multi_view is not None and robot.view >= 0:
@@ -80,7 +81,7 @@ def _of_everybody(world: HostWorld, size: tuple[int, int]) -> View:
     return View(size, tuple(tiles))
 
 
-def expose(world: HostWorld, shots: Sequence[Shot]) -> Callable[[], list[np.ndarray]]:
+def expose(world: HostWorld, shots: Sequence[Shot | Vista]) -> Callable[[], list[np.ndarray]]:
     """Hold the world still; return what then takes pictures (height, width, 3).
 
     They show the robots' traces and what sensors draw. The second half may run in another thread, while the

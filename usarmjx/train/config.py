@@ -144,7 +144,6 @@ class Config:
 
 
 _TEAM: dict[str, Any] = {
-    "learning_rate": 1e-3,
     "entropy": 0.0,
     "target_kl": 0.02,
     "layers": (256, 128),

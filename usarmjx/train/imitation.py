@@ -16,7 +16,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.env import Env
 from usarmjx.train.policy import Policy
 
-DEVIATION = 0.15
+DEVIATION = 0.3
 """Deviation of actions before they are squashed that PPO is to begin with."""
 
 
