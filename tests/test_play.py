@@ -12,6 +12,7 @@ from usarmjx.models.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.play import HASTE, _caption, film, write
 from usarmjx.server.driven import DrivenWorld
+from usarmjx.server.spectator_net import SpectatorServer
 from usarmjx.train import sources
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in
@@ -93,11 +94,12 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     served = []
     monkeypatch.setattr("usarmjx.server.net.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
-    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth"]
+    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
-    ((world, settings),) = served
+    ((world, settings, (page,)),) = served
+    assert isinstance(page, SpectatorServer)
     assert isinstance(world, DrivenWorld)
     assert (settings.host, settings.port, settings.realtime_factor) == ("127.0.0.1", 3001, 2.0)
 

@@ -120,6 +120,10 @@ def play(
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
     ] = 1.0,
+    spectator_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="With --serve: show the world on a page of this port, too."),
+    ] = None,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, or serve it."""
     with Failure():
@@ -134,10 +138,13 @@ def play(
             from usarmjx.server.driven import DrivenWorld
             from usarmjx.server.net import Settings
             from usarmjx.server.net import serve as run
+            from usarmjx.server.spectator_net import SpectatorServer, SpectatorSettings
 
             world = DrivenWorld(env, driver, seed=seed)
             typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
-            run(world, Settings(host=host, port=port, realtime_factor=realtime_factor))
+            page = None if spectator_port is None else SpectatorSettings(host, spectator_port)
+            services = () if page is None else (SpectatorServer(world, page),)
+            run(world, Settings(host=host, port=port, realtime_factor=realtime_factor), services)
             return
         shown = film(env, driver, math.inf if seconds is None else seconds, seed)
         write(shown, out)

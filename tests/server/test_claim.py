@@ -10,7 +10,7 @@ from usarmjx.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.scene import PARKING_HEIGHT, Entry, build_scene
 from usarmjx.server.claim import ClaimedWorld
-from usarmjx.server.host import Shot
+from usarmjx.server.host import Shot, Vista
 
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
 STAND = 0.26  # m: a P2AT's origin above the floor (manual 5.3.6)
@@ -210,6 +210,8 @@ def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
     world.remove(other)
     run(world, 1)
     assert (take()[0].segmentation == ROBOT + other.slot).sum() == counts[1], "the moment it was held still"
+    same = Vista(world.viewpoint(Shot(seer, 0, 96, 72)), 96, 72)  # a spectator from where the camera is
+    np.testing.assert_array_equal(*(world.expose([one])()[0].rgb for one in (same, Shot(seer, 0, 96, 72))))
     world.remove(seer)
     again = world.spawn(P2AT, "R3", (0.0, 0.0, STAND), LEVEL)
     team, place = world._batch.scene.team_of(again.slot)
