@@ -46,7 +46,7 @@ class SpectatorSettings:
 
     host: str = "127.0.0.1"
     port: int = 5005
-    size: tuple[int, int] = (480, 320)
+    size: tuple[int, int] = (320, 240)
     fps: float = 20.0
     max_connections: int = 8
 
