@@ -10,7 +10,7 @@ from usarmjx.batch import Batch
 from usarmjx.bench_camera import CameraCase, measure_camera
 from usarmjx.bench_peer import with_camera
 from usarmjx.cameras.mounts import cameras_of, find_camera
-from usarmjx.errors import UnknownNameError
+from usarmjx.errors import UnknownNameError, UsageError
 from usarmjx.scene import build_scene
 
 
@@ -54,6 +54,12 @@ def test_the_peer_looks_from_the_same_place_at_the_same_scene():
                 break
             met += 1e-6
         assert seen.depth[row, column] == pytest.approx(met / length, abs=1e-3)
+
+
+def test_cameras_that_the_peer_does_not_have_are_refused():
+    scene = build_scene("soccer", ["OmniP2DX"])
+    with pytest.raises(UsageError, match="needs a pinhole camera"):
+        with_camera(scene, cameras_of(scene.teams[0].robot)[0], (16, 8))
 
 
 def test_the_record_has_the_peers_figures(tmp_path):

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.cameras.mounts import Camera
+from usarmjx.errors import UsageError
 from usarmjx.scene import Scene
 
 OUR_TO_MUJOCO = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -19,9 +20,16 @@ def with_camera(scene: Scene, camera: Camera, size: tuple[int, int]) -> mujoco.M
 
     Args:
         scene: The scene.
-        camera: A camera without a mirror.
+        camera: A camera with one eye and without a mirror.
         size: Width and height of its pictures [pixels].
+
+    Raises:
+        UsageError: Another camera, which MuJoCo does not have.
     """
+    if camera.lens != "pinhole" or len(camera.eyes) > 1:
+        raise UsageError(
+            f"{camera.mount.name} has a mirror or two eyes; MuJoCo Warp's renderer needs a pinhole camera"
+        )
     spec = scene.spec.copy()
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, (camera.mat @ OUR_TO_MUJOCO).ravel())

@@ -66,12 +66,17 @@ def frame(number: int, pixels: np.ndarray) -> bytes:
         height, width = pixels.shape[:2]
         data = struct.pack(">HH", width, height) + pixels.tobytes()
     else:
-        out, quality = io.BytesIO(), JPEG_QUALITY[number - 1]
-        # Pillow's default stores colours at half the resolution; the best quality keeps them all.
-        image = Image.fromarray(np.ascontiguousarray(pixels))
-        image.save(out, "JPEG", quality=quality, subsampling=0 if number == 1 else 2)
-        data = out.getvalue()
+        data = jpeg(number, pixels)
     return struct.pack(">BI", number, len(data)) + data
+
+
+def jpeg(number: int, pixels: np.ndarray) -> bytes:
+    """Return a picture (height, width, 3) uint8 as a JPEG of one of the types 1 to 5."""
+    out, quality = io.BytesIO(), JPEG_QUALITY[number - 1]
+    # Pillow's default stores colours at half the resolution; the best quality keeps them all.
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    image.save(out, "JPEG", quality=quality, subsampling=0 if number == 1 else 2)
+    return out.getvalue()
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import io
 import json
 import logging
 import time
@@ -13,7 +12,6 @@ from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from PIL import Image
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -21,6 +19,7 @@ from websockets.http11 import Request, Response
 from usarmjx.errors import UsageError
 from usarmjx.server.darkroom import Darkroom, Wholes
 from usarmjx.server.host import HostWorld
+from usarmjx.server.images import jpeg
 from usarmjx.server.spectator import Spectator
 from usarmjx.server.views import View
 
@@ -29,7 +28,8 @@ log = logging.getLogger(__name__)
 PAGE = Path(__file__).with_name("spectator.html")
 LONGEST = 1024
 """Longest message of a page [bytes]."""
-QUALITY = 75
+FORMAT = 2
+"""Type of the pictures, see `images.FORMATS`: good."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ class SpectatorServer:
             for page in pages:
                 await page.socket.close(1011, "no picture could be taken")
             raise
-        for page, jpeg in zip(pages, jpegs, strict=True):
+        for page, picture in zip(pages, jpegs, strict=True):
             with contextlib.suppress(ConnectionClosed):
                 await page.socket.send(json.dumps({"caption": captions[page], "time": shown}))
-                await page.socket.send(jpeg)
+                await page.socket.send(picture)
 
     async def _come_in(self, socket: ServerConnection) -> None:
         if len(self._pages) >= self._settings.max_connections:
@@ -162,12 +162,7 @@ def _read(text: str | bytes) -> object:
 
 
 def _jpegs(views: Sequence[View], wholes: Wholes) -> list[bytes]:
-    found = []
-    for view in views:
-        out = io.BytesIO()
-        Image.fromarray(wholes[view]).save(out, "JPEG", quality=QUALITY)
-        found.append(out.getvalue())
-    return found
+    return [jpeg(FORMAT, wholes[view]) for view in views]
 
 
 def _answer(connection: ServerConnection, request: Request) -> Response | None:
