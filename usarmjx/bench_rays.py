@@ -23,6 +23,7 @@ from usarmjx.errors import UsageError
 from usarmjx.models.plan import Bodies, BodyPlan, body_plan, body_poses, geom_poses
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.state import RobotState
+from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.raycast import First, distance_to, nearest
 from usarmjx.sensors.suite import suite_of
@@ -103,7 +104,7 @@ def _geoms(plan: BodyPlan, walls: Block, bodies: Bodies) -> Geoms:
     return gather(kind, *joined, compact=parts_of_robots.tolist())
 
 
-def brute_force(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> jax.Array:
+def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
     """Return the distance of what each ray meets first, by testing all rays against all geoms (rays,)."""
 
     def one(start: jax.Array, along: jax.Array) -> jax.Array:
@@ -113,11 +114,11 @@ def brute_force(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: j
             first = jnp.minimum(first, reach.min())
         return first
 
-    return jax.vmap(one)(origin, direction)
+    return jax.vmap(one)(*fans.rays())
 
 
-def _culled(geoms: Geoms, origin: jax.Array, direction: jax.Array, viewer: jax.Array) -> jax.Array:
-    first: First = nearest(geoms, origin, direction, viewer)
+def _culled(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
+    first: First = nearest(geoms, *fans.rays(), viewer, fans=fans)
     return first.distance
 
 
@@ -128,7 +129,7 @@ def _scans(caster: Callable[..., jax.Array], plan: BodyPlan, walls: Block, team:
     scanner = _scanner(plan)
 
     def scan(body: Bodies, slot: jax.Array) -> jax.Array:
-        return caster(geoms, *scanner.rays(body), slot)
+        return caster(geoms, scanner.fans(body), slot)
 
     return jax.vmap(scan)(bodies, jnp.arange(len(team.yaw)))
 

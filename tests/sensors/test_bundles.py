@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.sensors.test_raycast import NOBODY, make_rays, make_room
-from usarmjx.sensors.bundles import bundled, cones
-from usarmjx.sensors.raycast import Gaze, culled, gpu, joined, nearest, one_by_one, parts
+from usarmjx.sensors.bundles import Fans, bundled, cones
+from usarmjx.sensors.raycast import ANYTHING, Gaze, culled, gpu, joined, nearest, one_by_one, parts
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
 
@@ -28,7 +28,13 @@ def rays():
 
 
 ORIGIN, DIRECTION = rays()
-HOW = {"culled": culled, "gpu": partial(gpu, interpret=True)}
+
+
+def on_a_gpu(seen, origin, direction, viewer, gaze=ANYTHING, **how):
+    return gpu(seen, (origin, direction), viewer, gaze, interpret=True, **how)
+
+
+HOW = {"culled": culled, "gpu": on_a_gpu}
 
 
 @pytest.mark.parametrize("compact", [False, True])
@@ -42,6 +48,23 @@ def test_what_is_left_out_is_not_met(how, viewer, compact):
         found = jax.jit(partial(HOW[how], seen, gaze=Gaze(bundle=bundle)))(ORIGIN, DIRECTION, viewer)
         np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
         np.testing.assert_array_equal(found.which, plain.which)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
+    rng = np.random.default_rng(7)
+    mat = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0].astype(np.float32)
+    lines = rng.normal(size=(count, 45, 3)).astype(np.float32)
+    lines /= np.linalg.norm(lines, axis=-1, keepdims=True)
+    fans = Fans(jnp.asarray(rng.uniform(-2, 2, (count, 3)), jnp.float32), jnp.asarray(mat), lines)
+    origin, direction = fans.rays()
+    np.testing.assert_allclose(direction[-1], mat[-1] @ lines[-1, -1], atol=1e-6)
+    seen = parts(ROOM.geoms)
+    plain = one_by_one(seen, origin, direction, NOBODY)
+    found = jax.jit(lambda fans: gpu(seen, fans, NOBODY, interpret=True))(fans)
+    assert np.isfinite(np.asarray(plain.distance)).mean() > 0.5
+    np.testing.assert_array_equal(found.which, plain.which)
+    np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
 
 
 @pytest.mark.parametrize("how", HOW)
@@ -58,7 +81,7 @@ def test_what_is_out_of_reach_is_not_met(how):
 @pytest.mark.parametrize("wanted", [False, True])
 def test_on_a_gpu_rays_that_nobody_wants_are_not_cast(wanted):
     seen = parts(ROOM.geoms)
-    found = gpu(seen, ORIGIN, DIRECTION, NOBODY, wanted=jnp.asarray(wanted), interpret=True)
+    found = on_a_gpu(seen, ORIGIN, DIRECTION, NOBODY, wanted=jnp.asarray(wanted))
     assert (np.asarray(found.which) >= 0).any() == wanted
 
 
@@ -70,7 +93,7 @@ def test_each_world_and_robot_of_a_batch_is_as_alone():
 
     def world(blocks):
         seen = [part._replace(block=block) for part, block in zip(near, blocks, strict=True)]
-        return jax.vmap(lambda v: gpu(seen, ORIGIN, DIRECTION, v, interpret=True))(viewers)
+        return jax.vmap(lambda v: on_a_gpu(seen, ORIGIN, DIRECTION, v))(viewers)
 
     found = jax.jit(jax.vmap(world))(blocks)
     for w, seen in enumerate((near, far)):

@@ -20,6 +20,7 @@ from usarmjx.models.spec import SKY, Mount
 from usarmjx.models.state import RobotState
 from usarmjx.registry import Registry
 from usarmjx.rotations import composed, turned
+from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.quantities import Quantity, total
 from usarmjx.sensors.raycast import BUNDLE, Hits
 from usarmjx.sensors.sketch import Sketch
@@ -137,8 +138,17 @@ class Sensor(ABC):
 
     def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
         """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
+        fans = self.fans(bodies)
+        return (jnp.zeros((0, 3)), jnp.zeros((0, 3))) if fans is None else fans.rays()
+
+    def fans(self, bodies: Bodies) -> Fans | None:
+        """Return all rays as fans, of a sensor whose rays start at its mounts and are fixed there.
+
+        It needs no `rays` then, and is faster on a GPU, where nobody asks for them. A subclass that has
+        rays of its own returns None here.
+        """
         del bodies
-        return jnp.zeros((0, 3)), jnp.zeros((0, 3))
+        return None
 
     def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
         """Return the rays as `rays` does, of a sensor that aims some of them at what is around.

@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from usarmjx.rotations import turned
 from usarmjx.sensors.kernels import TINY, Three, extent
 
 SLACK = 1e-3
@@ -17,6 +19,25 @@ NARROW = 1e-5
 """Cones are at least this steep: their walls are never parallel to a geom's face they go along."""
 WIDE = 0.17
 """Bundles whose rays are farther from the axis than this cosine meet everything."""
+
+
+class Fans(NamedTuple):
+    """Rays that start in the origins of moving frames and are fixed in them: a fan for each frame.
+
+    Attributes:
+        pos: Origins [m] (fans, 3).
+        mat: Orientations (fans, 3, 3).
+        lines: Unit vectors in the frames (fans, lines, 3).
+    """
+
+    pos: jax.Array
+    mat: jax.Array
+    lines: np.ndarray
+
+    def rays(self) -> tuple[jax.Array, jax.Array]:
+        """Return starts [m] and unit vectors in world axes, fan by fan, both (rays, 3)."""
+        along = turned(self.mat[:, None], self.lines)
+        return jnp.broadcast_to(self.pos[:, None], along.shape).reshape(-1, 3), along.reshape(-1, 3)
 
 
 class Cone(NamedTuple):

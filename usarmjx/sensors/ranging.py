@@ -11,8 +11,8 @@ import numpy as np
 from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.models.spec import GLASS, SKY
-from usarmjx.rotations import turned
 from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
 
 MOST_BEAMS = 65_536
@@ -109,13 +109,10 @@ class Sonar(Sensor):
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
-        """All beams' lines, beam by beam."""
-        pos, mat = self.mount_poses(bodies)
+    def fans(self, bodies: Bodies) -> Fans:
+        """All beams' lines."""
         cones = np.stack([cone(settings.beam_angle) for settings in self.settings])
-        direction = turned(mat[:, None], cones)
-        origin = jnp.broadcast_to(pos[:, None], direction.shape)
-        return origin.reshape(-1, 3), direction.reshape(-1, 3)
+        return Fans(*self.mount_poses(bodies), cones)
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
@@ -231,11 +228,9 @@ class RangeScanner(Sensor):
         """Unit directions of the beams about the mount's x axis (beams, 3)."""
         return fan(self.settings[0])
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def fans(self, bodies: Bodies) -> Fans:
         """One line per step of the fan."""
-        pos, mat = self.mount_poses(bodies)
-        direction = turned(mat[0], self.lines())
-        return jnp.broadcast_to(pos[0], direction.shape), direction
+        return Fans(*self.mount_poses(bodies), self.lines()[None])
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""

@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.models.pieces import TRIANGLE_KIND
-from usarmjx.sensors.bundles import Cone, bundled, cones, entry, entry_ball
+from usarmjx.sensors.bundles import Cone, Fans, bundled, cones, entry, entry_ball
 from usarmjx.sensors.kernels import KERNELS, ball, surface_normal
 from usarmjx.sensors.raycast_gpu import Slab, nearest_of_bundles, pack
 from usarmjx.sensors.targets import Block, Geoms
@@ -129,6 +129,7 @@ def nearest(
     viewer: jax.Array,
     gaze: Gaze = ANYTHING,
     wanted: jax.Array | None = None,
+    fans: Fans | None = None,
 ) -> First:
     """Return what each ray meets first.
 
@@ -139,12 +140,12 @@ def nearest(
         viewer: Slot of the robot that looks; its own geoms are transparent to it ().
         gaze: How.
         wanted: Whether anybody wants to know (); if not, nothing is met. None: yes.
+        fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
     seen = parts(geoms, gaze.passes)
     if jax.default_backend() == "gpu":
-        how = partial(gpu, wanted=wanted)
-    else:
-        how = culled if len(origin) * sum(len(part.block.owner) for part in seen) > MANY else one_by_one
+        return gpu(seen, (origin, direction) if fans is None else fans, viewer, gaze, wanted)
+    how = culled if len(origin) * sum(len(part.block.owner) for part in seen) > MANY else one_by_one
     return how(seen, origin, direction, viewer, gaze)
 
 
@@ -226,8 +227,7 @@ def _entries(kind: int, block: Block, cone: Cone, *, compact: bool) -> jax.Array
 
 def gpu(
     seen: Sequence[Part],
-    origin: jax.Array,
-    direction: jax.Array,
+    rays: tuple[jax.Array, jax.Array] | Fans,
     viewer: jax.Array,
     gaze: Gaze = ANYTHING,
     wanted: jax.Array | None = None,
@@ -241,13 +241,13 @@ def gpu(
     cast_at_all = jnp.ones((), bool) if wanted is None else wanted
     found = nearest_of_bundles(
         slabs,
-        (origin, direction),
+        rays,
         (viewer, cast_at_all),
         bundle=gaze.bundle,
         reach=gaze.reach,
         interpret=interpret,
     )
-    return First(*found).met()
+    return First(*found)
 
 
 def joined(geoms: Geoms) -> Block:
@@ -280,9 +280,10 @@ def cast(
     viewer: jax.Array,
     gaze: Gaze = ANYTHING,
     wanted: jax.Array | None = None,
+    fans: Fans | None = None,
 ) -> Hits:
     """Return the first surface that each ray meets, see `nearest`; at which angle, if the gaze asks."""
-    first = nearest(geoms, origin, direction, viewer, gaze, wanted)
+    first = nearest(geoms, origin, direction, viewer, gaze, wanted, fans)
     cosine = jnp.zeros_like(first.distance)
     if gaze.incidence:
         cosine = jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))

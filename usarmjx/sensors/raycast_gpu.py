@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
-from usarmjx.sensors.bundles import NARROW, SLACK, WIDE, Cone, entry, entry_ball
+from usarmjx.sensors.bundles import NARROW, SLACK, WIDE, Cone, Fans, entry, entry_ball
 from usarmjx.sensors.kernels import KERNELS, TINY, ball
 
 LANES = 64
@@ -156,22 +156,40 @@ def _cone(start: Sequence[jax.Array], along: Sequence[jax.Array]) -> Cone:
     return Cone(tip, axis, thick, jnp.where(cosine < WIDE, -1.0, slope))
 
 
+Rays = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]
+"""Starts and directions of some rays, by component."""
+
+
+def _given(rays: Sequence[Any], ray: jax.Array) -> Rays:
+    """Return some of the rays of arrays (rays, 3)."""
+    start, along = (tuple(x[ray, i] for i in range(3)) for x in rays)
+    return start, along
+
+
+def _fanned(rays: Sequence[Any], ray: jax.Array) -> Rays:
+    """Return some of the rays of fans: origins (fans, 3), orientations (fans, 9), lines (3, rays)."""
+    pos, mat, lines = rays
+    fan = ray // (lines.shape[1] // pos.shape[0]) if pos.shape[0] > 1 else 0
+    line = [lines[i, ray] for i in range(3)]
+    along = tuple(sum(mat[fan, 3 * i + j] * line[j] for j in range(3)) for i in range(3))
+    return tuple(jnp.broadcast_to(pos[fan, i], ray.shape) for i in range(3)), along  # type: ignore - sums of 3
+
+
 def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
-    *blocks, origin, direction, viewer, wanted, distance, which = refs
-    rays = origin.shape[0]
+    blocks, (*rays, viewer, wanted, distance, which) = refs[: 2 * len(slabs)], refs[2 * len(slabs) :]
     lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)
-    begin = pl.program_id(0) * bundle
-    ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, rays) - 1)  # lanes left over: the last ray
-    start, along = (tuple(x[ray, i] for i in range(3)) for x in (origin, direction))
-    looker = viewer[0].astype(jnp.float32)
-    this = _Bundle(start=start, along=along, cone=_cone(start, along), viewer=looker)
+    begin, count = pl.program_id(0) * bundle, distance.shape[0]
+    ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, count) - 1)  # lanes left over: the last ray
     nothing = (jnp.full(ray.shape, reach, jnp.float32), jnp.full(ray.shape, -1, jnp.int32))
 
     def look(best: Best) -> Best:
-        return _first(slabs, blocks, this, best)
+        start, along = _given(rays, ray) if len(rays) == 2 else _fanned(rays, ray)
+        looker = viewer[0].astype(jnp.float32)
+        return _first(slabs, blocks, _Bundle(start, along, _cone(start, along), looker), best)
 
-    best = jax.lax.cond(wanted[0] > 0, look, lambda best: best, nothing)
-    distance[ray], which[ray] = best  # lanes left over say the same as the last one
+    reached, found = jax.lax.cond(wanted[0] > 0, look, lambda best: best, nothing)
+    # Lanes left over say the same as the last one.
+    distance[ray], which[ray] = jnp.where(found < 0, jnp.inf, reached), found
 
 
 def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
@@ -190,26 +208,30 @@ def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best
 
 def nearest_of_bundles(
     work: Sequence[tuple[Slab, Packed]],
-    rays: tuple[jax.Array, jax.Array],
+    rays: tuple[jax.Array, jax.Array] | Fans,
     who: tuple[jax.Array, jax.Array],
     *,
     bundle: int,
     reach: float,
     interpret: bool = False,
 ) -> tuple[jax.Array, jax.Array]:
-    """Return distance (the reach for none) and place of what each ray meets first, both (rays,).
+    """Return distance (infinite for none) and place (-1 for none) of what each ray meets first, both (rays,).
 
     Args:
         work: The geoms, from `pack`.
-        rays: Starts [m] (rays, 3) and unit vectors (rays, 3).
+        rays: Starts [m] (rays, 3) and unit vectors (rays, 3); or fans, whose rays are never written down.
         who: Whose geoms are left out (), and whether to cast the rays at all ().
         bundle: See `raycast.Gaze`.
         reach: See `raycast.Gaze` [m].
         interpret: Run on any device, slowly.
     """
-    count = len(rays[0])
+    if isinstance(rays, Fans):
+        count = rays.lines.shape[0] * rays.lines.shape[1]
+        given = (rays.pos, rays.mat.reshape(-1, 9), jnp.asarray(rays.lines).reshape(count, 3).T)
+    else:
+        count, given = len(rays[0]), rays
     asked = [number.astype(jnp.int32)[None] for number in who]
-    arrays = [*(array for _, block in work for array in block), *rays, *asked]
+    arrays = [*(array for _, block in work for array in block), *given, *asked]
     slabs = tuple(slab for slab, _ in work)
     return pl.pallas_call(
         partial(_program, slabs=slabs, bundle=bundle, reach=min(reach, FAR)),

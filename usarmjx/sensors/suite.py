@@ -97,7 +97,8 @@ class Suite:
             if count:
                 rays = sensor.aim(bodies, around)
                 how = Gaze(sensor.passes, sensor.bundle, sensor.reach, sensor.needs_incidence)
-                hits.append(cast(geoms, *rays, slot, how, None if due is None else due[i]))
+                wanted = None if due is None else due[i]
+                hits.append(cast(geoms, *rays, slot, how, wanted, sensor.fans(bodies)))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def start(self, sight: Sight, key: jax.Array) -> Memory:

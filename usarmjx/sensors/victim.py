@@ -10,6 +10,7 @@ import numpy as np
 from usarmjx.models.plan import Bodies
 from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.ranging import steps, too_many
 from usarmjx.sensors.sketch import Sketch, blank
 from usarmjx.transforms import Array
@@ -101,13 +102,9 @@ class VictSensor(Sensor):
     looks_around = True
     defaults = VictimSettings
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def fans(self, bodies: Bodies) -> Fans:
         """All four grids, one after the other."""
-        pos, mat = self.mount_poses(bodies)
-        lines = np.concatenate(grids(self.settings[0]))
-        # A sum of products, so that a GPU does not round it to TensorFloat-32.
-        along = (mat[0] * lines[:, None, :]).sum(-1)
-        return jnp.broadcast_to(pos[0], along.shape), along
+        return Fans(*self.mount_poses(bodies), np.concatenate(grids(self.settings[0]))[None])
 
     def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Look once with all four grids."""
