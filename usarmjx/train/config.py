@@ -146,13 +146,15 @@ class Config:
 _TEAM: dict[str, Any] = {
     "entropy": 0.0,
     "target_kl": 0.02,
+    "discount": 0.97,
+    "trace": 0.9,
     "layers": (256, 128),
     "critic_layers": (256, 128),
 }
 # What each task is trained with, where it differs from the defaults. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"discount": 0.98, "learning_rate": 1e-3, "entropy": 0.002},
-    "explore": {**_TEAM, "discount": 0.97, "trace": 0.9},
+    "explore": _TEAM,
     "victim-search": _TEAM,
 }
 
