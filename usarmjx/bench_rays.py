@@ -95,13 +95,12 @@ def _geoms(plan: BodyPlan, walls: Block, bodies: Bodies) -> Geoms:
         jnp.repeat(jnp.arange(count), parts),
     )
     rows = zip((walls.pos, walls.mat, walls.size, walls.owner), floor, robots, strict=True)
-    # Kept as arrays, as in `visible.collect`.
-    joined = jax.lax.optimization_barrier([jnp.concatenate(parts) for parts in rows])
+    pos, mat, size, owner = (jnp.concatenate(parts) for parts in rows)
     kind = np.concatenate(
         [np.full(len(walls.pos), KINDS.mjGEOM_BOX), [KINDS.mjGEOM_PLANE], np.tile(plan.geom_type, count)]
     )
     parts_of_robots = np.arange(len(kind)) > len(walls.pos)
-    return gather(kind, *joined, compact=parts_of_robots.tolist())
+    return gather(kind, pos, mat, size, owner, compact=parts_of_robots.tolist())
 
 
 def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:

@@ -38,25 +38,17 @@ class Slab(NamedTuple):
     compact: bool
 
 
-class Packed(NamedTuple):
-    """Geoms by number (FIELDS, room), for looking at many, and by geom (room, 16), for looking at one.
+def pack(kind: int, block: Any) -> jax.Array:  # noqa: ANN401 - a raycast.Block
+    """Return a block's geoms by number (FIELDS, room).
 
     There is room for whole groups of `LANES`; for whole passes of `MOST` if there are more than that.
     """
-
-    fields: Any
-    geoms: Any
-
-
-def pack(kind: int, block: Any) -> Packed:  # noqa: ANN401 - a raycast.Block
-    """Return a block's geoms."""
     count = len(block.owner)
     step = LANES if count <= MOST else MOST
     room = -(-count // step) * step
     last = jnp.stack([block.owner.astype(jnp.float32), ball(kind, tuple(block.size.T))])
     rows = jnp.concatenate([block.pos.T, block.mat.reshape(-1, 9).T, block.size.T, last])
-    fields = jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
-    return Packed(fields, fields[:16].T)
+    return jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
 
 
 def _local(mat: Sequence[jax.Array], vector: Sequence[Any] | jax.Array) -> tuple[jax.Array, ...]:
@@ -83,9 +75,9 @@ def _approach(slab: Slab, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  
     return entry(slab.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope)
 
 
-def _test(slab: Slab, geoms: Any, place: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _test(slab: Slab, fields: Any, place: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return the distance of one geom from every ray (size,)."""
-    geom = [geoms[place, i] for i in range(15)]
+    geom = [fields[i, place] for i in range(15)]
     away = tuple(bundle.start[i] - geom[i] for i in range(3))
     mat, size = geom[3:12], tuple(geom[12:15])
     return KERNELS[slab.kind](_local(mat, away), _local(mat, bundle.along), size)
@@ -95,22 +87,22 @@ Best = tuple[jax.Array, jax.Array]
 """How far away (size,) and which (size,) the nearest is up to now."""
 
 
-def _look(slab: Slab, block: Packed, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _look(slab: Slab, fields: Any, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return keys of some geoms, which sort as their distances do (LANES,).
 
     The last bits of a key are the geom's number in the pass, which is `number` for the first one here.
     """
     lanes = jax.lax.broadcasted_iota(jnp.int32, (LANES,), 0)
     here = pl.ds(begin, LANES)
-    near = _approach(slab, block.fields, here, bundle)
-    there = (lanes + begin < slab.count) & (block.fields[OWNER, here] != bundle.viewer)
+    near = _approach(slab, fields, here, bundle)
+    there = (lanes + begin < slab.count) & (fields[OWNER, here] != bundle.viewer)
     bits = jax.lax.bitcast_convert_type(jnp.where(there, near, jnp.inf), jnp.int32)
     return (bits & ~(MOST - 1)) | (lanes + number)
 
 
-def _pass(slab: Slab, block: Packed, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
+def _pass(slab: Slab, fields: Any, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
     """Return the best of so many geoms from a place on, at most `MOST`, and what there was."""
-    keys = [_look(slab, block, begin + number, number, bundle) for number in range(0, count, LANES)]
+    keys = [_look(slab, fields, begin + number, number, bundle) for number in range(0, count, LANES)]
 
     def least(keys: Sequence[jax.Array]) -> jax.Array:
         return jnp.min(reduce(jnp.minimum, keys))
@@ -123,7 +115,7 @@ def _pass(slab: Slab, block: Packed, count: int, bundle: _Bundle, begin: Any, be
     def test(carry: Any) -> Any:  # noqa: ANN401
         keys, key, (reach, found) = carry
         place = begin + (key & (MOST - 1))
-        t = _test(slab, block.geoms, place, bundle)
+        t = _test(slab, fields, place, bundle)
         closer = t < reach
         keys = [jnp.where(group == key, LAST, group) for group in keys]
         return keys, least(keys), (jnp.where(closer, t, reach), jnp.where(closer, slab.first + place, found))
@@ -135,11 +127,11 @@ LAST = 0x7FFFFFFF
 """A key after all others."""
 
 
-def _all(slab: Slab, block: Packed, bundle: _Bundle, best: Best) -> Best:
+def _all(slab: Slab, fields: Any, bundle: _Bundle, best: Best) -> Best:  # noqa: ANN401
     """Return the best of a few geoms and what there was; all are tested."""
     for place in range(slab.count):
-        t = _test(slab, block.geoms, place, bundle)
-        closer = (t < best[0]) & (block.geoms[place, OWNER] != bundle.viewer)
+        t = _test(slab, fields, place, bundle)
+        closer = (t < best[0]) & (fields[OWNER, place] != bundle.viewer)
         best = (jnp.where(closer, t, best[0]), jnp.where(closer, slab.first + place, best[1]))
     return best
 
@@ -176,7 +168,7 @@ def _fanned(rays: Sequence[Any], ray: jax.Array) -> Rays:
 
 
 def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
-    blocks, (*rays, viewer, wanted, distance, which) = refs[: 2 * len(slabs)], refs[2 * len(slabs) :]
+    blocks, (*rays, viewer, wanted, distance, which) = refs[: len(slabs)], refs[len(slabs) :]
     lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)
     begin, count = pl.program_id(0) * bundle, distance.shape[0]
     ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, count) - 1)  # lanes left over: the last ray
@@ -194,11 +186,11 @@ def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> 
 
 def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
     """Return the best of all geoms and what there was."""
-    for slab, block in zip(slabs, map(Packed, blocks[::2], blocks[1::2]), strict=True):
-        room = block.fields.shape[1]
-        look = partial(_pass, slab, block, min(room, MOST), bundle)
+    for slab, fields in zip(slabs, blocks, strict=True):
+        room = fields.shape[1]
+        look = partial(_pass, slab, fields, min(room, MOST), bundle)
         if slab.count <= FEW:
-            best = _all(slab, block, bundle, best)
+            best = _all(slab, fields, bundle, best)
         elif room <= MOST:
             best = look(0, best)
         else:
@@ -207,7 +199,7 @@ def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best
 
 
 def nearest_of_bundles(
-    work: Sequence[tuple[Slab, Packed]],
+    work: Sequence[tuple[Slab, jax.Array]],
     rays: tuple[jax.Array, jax.Array] | Fans,
     who: tuple[jax.Array, jax.Array],
     *,
@@ -231,7 +223,7 @@ def nearest_of_bundles(
     else:
         count, given = len(rays[0]), rays
     asked = [number.astype(jnp.int32)[None] for number in who]
-    arrays = [*(array for _, block in work for array in block), *given, *asked]
+    arrays = [*(fields for _, fields in work), *given, *asked]
     slabs = tuple(slab for slab, _ in work)
     return pl.pallas_call(
         partial(_program, slabs=slabs, bundle=bundle, reach=min(reach, FAR)),
