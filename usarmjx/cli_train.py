@@ -105,12 +105,13 @@ def export(
     run: Annotated[Path, typer.Argument(help="Folder of the run.")],
     out: Annotated[Path, typer.Argument(help="File to write, .npz.")],
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
+    half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
 ) -> None:
     """Write the policy of a run to a file that NumPy alone can run."""
     with Failure():
         from usarmjx.train.export import export_run
 
-        export_run(run, out, checkpoint)
+        export_run(run, out, checkpoint, half)
         typer.echo(f"wrote {out}, {out.stat().st_size / 1024:.0f} KB")
 
 

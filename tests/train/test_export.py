@@ -20,7 +20,7 @@ from usarmjx.train.record import Origin, make_record
 SAME = 1e-5
 
 
-def policy_with(memory, tmp_path):
+def policy_with(memory, tmp_path, half=False):
     """A policy with large random weights and statistics, in JAX and in NumPy."""
     config = Config(worlds=4, layers=(32, 16), memory=memory)
     env = DriveToy(4)
@@ -30,7 +30,9 @@ def policy_with(memory, tmp_path):
     params = jax.tree.map(lambda leaf: leaf + 0.3 * draw.normal(size=leaf.shape).astype(np.float32), params)
     params = params.replace(std=jax.tree.map(lambda leaf: 0.5 + abs(leaf), params.std))
     file = tmp_path / "policy.npz"
-    save_policy(file, networks.policy, params, make_record(env, config, 1, Origin("c", {"radius": "0.5"})))
+    save_policy(
+        file, networks.policy, params, make_record(env, config, 1, Origin("c", {"radius": "0.5"})), half
+    )
     return networks.policy, params, NumpyPolicy(file)
 
 
@@ -55,6 +57,20 @@ def test_numpy_acts_as_jax_does(memory, tmp_path):
             assert_allclose(found, actions[g], atol=SAME)
             assert_allclose(own[g], carry[g], atol=SAME)
             assert np.abs(found).max() > 0.1
+
+
+def test_weights_of_16_bits_halve_the_file_and_round_them(tmp_path):
+    """Each by 2^-11 of itself at most; statistics keep all their bits."""
+    _, _, told = policy_with(8, tmp_path)
+    size = (tmp_path / "policy.npz").stat().st_size
+    _, _, rounded = policy_with(8, tmp_path, half=True)
+    assert (tmp_path / "policy.npz").stat().st_size < 0.75 * size  # names and statistics stay as they are
+    pairs = list(zip(jax.tree.leaves(told.weights), jax.tree.leaves(rounded.weights), strict=True))
+    for one, other in pairs:
+        assert one.dtype == other.dtype == np.float32
+        assert_allclose(other, one, rtol=2.0**-11, atol=1e-7)
+    assert any((one != other).any() for one, other in pairs)
+    assert_array_equal(rounded.std[0], told.std[0])
 
 
 @pytest.mark.oracle

@@ -1,8 +1,8 @@
 """A policy as one small file, and its inference in plain NumPy: what a robot's client needs, and no more.
 
 The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layers), the other arrays are
-`mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on. This module imports
-neither JAX nor anything that needs it.
+`mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on, in single precision or
+the weights in half. This module imports neither JAX nor anything that needs it.
 """
 
 import json
@@ -83,8 +83,8 @@ class NumpyPolicy:
     def __init__(self, file: str | Path) -> None:
         try:
             with np.load(file, allow_pickle=False) as held:
-                arrays = {name: held[name] for name in held.files}
-            about = json.loads(str(arrays.pop("about")))
+                about = json.loads(str(held["about"]))
+                arrays = {name: held[name].astype(np.float32) for name in held.files if name != "about"}
             if about["format"] != FORMAT:
                 raise UsageError(f"{file} was written by another version of usarmjx")
             self.task, self.period = about["task"], about["period"]
@@ -169,9 +169,20 @@ def _flat(tree: Weights, start: str) -> dict[str, Vector]:
 
 
 def save_policy(
-    file: str | Path, policy: "LearnedPolicy", params: "PolicyParams", record: "RunRecord"
+    file: str | Path,
+    policy: "LearnedPolicy",
+    params: "PolicyParams",
+    record: "RunRecord",
+    half: bool = False,
 ) -> None:
     """Write a policy to a file, which `NumpyPolicy` reads.
+
+    Args:
+        file: To write.
+        policy: Its network.
+        params: Weights and statistics.
+        record: What it was trained for.
+        half: Write weights as numbers of 16 bits, rounded by up to 2^-11 of themselves.
 
     Raises:
         UsageError: The file cannot be written.
@@ -188,7 +199,8 @@ def save_policy(
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     for g in range(len(policy.groups)):
         arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
-        arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
+        weights = _flat(params.weights[g]["params"], f"weights/{g}/")
+        arrays |= {name: array.astype(np.float16) if half else array for name, array in weights.items()}
     names: Sequence[str] = sorted(arrays)
     try:
         with Path(file).open("wb") as out:
@@ -197,17 +209,18 @@ def save_policy(
         raise UsageError(f"cannot write {file}: {error}") from error
 
 
-def export_run(run: str | Path, file: str | Path, which: str = "best") -> None:
+def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
     """Write the policy of a run to a file.
 
     Args:
         run: Folder of the run.
         file: To write.
         which: Checkpoint: `best`, `last`, or the number of an iteration.
+        half: See `save_policy`.
 
     Raises:
         UsageError: No run, no such checkpoint, a broken one, or a file that cannot be written.
     """
     from usarmjx.train.checkpoint import load_policy
 
-    save_policy(file, *load_policy(Path(run), which))
+    save_policy(file, *load_policy(Path(run), which), half=half)
