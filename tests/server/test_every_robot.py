@@ -7,7 +7,7 @@ section 12 give; the physics in detail is in tests/models.
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import pytest
@@ -47,6 +47,7 @@ class Trip:
     steering: str = "SkidSteered"
     arena: str = "field"
     start: str = ""
+    percents: bool = False
 
 
 def skid(name, spin, low, high, seconds=3.0, **more):
@@ -144,6 +145,19 @@ TRIPS = (
 )
 
 
+def in_percents(trip):
+    """The same trip, told in percents of what each key of DRIVE is at most (manual 9.4, Normalized)."""
+    full = ROBOTS.get(trip.name).drive.full
+    (order,) = trip.orders
+    told = re.findall(r"{(\w+) (-?[\d.]+)}", order)
+    keys = "".join(f" {{{key} {100 * float(value) / full[key]:.3f}}}" for key, value in told)
+    return replace(trip, orders=(f"DRIVE{keys} {{Normalized True}}",), percents=True)
+
+
+OTHER_DRIVES = ("Hummer", "Submarine", "AirRobot", "Passarola")
+TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
+
+
 @pytest.fixture(scope="module")
 def ports():
     """Servers of all arenas that the trips need, running as fast as they can."""
@@ -168,7 +182,7 @@ def test_every_class_of_the_manual_has_a_trip():
     assert {trip.name for trip in TRIPS} >= set(ROBOTS.names()) - {"UnitLoader"}
 
 
-@pytest.mark.parametrize("trip", TRIPS, ids=lambda trip: trip.name)
+@pytest.mark.parametrize("trip", TRIPS, ids=lambda trip: trip.name + trip.percents * " in percents")
 def test_a_robot_reports_itself_and_drives(ports, trip):
     robot = ROBOTS.get(trip.name)
     peer = Peer(ports[trip.arena])
@@ -189,6 +203,9 @@ def test_a_robot_reports_itself_and_drives(ports, trip):
     now = began
     while now < began + trip.seconds:
         now, x, y, z, *_, yaw = ground_truth(peer)
+    peer.say("DRIVE {Light True}")
+    while b"{LightToggle True} {LightIntensity 100}" not in peer.until(b"STA"):
+        pass
     peer.close()
     cos, sin = math.cos(yaw0), math.sin(yaw0)
     forward, right = (x - x0) * cos + (y - y0) * sin, (y - y0) * cos - (x - x0) * sin
@@ -200,3 +217,27 @@ def test_a_robot_reports_itself_and_drives(ports, trip):
         ("yaw", turned, trip.yaw),
     ):
         assert low <= value <= high, f"{what}: {value:.3f}"
+
+
+def links_of(peer, package):
+    """Where the links of a mission package are (manual 9.3, MISSTA)."""
+    line = peer.until(b"MISSTA {Time")
+    while f"{{Name {package}}}".encode() not in line:
+        line = peer.until(b"MISSTA {Time")
+    return {int(n): float(value) for n, value in re.findall(rb"{Link (\d+)} {Value (-?[\d.]+)}", line)}
+
+
+def test_a_sliding_link_is_told_in_metres(ports):
+    """The TeleMax's telescope slides by 0 to 0.3 m; a value beyond is held back."""
+    peer = Peer(ports["field"], "INIT {ClassName TeleMax} {Name Slider}")
+    peer.say("GETCONF {Type MisPkg}")
+    arm = peer.until(b"CONF {Type MisPkg} {Name TeleMaxArm}").decode()
+    slider = r"{Link 3} {JointType Prismatic} {MaxSpeed 0.17\d*} .*?{MinRange 0.0+} {MaxRange 0.30*}"
+    assert re.search(slider, arm)
+    for told, at in ((0.2, 0.2), (0.5, 0.3)):
+        peer.say(f"MISPKG {{Name TeleMaxArm}} {{Link 2}} {{Value 2}} {{Link 3}} {{Value {told}}}")
+        until = 400
+        while until and abs(links_of(peer, "TeleMaxArm")[3] - at) > 5e-3:  # the arm's weight moves it by less
+            until -= 1
+        assert until, f"told {told} m: {links_of(peer, 'TeleMaxArm')}"
+    peer.close()
