@@ -86,8 +86,13 @@ def serve(
         str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c needs none.")
     ] = "P2AT:4,P2DX:4",
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = 3000,
-    max_connections: Annotated[int, typer.Option(min=1, help="Most clients at once.")] = 16,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="TCP port (0: a free one); else ListenPort of --ini, or 3000."),
+    ] = None,
+    max_connections: Annotated[
+        int | None, typer.Option(min=1, help="Most clients at once; else MaxConnections of --ini, or 16.")
+    ] = None,
     engine: EngineOption = "auto",
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
@@ -144,6 +149,7 @@ def serve(
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
     with Failure():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
+        from usarmjx.server.bot_server import read_bot_server
         from usarmjx.server.image_net import SIZE, ImageServer, ImageSettings
         from usarmjx.server.images import format_number, parse_size
         from usarmjx.server.multi_view import read_multi_view
@@ -165,6 +171,9 @@ def serve(
         size = parse_size(image_size) if image_size else shared.size if shared else SIZE
         number = format_number(image_format)
         pictures = ImageSettings(host, image_port, size, image_fps, number, multi_view=shared)
+        given = {"port": port, "max_connections": max_connections}
+        told = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
+        settings = Settings(host=host, realtime_factor=realtime_factor, **told)
         _configure(ini, uu_per_metre)
         world = make_world(
             arena,
@@ -172,14 +181,14 @@ def serve(
             worlds=worlds,
             instance=instance,
             roster=roster,
-            seats=max_connections,
+            seats=settings.max_connections,
             seed=seed,
         )
         services: list[Service] = [make_wireless(world, radio, air)] if wireless else []
         services += [ImageServer(world, pictures)] if images else []
         if spectator_port is not None:
             services.append(SpectatorServer(world, SpectatorSettings(host, spectator_port)))
-        run(world, Settings(host, port, max_connections, realtime_factor), services)
+        run(world, settings, services)
 
 
 @app.command("radio-map")

@@ -357,3 +357,22 @@ def test_talon_arm_reaches_its_pose(pose):
 def test_a_raised_talon_arm_is_higher():
     frames = arm_frames(ROBOTS.get("Talon").packages[0], (0.7, 0.0, 0.1))
     assert frames[0][0][2] - frames[1][0][2] == pytest.approx(0.45 * math.sin(0.7))
+
+
+@pytest.mark.parametrize(
+    ("name", "pose"),
+    [
+        *(
+            (name, {"FRFlipper": 0.6, "FLFlipper": -0.4, "RRFlipper": -0.7, "RLFlipper": 0.3})
+            for name in FLIPPERED
+        ),
+        ("Soryu", {"FrontPan": 0.3, "FrontTilt": -0.2, "RearPan": -0.25, "RearTilt": 0.15}),
+    ],
+)
+def test_each_of_four_joints_obeys_alone(name, pose):
+    """Afloat, so that the ground holds none of them back: servos get there but for a few hundredths."""
+    rig = Rig(name, height=1.0)
+    rig.model.opt.gravity[:] = 0.0
+    rig.move(pose)
+    rig.run(4.0)
+    assert {joint: rig.joint(joint) for joint in pose} == pytest.approx(pose, abs=0.03)

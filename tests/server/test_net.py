@@ -25,6 +25,7 @@ from usarmjx.cli import app
 from usarmjx.models.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.live import LiveWorld
+from usarmjx.server.net import Settings
 
 
 @pytest.fixture(scope="module")
@@ -231,6 +232,49 @@ def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
         result = CliRunner().invoke(app, ["serve", "--port", str(number)])
     assert result.exit_code == 2
     assert re.fullmatch(rf"usarmjx: cannot listen on 127\.0\.0\.1:{number}: .*\n", result.stderr)
+
+
+@pytest.fixture
+def asked(world, monkeypatch):
+    """What settings `usarmjx serve` with some options would serve with."""
+    found = []
+    monkeypatch.setattr("usarmjx.server.worlds.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.net.serve", lambda world, settings, services: found.append(settings))
+
+    def ask(*options):
+        found.clear()
+        result = CliRunner().invoke(app, ["serve", "--no-wireless", "--no-images", *options])
+        return found[0] if found else result.stderr
+
+    return ask
+
+
+def test_port_3000_and_16_connections_unless_the_ini_or_an_option_says_otherwise(asked, tmp_path):
+    """Manual 9.1: the defaults, and BotAPI.ini."""
+    assert asked() == Settings(host="127.0.0.1", port=3000, max_connections=16, realtime_factor=1.0)
+    ini = tmp_path / "BotAPI.ini"
+    ini.write_text("[BotAPI.BotServer]\nListenPort=4711\nMaxConnections=2\n")
+    told = asked("--ini", str(ini))
+    assert (told.port, told.max_connections) == (4711, 2)
+    told = asked("--ini", str(ini), "--port", "0")
+    assert (told.port, told.max_connections) == (0, 2)
+    for line, problem in (
+        ("ListenPort=70000", "ListenPort is 70000; expected a whole number from 0 to 65535"),
+        ("MaxConnections=0", "MaxConnections is 0; expected a whole number from 1 to 4096"),
+        ("Port=3000", r"[BotAPI.BotServer] has no key Port; expected ListenPort or MaxConnections"),
+    ):
+        ini.write_text(f"[BotAPI.BotServer]\n{line}\n")
+        assert asked("--ini", str(ini)) == f"usarmjx: {ini}:2: {problem}\n"
+
+
+def test_so_many_may_come_as_the_server_is_told(world):
+    with serving(world, max_connections=2) as (port, _):
+        first, second, third = (Peer(port) for _ in range(3))
+        assert first.line().startswith(b"NFO")
+        assert second.line().startswith(b"NFO")
+        assert third.line() == b""
+        for guest in (first, second, third):
+            guest.close()
 
 
 @pytest.fixture(scope="module")

@@ -84,8 +84,8 @@ _WHEELS = (
 SETTINGS_IGNORED = {("INS", "righttire"): _WHEELS, ("INS", "lefttire"): _WHEELS}
 """The same for settings of a type of item, by type and key in lower case."""
 
-SECTIONS_ELSEWHERE = ("MultiView",)
-"""Sections of USARBot.ini that are not about robots and that something else reads: the image server."""
+SECTIONS_ELSEWHERE = ("USARBot.MultiView", "BotAPI.BotServer")
+"""Sections that are not about robots and that something else reads: the image server, the Gamebots server."""
 
 LINK_IGNORED = {
     name: "it refers to a class of an Unreal package; Location, Orientation and the limits are given directly"

@@ -61,6 +61,14 @@ def as_number(line: Line, value: Value | None, name: str, *, above: float = -mat
     return float(value)
 
 
+def as_whole(line: Line, least: int, most: int) -> int:
+    """Return the whole number that a line says, within limits."""
+    value = as_number(line, line.value, line.key)
+    if value != int(value) or not least <= value <= most:
+        fail(line, f"{line.key} is {line.value}", f"a whole number from {least} to {most}")
+    return int(value)
+
+
 def as_bool(line: Line, value: Value | None, name: str) -> bool:
     """Return a truth value; 1 and 0 will do."""
     if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):

@@ -61,6 +61,8 @@ def sort_sections(
             section = file.section(name)
             if name.startswith(PREFIX) or not section.lines or name.removeprefix(ROBOT_PREFIX) in classes:
                 continue
+            if name in map(str.lower, SECTIONS_ELSEWHERE):
+                continue
             if name.startswith(ROBOT_PREFIX):
                 _take_section(found, section, robots, settings, Units(uu_per_metre=uu_per_metre), notes)
             else:
@@ -78,8 +80,6 @@ def _take_section(
 ) -> None:
     name = section.name[len(ROBOT_PREFIX) :]
     robot, end = _track_of(name, robots)
-    if name.lower() in map(str.lower, SECTIONS_ELSEWHERE):
-        return
     if name in robots:
         _take_orders(found, name, section, units, notes)
     elif (kind := kind_of(name, settings)) is not None:

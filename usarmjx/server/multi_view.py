@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usarmjx.errors import SpecError
-from usarmjx.models.ini import Line, read_ini
-from usarmjx.models.ini_read import as_bool, as_number, fail
+from usarmjx.models.ini import read_ini
+from usarmjx.models.ini_read import as_bool, as_whole, fail
 
 SECTION = "USARBot.MultiView"
 KEYS = {
@@ -80,7 +80,7 @@ def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
             if key == LOCKED:
                 as_bool(line, line.value, line.key)
             elif key in KEYS:
-                values[KEYS[key]] = _whole(line, 0 if key == "widemode" else 1)
+                values[KEYS[key]] = as_whole(line, 0 if key == "widemode" else 1, 4096)
             else:
                 fail(
                     line,
@@ -91,10 +91,3 @@ def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
     if max(multi.size) > 1 << 14:
         raise SpecError(f"[{SECTION}]: {multi.size[0]} x {multi.size[1]} pixels are too many")
     return multi
-
-
-def _whole(line: Line, least: int) -> int:
-    value = as_number(line, line.value, line.key)
-    if value != int(value) or not least <= value <= 4096:
-        fail(line, f"{line.key} is {line.value}", f"a whole number from {least} to 4096")
-    return int(value)
