@@ -1,0 +1,95 @@
+"""Joints told one by one over the wire: wheels that steer, flippers, grippers, two mission packages."""
+
+import re
+from dataclasses import replace
+
+import jax
+import pytest
+
+from tests.handy import known
+from tests.server.test_adapter import House, heard
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.live import LiveWorld
+
+CLOSE = 0.03
+"""Servos get there but for what they carry [rad]."""
+TALON, P2AT = ROBOTS.get("Talon"), ROBOTS.get("P2AT")
+TWO = replace(TALON, name="TwoPackages", packages=(*TALON.packages, *P2AT.packages))
+
+
+@pytest.fixture(scope="module")
+def world():
+    with known(TWO):
+        world = LiveWorld(ARENAS.get("field"), Physics(), jax.random.key(1), seats=2)
+        for name in ("Hummer", "TeleMax", TWO.name):
+            world.prepare(ROBOTS.get(name))
+        yield world
+
+
+@pytest.fixture
+def house(world):
+    house = House(world)
+    yield house
+    for client in list(house.clients):
+        house.leave(client)
+
+
+def angle(house, client, joint):
+    """How far a joint has turned [rad]."""
+    return float(house.world.state(client.robot).joint_pos[client.robot.plan.joint(joint)])
+
+
+def test_wheels_that_steer_are_told_one_by_one(house):
+    client = house.connect("INIT {ClassName Hummer} {Name Car}")
+    house.say(client, "DRIVE {Name LeftFWheel} {Steer 0.3}")  # manual 9.4: its example has 90 degrees
+    house.run(100)
+    assert angle(house, client, "LeftFWheel_Steer") == pytest.approx(0.3, abs=CLOSE)
+    assert angle(house, client, "RightFWheel_Steer") == pytest.approx(0.0, abs=CLOSE)
+    for wheel in ("LeftF", "RightF"):
+        house.say(client, f"SET {{Type Joint}} {{Name {wheel}Wheel}} {{Opcode Velocity}} {{Params 1.5,-0.1}}")
+    for wheel in ("LeftR", "RightR"):
+        house.say(client, f"DRIVE {{Name {wheel}Wheel}} {{Order 1}} {{Value 1.5}}")
+    house.run(100)
+    before = angle(house, client, "LeftFWheel")
+    house.run(50)
+    for wheel in ("LeftF", "RightF"):
+        assert angle(house, client, f"{wheel}Wheel_Steer") == pytest.approx(-0.1, abs=CLOSE)
+    assert angle(house, client, "LeftFWheel") - before == pytest.approx(1.5 * 50 * 0.02, rel=0.1)
+
+
+def test_set_joint_angle_and_the_telemax_gripper(house):
+    client = house.connect("INIT {ClassName TeleMax} {Name Arm}")
+    house.say(client, "SET {Type Joint} {Name FRFlipper} {Opcode Angle} {Params -0.4}")
+    house.say(client, "SET {Type Joint} {Name FLFlipper} {Opcode 0} {Params -0.6}")
+    fingers = [name for name in client.robot.plan.parts if "Finger" in name]
+    shut = [angle(house, client, name) for name in fingers]
+    (answer,) = house.say(client, "SET {Type Gripper} {Name Gripper} {Opcode Open} {Params 1}")
+    assert answer.endswith("{Type Gripper} {Name Gripper} {Status OK}")
+    house.run(100)
+    assert angle(house, client, "FRFlipper") == pytest.approx(-0.4, abs=CLOSE)
+    assert angle(house, client, "FLFlipper") == pytest.approx(-0.6, abs=CLOSE)
+    opened = [angle(house, client, name) for name in fingers]
+    assert len(fingers) == 2
+    assert all(abs(b - a) > 0.01 for a, b in zip(shut, opened, strict=True))
+    house.say(client, "SET {Type Gripper} {Name Gripper} {Opcode Open} {Params 0}")
+    house.run(100)
+    assert [angle(house, client, name) for name in fingers] == pytest.approx(shut, abs=2e-3)
+
+
+def test_each_mission_package_obeys_its_own_name(house):
+    """The manual's example of a Talon with a camera and an arm (9.4, MISPKG)."""
+    client = house.connect("INIT {ClassName TwoPackages} {Name Both}")
+    house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value 0.5} {Link 2} {Value 0.1}")
+    house.run(200)  # at 0.17 rad/s
+    joints = ("CameraPanTilt_Link1", "CameraPanTilt_Link2", "TalonArm_Link1", "TalonArm_Link3")
+    assert [angle(house, client, joint) for joint in joints] == pytest.approx([0.5, 0.1, 0.0, 0.0], abs=CLOSE)
+    house.say(client, "MISPKG {Name TalonArm} {Link 1} {Value 0.7} {Link 3} {Value 0.1}")
+    house.run(150)
+    assert [angle(house, client, joint) for joint in joints] == pytest.approx([0.5, 0.1, 0.7, 0.1], abs=CLOSE)
+    lines = [line for line in heard(client) if line.startswith("MISSTA")][-2:]
+    assert sorted(re.search(r"{Name (\w+)} {Link 1} {Value 0\.[5-7]", line)[1] for line in lines) == [
+        "CameraPanTilt",
+        "TalonArm",
+    ]
