@@ -382,6 +382,16 @@ def test_a_partial_drive_keeps_the_other_side(house, robot):
     assert robot.robot.command.target[:4].tolist() == [1, 3, 1, 3]
 
 
+def test_of_commands_between_two_steps_the_last_one_counts(house, robot):
+    """Manual 14.5. Unlike the original's, a command about something else is not lost."""
+    house.say(
+        robot,
+        "DRIVE {Left 1} {Right 1}\r\nMISPKG {Name CameraPanTilt} {Link 1} {Value 0.3}\r\nDRIVE {Left 3}",
+    )
+    pan = robot.robot.plan.joint("CameraPanTilt_Link1")
+    np.testing.assert_allclose(robot.robot.command.target[[0, 1, pan]], [3.0, 1.0, 0.3], rtol=1e-6)
+
+
 def test_the_headlight(house, robot):
     house.run()
     assert "{LightToggle False} {LightIntensity 0}" in heard(robot)[0]
