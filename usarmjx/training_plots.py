@@ -16,7 +16,7 @@ from usarmjx.train.metrics import read_lines
 from usarmjx.train.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
-DPI = 100
+DPI = 96
 ROW, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 MILLION = 1e6
