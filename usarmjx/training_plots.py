@@ -10,13 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from usarmjx.errors import UsageError
 from usarmjx.train.metrics import read_lines
 from usarmjx.train.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
-DPI = 96
+DPI = 100
 ROW, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 MILLION = 1e6
@@ -180,7 +181,9 @@ def plot_curves(sources: Sequence[Path], out: Path) -> None:
     figure = Figure(
         figsize=(WIDTH, ROW * len(by_task(curves))), dpi=DPI, facecolor="white", layout="constrained"
     )
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     draw_curves(figure, curves)
+    canvas.draw()
     out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, format="png", pil_kwargs={"optimize": True})
+    picture = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # all of it is opaque
+    Image.fromarray(picture).save(out, format="png", optimize=True)
