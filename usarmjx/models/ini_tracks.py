@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from usarmjx.models.drives import Tracks
 from usarmjx.models.ini import Line
-from usarmjx.models.ini_read import as_number, fail
+from usarmjx.models.ini_read import as_whole, fail
 from usarmjx.models.spec import Part, RobotSpec
 
 TRACKS = {"front": ("FRFlipper", "FLFlipper"), "rear": ("RRFlipper", "RLFlipper")}
@@ -26,14 +26,12 @@ def read_tracks(robot: RobotSpec, lines: Mapping[str, Line]) -> RobotSpec:
         SpecError: A robot without such flippers, or no whole number from 1 to 12; names file and line.
     """
     for end, line in lines.items():
-        count = as_number(line, line.value, line.key)
-        if count != int(count) or not 1 <= count <= MOST:
-            fail(line, f"{line.key} is {line.value}", f"a whole number from 1 to {MOST}")
+        count = as_whole(line, 1, MOST)
         for flipper in TRACKS[end]:
             wheels = [part for part in robot.parts if _belongs(part, flipper)]
             if not wheels or not isinstance(robot.drive, Tracks):
                 fail(line, f"{robot.name} has no tires on {flipper}", "a robot with tracked flippers")
-            robot = _retracked(robot, flipper, wheels, int(count))
+            robot = _retracked(robot, flipper, wheels, count)
     return robot
 
 
