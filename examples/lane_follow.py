@@ -18,9 +18,9 @@ from pathlib import Path
 from usarsim_client import Message, UsarsimClient
 
 import usarmjx
-from usarmjx.models.geodesy import metres_of
-from usarmjx.models.rndf import read_rndf
-from usarmjx.models.route_network import FOOT, RouteNetwork
+from usarmjx.models.roads.geodesy import metres_of
+from usarmjx.models.roads.network import FOOT, RouteNetwork
+from usarmjx.models.roads.rndf import read_rndf
 
 RNDF = Path(usarmjx.__file__).parent / "models" / "arenas" / "ARDA_RNDF.txt"
 ORIGIN = (34.587, -117.367)  # of DM-ARDA [degrees]

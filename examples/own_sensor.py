@@ -20,16 +20,16 @@ from typing import Annotated
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.batch import Batch
-from usarmjx.cli import app
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
+from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.settings import POSITIVE
-from usarmjx.models.spec import GLASS, SKY, Mount, Shape
-from usarmjx.scene import build_scene
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import GLASS, SKY, Mount, Shape
+from usarmjx.models.spec.settings import POSITIVE
 from usarmjx.sensors.base import SENSORS, Measuring, Sensor
 from usarmjx.sensors.noise import Curve, noisy, output_curve
 from usarmjx.sensors.quantities import Quantity
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
 
 RAYS = 128
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from usarsim_client import Message, UsarsimClient
 
-from usarmjx.errors import UsageError
-from usarmjx.train.export import NumpyPolicy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.policies.export import NumpyPolicy
 
 FAR = 10.0  # m: a goal farther away is seen at this distance
 CLEAR = 5.0  # m: what is farther away than this looks alike
@@ -60,7 +60,7 @@ class Baseline:
     def __init__(self, robot: str, ranges: str):
         import jax
 
-        from usarmjx.models.compose import Physics
+        from usarmjx.models.build.compose import Physics
         from usarmjx.models.robots import ROBOTS
         from usarmjx.train.baselines.goal import toward, unwalled
         from usarmjx.train.tasks.drive_to_goal import DriveToGoal

@@ -2,8 +2,8 @@
 
 import math
 
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Shape
 
 RAMP = Shape(
     kind="box",

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
-from usarmjx.models.parts import joint_names
-from usarmjx.models.spec import Shape
+from usarmjx.models.build.parts import joint_names
+from usarmjx.models.spec.robot import Shape
 
 NEAR = 1.0
 """x of the first step's face [m]."""

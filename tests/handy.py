@@ -6,12 +6,12 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from usarmjx.models.arena_spec import Loose
 from usarmjx.models.effecters import effecters_of, no_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Link, MissionPackage, Motor, Mount, Shape, options
-from usarmjx.operate import Load, Operation, perform
+from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.robot import Link, MissionPackage, Motor, Mount, Shape, options
+from usarmjx.sim.operate import Load, Operation, perform
 
 LIFT = MissionPackage(
     name="Lift",  # a slide in front of the robot: negative is up

@@ -8,15 +8,15 @@ import jax
 import mujoco
 import numpy as np
 
-from usarmjx.control import Circumstances, Order, drive, idle, steer
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
-from usarmjx.models.compose import Physics
-from usarmjx.models.parts import joint_names
-from usarmjx.models.plan import body_plan, lowest_point, robot_state
+from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.build.body_plan import body_plan, lowest_point, robot_state
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.parts import joint_names
 from usarmjx.models.robots import ROBOTS
-from usarmjx.scene import START_GAP, build_scene
-from usarmjx.transforms import quat_from_angles
-from usarmjx.world import depth_in_water
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.sim.control import Circumstances, Order, drive, idle, steer
+from usarmjx.sim.scene import START_GAP, build_scene
+from usarmjx.sim.world import depth_in_water
 
 PERIOD = Physics().period
 BARE = ArenaSpec(name="track", starts=(), extent=((-3, 3), (-3, 3)))

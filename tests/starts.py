@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.robots import ROBOTS
-from usarmjx.scene import build_scene, start_height
+from usarmjx.sim.scene import build_scene, start_height
 
 
 def deepest(arena, name, starts=None):

@@ -66,7 +66,7 @@ def command_problem(words: list[str]) -> str:
         return "" if verb in (*dev.VERBS, "--help") else f"dev.py has no verb {verb!r}"
     if words[0] != "usarmjx":
         return ""
-    from usarmjx.cli import app
+    from usarmjx.cli.app import app
 
     path = []  # the verb, and what it is a verb of
     for word in words[1:3]:
@@ -95,7 +95,7 @@ def test_links_lead_to_files(path: Path):
 @pytest.fixture
 def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder for what examples read; what they register leaves with them."""
-    import usarmjx.configure  # noqa: F401 - fills the registries before they are copied
+    import usarmjx.sim.configure  # noqa: F401 - fills the registries before they are copied
     from usarmjx.models.effecters import EFFECTERS
     from usarmjx.models.robots import ROBOTS
     from usarmjx.sensors.base import SENSORS
@@ -176,6 +176,6 @@ def test_examples_of_a_document_share_names():
 
 def test_the_page_of_all_robots_is_the_generated_one():
     """After a change: `usarmjx list robots > docs/all-robots.md`, `usarmjx portraits docs/robots.png`."""
-    from usarmjx.catalogue import robots_table
+    from usarmjx.cli.catalogue import robots_table
 
     assert (dev.ROOT / "docs" / "all-robots.md").read_text() == robots_table() + "\n"

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tests.arenas import COURSE
-from tests.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
-from usarmjx.batch import Batch
+from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from usarmjx.engines import choose_engine
-from usarmjx.scene import Entry, build_scene
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import Entry, build_scene
 
 pytestmark = pytest.mark.gpu
 
 PARITY = 5e-3
-"""As on the CPU (tests/test_engines.py): single precision through contacts over 0.4 m [m]."""
+"""As on the CPU (tests/engines/test_engines.py): single precision through contacts over 0.4 m [m]."""
 RAY = 1e-3
 """Ranges against C [m]; TensorFloat-32 anywhere in the chain would miss it by several mm at 10 m."""
 
@@ -64,7 +64,7 @@ def test_scans_on_the_gpu_are_full_single_precision():
 
 def test_a_client_claims_a_robot_of_a_batch_on_the_gpu():
     from usarmjx.models.robots import ROBOTS
-    from usarmjx.server.claim import ClaimedWorld
+    from usarmjx.server.worlds.batch_world import ClaimedWorld
 
     scene = build_scene("yellow", [Entry("P2AT", parked=True)] * 2)
     world = ClaimedWorld(Batch(scene, 16, engine="warp"), 3)

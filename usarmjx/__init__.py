@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from usarmjx import threads
+from usarmjx.base import threads
 
 if TYPE_CHECKING:
     from usarmjx.train.make import make

@@ -1,5 +1,5 @@
 """`python -m usarmjx`."""
 
-from usarmjx.cli import app
+from usarmjx.cli.app import app
 
 app()

@@ -6,8 +6,8 @@ import numpy as np
 from usarmjx.cameras.light import Headlights, Lamps, lamps_of, no_headlights
 from usarmjx.cameras.paint import ARENA, ROBOT, Paint, clears, glosses
 from usarmjx.cameras.shading import Stage
-from usarmjx.models.spec import OPAQUE
-from usarmjx.sensors.targets import gather, sort_places
+from usarmjx.models.spec.robot import OPAQUE
+from usarmjx.sensors.rays.targets import gather, sort_places
 
 BOX, PLANE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_PLANE)
 NO_LAMPS = lamps_of((), 0.0)

@@ -10,15 +10,15 @@ import pytest
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.paint import ROBOT
 from usarmjx.cameras.picture import shoot, viewpoint
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
-from usarmjx.models.materials import materials_of
-from usarmjx.models.pieces import pieces_of
-from usarmjx.models.plan import Bodies
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.build.materials import materials_of
+from usarmjx.models.build.pieces import pieces_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import Shape
-from usarmjx.scene import build_scene
-from usarmjx.sensors.targets import sort_places
-from usarmjx.server.live_view import live_stage
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Shape
+from usarmjx.sensors.rays.targets import sort_places
+from usarmjx.server.worlds.dynamic_world_view import live_stage
+from usarmjx.sim.scene import build_scene
 
 NAMES = [name for name in ROBOTS.names() if ROBOTS.get(name).cameras]
 WIDTH, HEIGHT = 32, 24

@@ -4,14 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.base.registry import Registry
 from usarmjx.cameras.mounts import cameras_of
-from usarmjx.configure import item_settings
-from usarmjx.models.arena_spec import ArenaSpec
-from usarmjx.models.compose import Physics, add_robot, new_spec
-from usarmjx.models.ini_robots import load_robots
+from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import RobotSpec
-from usarmjx.registry import Registry
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.configure import item_settings
 
 # The manual's lines, joined; it has Z=0.09 where captures have z down, as our P2DX with this camera does.
 MOUNT = """[USARBot.P2AT]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.batch import Batch
+from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.cameras.lenses import MIRROR_DISTANCE
 from usarmjx.cameras.mounts import cameras_of, find_camera, headlight_of
 from usarmjx.cameras.paint import (
@@ -22,15 +22,15 @@ from usarmjx.cameras.paint import (
     VICTIM,
 )
 from usarmjx.cameras.picture import Picture, shoot
-from usarmjx.errors import SpecError, UnknownNameError, UsageError
-from usarmjx.models.arena_spec import ArenaSpec, Door, FalseAlarm, Light, Loose, StartPose, Victim
-from usarmjx.models.kit import camera
-from usarmjx.models.plan import body_plan
+from usarmjx.models.build.body_plan import body_plan
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.omni_pioneer import OMNI_P2DX
 from usarmjx.models.robots.pioneer import P2DX
-from usarmjx.models.spec import Mount, RobotSpec, Shape, options
-from usarmjx.scene import build_scene
+from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, Loose, StartPose, Victim
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
 
 WIDTH, HEIGHT = 48, 32
 NEAR = 1e-4  # m, up to 10 m, and 1e-5 beyond: what the raycaster may differ from mj_ray by

@@ -21,7 +21,7 @@ from usarmjx.cameras.light import (
 )
 from usarmjx.cameras.paint import CLEAR, GLOSS, NOBODY, ROBOT, SKY_LABEL
 from usarmjx.cameras.shading import NIGHT_RGB, SKY_RGB, TILES, TINT, shade
-from usarmjx.models.arena_spec import Light
+from usarmjx.models.spec.arena import Light
 
 EXACT = 2e-5  # float32 distances of some metres, squared
 OFF = 5e-3  # shares: rays to a light start LIFT off the surface, 0.5 mm of some decimetres

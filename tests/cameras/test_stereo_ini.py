@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
 from usarmjx.cameras.mounts import cameras_of
-from usarmjx.configure import item_settings
-from usarmjx.errors import SpecError
-from usarmjx.models.ini_robots import load_robots
+from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import RobotSpec
-from usarmjx.registry import Registry
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.configure import item_settings
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.comms.walls import count_walls
-from usarmjx.sensors.targets import gather
-from usarmjx.transforms import mat_from_angles
+from usarmjx.sensors.rays.targets import gather
 
 Geom = mujoco.mjtGeom
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import KEYS, NEAREST, RadioSettings, radio_settings, reach, received_power
-from usarmjx.errors import SpecError
-from usarmjx.models.ini import parse_ini
+from usarmjx.models.ini.parse import parse_ini
 
 DBM_ATOL = 1e-3  # dBm, as the radio promises; single precision errs by 1e-5
 MANUAL = RadioSettings()

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from usarmjx.base.errors import SpecError
 from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver, empty, no_mail
-from usarmjx.errors import SpecError
 
 N = 4
 SIZES = MailSettings(numbers=2, capacity=3, budget=1000)

@@ -10,20 +10,20 @@ import pytest
 
 from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from tests.handy import known
-from usarmjx.batch import Batch
+from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.transforms import quat_from_angles
 from usarmjx.comms.antenna import LOWEST, antenna_of, antenna_places
 from usarmjx.comms.attenuation import RadioSettings, reach
 from usarmjx.comms.connectivity import reachable
 from usarmjx.comms.mail import MailSettings
-from usarmjx.errors import SpecError, UsageError
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.robots.station import COMSTATION
-from usarmjx.models.spec import Shape
-from usarmjx.radio import antennas, present_links
-from usarmjx.scene import Entry, build_scene
-from usarmjx.transforms import quat_from_angles
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Shape
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.radio import antennas, present_links
+from usarmjx.sim.scene import Entry, build_scene
 
 WALKER = replace(P2AT, name="Walker", sensors=(), cameras=(), packages=())  # quick to compile
 MAST = replace(COMSTATION, name="Mast", sensors=())

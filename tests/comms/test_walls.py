@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 
 from tests.arenas import COURSE
 from tests.comms.solids import Geom, Solids, box, random_boxes, ray_count, slab_count, solids
+from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.comms.walls import KERNELS, arena_solids, check_types, count_walls
-from usarmjx.errors import UnsupportedGeomError
-from usarmjx.models.arena_spec import Loose
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose_arena import BONE
-from usarmjx.models.pieces import FENDER_KIND
-from usarmjx.models.spec import Shape
-from usarmjx.scene import build_scene
-from usarmjx.sensors.targets import FAR_AWAY, gather
+from usarmjx.models.build.compose_arena import BONE
+from usarmjx.models.build.pieces import FENDER_KIND
+from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.robot import Shape
+from usarmjx.sensors.rays.targets import FAR_AWAY, gather
+from usarmjx.sim.scene import build_scene
 
 NEAR = 1e-4  # m: segments this close to an edge, a corner or a face may count either way
 FEW = 0.01  # ... and are no more than this share of all

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.plan import body_plan, body_poses
+from usarmjx.base.transforms import mat_from_angles, quat_from_angles
+from usarmjx.models.build.body_plan import body_plan, body_poses
+from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT, P2AT_SCANNER
-from usarmjx.models.spec import Mount, RobotSpec, options
-from usarmjx.models.state import RobotState
+from usarmjx.models.spec.robot import Mount, RobotSpec, options
 from usarmjx.sensors.base import Sight
+from usarmjx.sensors.rays.targets import FAR_AWAY, gather
 from usarmjx.sensors.suite import Memory, Suite, suite_of
-from usarmjx.sensors.targets import FAR_AWAY, gather
-from usarmjx.transforms import mat_from_angles, quat_from_angles
 
 BOXES, POSTS = 6, 2
 AHEAD = (0.24, 0.0, 0.0)

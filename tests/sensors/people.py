@@ -9,18 +9,18 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.transforms import mat_from_angles, quat_from_angles
+from usarmjx.models.build.body_plan import body_plan, body_poses
+from usarmjx.models.build.tags import tag_table
+from usarmjx.models.build.victims import padded, segment_poses, victim_table
+from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import TAG_ROOM, Tags
-from usarmjx.models.plan import body_plan, body_poses
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount
-from usarmjx.models.state import RobotState
-from usarmjx.models.tags import tag_table
-from usarmjx.models.victims import padded, segment_poses, victim_table
+from usarmjx.models.spec.robot import Mount
 from usarmjx.sensors.base import Sight
+from usarmjx.sensors.rays.targets import FAR_AWAY, gather
 from usarmjx.sensors.suite import Memory, suite_of
 from usarmjx.sensors.surroundings import Surroundings, survey
-from usarmjx.sensors.targets import FAR_AWAY, gather
-from usarmjx.transforms import mat_from_angles, quat_from_angles
 
 BOXES, VICTIMS, WALLS, TAGS = 34, 3, 6, 6
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, stones
-from usarmjx.models.pieces import TRIANGLE_KIND, pieces_of
-from usarmjx.models.spec import Shape
-from usarmjx.sensors.raycast import cast
-from usarmjx.sensors.targets import gather
+from usarmjx.models.build.pieces import TRIANGLE_KIND, pieces_of
+from usarmjx.models.spec.robot import Shape
+from usarmjx.sensors.rays.raycast import cast
+from usarmjx.sensors.rays.targets import gather
 
 Geom = mujoco.mjtGeom
 NEAR = 50.0  # m up to which ...

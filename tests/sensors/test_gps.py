@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.sensors.blocks import c_rays, random_blocks
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.gps import MASK, GpsSettings, coordinates, largest_error, sky
 from usarmjx.sensors.settings import resolve
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 MOUNT = (0.1, 0.2, -0.3)  # the wire's axes
 HEIGHT = 0.26  # m: a P2AT on the floor

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.ranging import IrSettings
 from usarmjx.sensors.settings import resolve
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 NOSE = (0.24, 0.0, 0.0)

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usarmjx.configure import configure, item_settings
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.settings import Limits, OneOf, checked, limits_of, resolve
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.settings import Limits, OneOf, checked, limits_of, resolve
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
+from usarmjx.sim.configure import configure, item_settings
 
 SENSOR_KINDS = sorted(kind for kind, _ in SENSORS)
 SECTIONS = {

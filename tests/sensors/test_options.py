@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usarmjx.models.arena_spec import ArenaSpec
-from usarmjx.models.compose import Physics, add_robot, new_spec
-from usarmjx.models.housings import HALF
-from usarmjx.models.plan import body_plan
+from usarmjx.base.transforms import mat_from_angles
+from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.build.housings import HALF
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import SENSORS, Measuring
 from usarmjx.sensors.noise import noisy
 from usarmjx.sensors.payload import payload_of
 from usarmjx.sensors.ranging import RangeSettings, report
-from usarmjx.server.wording import geometry
-from usarmjx.transforms import mat_from_angles
+from usarmjx.server.messages.sensors import geometry
 
 AT = (0.3, 0.0, -0.3)  # in front of the robot, above its wheels
 FAR = 1.9  # m to the wall

@@ -12,21 +12,21 @@ import pytest
 
 from tests.scripts import load
 from tests.server.peers import Peer, serving
-from usarmjx.configure import configure
-from usarmjx.errors import SpecError
-from usarmjx.models.compose import Physics
+from usarmjx.base.errors import SpecError
+from usarmjx.cli.sensor_tables import sensors_table
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
-from usarmjx.sensor_tables import sensors_table
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor
 from usarmjx.sensors.quantities import FORMS, Quantity
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server import telling
-from usarmjx.server.grammar import format as line_of
-from usarmjx.server.live import LiveWorld
-from usarmjx.server.wording import CONFIGURATION, REPORTS, configuration, sensor_report
+from usarmjx.server.messages import generic as telling
+from usarmjx.server.messages.sensors import CONFIGURATION, REPORTS, configuration, sensor_report
+from usarmjx.server.protocol.grammar import format as line_of
+from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.sim.configure import configure
 
 UP = (0.0, math.pi / 2, 0.0)
 CURVE = ((0.0, 0.0), (5000.0, 1.0), (10000.0, 4.0))

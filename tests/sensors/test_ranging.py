@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.ranging import ScannerSettings, cone, fan
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance

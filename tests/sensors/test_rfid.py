@@ -8,15 +8,15 @@ import pytest
 
 from tests.sensors.blocks import c_rays, random_blocks
 from tests.sensors.people import Room, Watch
-from usarmjx.errors import SpecError
-from usarmjx.models.arena_spec import Tag
-from usarmjx.models.spec import Mount, options
-from usarmjx.models.tags import tag_ids, tag_table
+from usarmjx.base.errors import SpecError
+from usarmjx.models.build.tags import tag_ids, tag_table
+from usarmjx.models.spec.arena import Tag
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.rfid import MOST, RISE, SLACK, RfidSettings, signal
 from usarmjx.sensors.settings import resolve
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 HEIGHT = 0.26
 FREE, THROUGH = 2.9854, 2.4406  # m: where 36 - 20 (5.25 + 2 log d) - (0 or 3.5) is -88

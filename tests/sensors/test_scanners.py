@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from tests.sensors.blocks import c_rays, random_blocks
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.scanners import IrScannerSettings, Scanner3DSettings, grid
 from usarmjx.sensors.settings import resolve
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
-from usarmjx.transforms import mat_from_angles
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 RANGE_RTOL = 1e-5  # float32 beams that meet a surface 20 m away, flatly

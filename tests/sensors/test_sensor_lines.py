@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import sensor_report
+from usarmjx.server.messages.sensors import sensor_report
+from usarmjx.server.protocol.grammar import format
 
 TIME = 5608.85
 

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.control import steer
 from usarmjx.engines import make_engine
-from usarmjx.models.arena_spec import ArenaSpec, FalseAlarm, Segment, StartPose, Tag, Victim
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
-from usarmjx.models.spec import GLASS, Mount, Shape, options
-from usarmjx.scene import build_scene
+from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Segment, StartPose, Tag, Victim
+from usarmjx.models.spec.robot import GLASS, Mount, Shape, options
 from usarmjx.sensors.base import SENSORS
-from usarmjx.world import control, first_episode, observe
+from usarmjx.sim.control import steer
+from usarmjx.sim.scene import build_scene
+from usarmjx.sim.world import control, first_episode, observe
 
 WALL = Shape(kind="box", size=(0.1, 4.0, 1.0), at=(3.0, 0.0, 1.0), surface="wall")
 PANE = Shape(kind="box", size=(0.02, 1.0, 1.0), at=(2.0, 0.0, 1.0), surface="wall", material=GLASS)

@@ -1,7 +1,7 @@
 import pytest
 
-from usarmjx.errors import UnknownNameError, UsageError
-from usarmjx.models.spec import options
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.models.spec.robot import options
 from usarmjx.sensors.motion import InsSettings, OdometrySettings
 from usarmjx.sensors.ranging import ScannerSettings, SonarSettings
 from usarmjx.sensors.settings import field_name, resolve

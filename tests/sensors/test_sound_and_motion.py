@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from tests.sensors.people import Room, Watch
-from usarmjx.models.arena_spec import HelpSound, Segment, Victim
-from usarmjx.models.spec import Mount, options
-from usarmjx.models.victims import box_names, rest_height, segment_poses
+from usarmjx.models.build.victims import box_names, rest_height, segment_poses
+from usarmjx.models.spec.arena import HelpSound, Segment, Victim
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import Measuring
 from usarmjx.sensors.human_motion import MotionSettings, probability
 from usarmjx.sensors.settings import resolve
 from usarmjx.sensors.sound import SoundSettings
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 CURVE = ((0.0, 0.0), (10.0, 1.0))
 BACK = (0.0, 0.0, math.pi)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.errors import UnknownNameError
+from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.suite import suite_of
 
 PERIOD = 0.02  # s

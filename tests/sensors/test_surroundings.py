@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.sensors.people import BOXES, TAGS, VICTIMS, Room, Watch, quick_jit
-from usarmjx.models.arena_spec import FalseAlarm, HelpSound, Segment, Tag, Victim
+from usarmjx.models.build.tags import tag_table
+from usarmjx.models.build.victims import NOBODY, padded
 from usarmjx.models.effecters import TAG_ROOM, no_tags
-from usarmjx.models.spec import Mount, options
-from usarmjx.models.tags import tag_table
-from usarmjx.models.victims import NOBODY, padded
+from usarmjx.models.spec.arena import FalseAlarm, HelpSound, Segment, Tag, Victim
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.surroundings import NOTHING, survey
 
 WAVE = Segment(name="RightArm", initial=(-2, 0, 0), final=(-1, 0, 0), rates=(1, 0, 0))

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, Shape, options
+from usarmjx.models.spec.robot import Mount, Shape, options
 from usarmjx.sensors.settings import resolve
 from usarmjx.sensors.touch import TouchSettings, button
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
-from usarmjx.transforms import angles_from_mat
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 HULL_X = 0.276  # m: front face of the P2AT's hull, 0.11 m below its origin
 LOW = 0.11

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from tests.sensors.people import Room, Watch
-from usarmjx.errors import SpecError
-from usarmjx.models.arena_spec import FalseAlarm, Segment, Victim
-from usarmjx.models.plan import body_plan
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import mat_from_angles
+from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.victims import PART_NAMES, box_names, rest_height
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, options
-from usarmjx.models.victims import PART_NAMES, box_names, rest_height
+from usarmjx.models.spec.arena import FalseAlarm, Segment, Victim
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.settings import resolve
 from usarmjx.sensors.victim import VictimSettings, VictSensor, grids
-from usarmjx.server.grammar import format
-from usarmjx.server.wording import configuration, sensor_report
-from usarmjx.transforms import mat_from_angles
+from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.protocol.grammar import format
 
 DRAWS = 400
 MOUNT, TURN = (0.2, 0.1, -0.3), (0.1, -0.2, 0.15)  # the wire's axes

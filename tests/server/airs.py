@@ -1,6 +1,6 @@
 """A radio whose answers a test sets."""
 
-from usarmjx.server.air import Presence
+from usarmjx.server.wireless.channel import Presence
 
 
 class FakeAir:

@@ -11,10 +11,10 @@ import jax
 from tests.scripts import load
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.live import LiveWorld
-from usarmjx.server.wireless_net import WirelessSettings, make_wireless
+from usarmjx.server.wireless.net import WirelessSettings, make_wireless
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 REACH = 3.0  # m
 SHORT = RadioSettings(cutoff=-49.67 - 10.9 * math.log10(REACH / 2))

@@ -15,11 +15,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.adapter import Client
-from usarmjx.server.live import LiveWorld
-from usarmjx.server.session import Phase
+from usarmjx.server.protocol.session import Phase
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 TABLE_2 = "{Location 4.5,1.9,1.8} {Rotation 0,0,0}"  # manual 5.3.6: the yellow arena
 OPEN_FLOOR = "{Start Start2}"  # 0.8 m or more of free floor around it

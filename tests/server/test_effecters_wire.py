@@ -12,17 +12,17 @@ import pytest
 
 from tests.arenas import FLAT, RAMP
 from tests.handy import GRIPPER, TAGGER, known
-from usarmjx.batch import Batch
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.parts import joint_names
 from usarmjx.models.effecters.gripper import LEVER
-from usarmjx.models.parts import joint_names
-from usarmjx.models.spec import Mount, options
-from usarmjx.scene import Entry, build_scene
-from usarmjx.server import commands as wire
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.server.adapter import Client
-from usarmjx.server.claim import ClaimedWorld
-from usarmjx.server.grammar import parse
-from usarmjx.server.live import LiveWorld
+from usarmjx.server.protocol import commands as wire
+from usarmjx.server.protocol.grammar import parse
+from usarmjx.server.worlds.batch_world import ClaimedWorld
+from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import Entry, build_scene
 
 F4, F2 = r"-?\d+\.\d{4}", r"-?\d+\.\d\d"
 POSE = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"

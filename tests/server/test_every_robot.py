@@ -14,9 +14,9 @@ import pytest
 
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.live import LiveWorld
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 PACE = 20.0
 """Times real time: faster than that would only take cores from what compiles."""

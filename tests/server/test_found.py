@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usarmjx.models.arena_spec import Tag
 from usarmjx.models.arenas import ARENAS
-from usarmjx.server.commands import Set, parse_command
-from usarmjx.server.found import LONGEST, access, written
-from usarmjx.server.grammar import format, parse
+from usarmjx.models.spec.arena import Tag
+from usarmjx.server.messages.victims import LONGEST, access, written
+from usarmjx.server.protocol.commands import Set, parse_command
+from usarmjx.server.protocol.grammar import format, parse
 
 NEAR = {118, 1001}
 

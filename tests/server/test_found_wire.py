@@ -10,17 +10,17 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.handy import TAGGER, known
-from usarmjx.batch import Batch
-from usarmjx.models.arena_spec import HelpSound, Segment, Tag, Victim
-from usarmjx.models.compose import Physics
-from usarmjx.models.spec import Mount, Shape, options
-from usarmjx.scene import Entry, build_scene
-from usarmjx.server import commands as wire
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.spec.arena import HelpSound, Segment, Tag, Victim
+from usarmjx.models.spec.robot import Mount, Shape, options
 from usarmjx.server.adapter import Client
-from usarmjx.server.claim import ClaimedWorld
-from usarmjx.server.host import Shot
-from usarmjx.server.live import LiveWorld
-from usarmjx.server.views import expose
+from usarmjx.server.pictures.views import expose
+from usarmjx.server.protocol import commands as wire
+from usarmjx.server.worlds.batch_world import ClaimedWorld
+from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.host import Shot
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import Entry, build_scene
 
 WAVE = Segment(name="RightArm", initial=(-1.6, 0, 0), final=(-0.8, 0, 0), rates=(1, 0, 0))
 VICTIM = Victim(

@@ -9,9 +9,9 @@ import pytest
 from tests.handy import known
 from tests.server.test_adapter import House, heard
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.live import LiveWorld
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 CLOSE = 0.03
 """Servos get there but for what they carry [rad]."""

@@ -21,11 +21,11 @@ from typer.testing import CliRunner
 
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer, serving
-from usarmjx.cli import app
-from usarmjx.models.compose import Physics
+from usarmjx.cli.app import app
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.live import LiveWorld
 from usarmjx.server.net import Settings
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +226,7 @@ def test_the_server_hangs_up_when_it_stops(world):
 
 
 def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
-    monkeypatch.setattr("usarmjx.server.worlds.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
         result = CliRunner().invoke(app, ["serve", "--port", str(number)])
@@ -238,7 +238,7 @@ def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
 def asked(world, monkeypatch):
     """What settings `usarmjx serve` with some options would serve with."""
     found = []
-    monkeypatch.setattr("usarmjx.server.worlds.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
     monkeypatch.setattr("usarmjx.server.net.serve", lambda world, settings, services: found.append(settings))
 
     def ask(*options):

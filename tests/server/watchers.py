@@ -13,12 +13,12 @@ import numpy as np
 from PIL import Image
 
 from tests.server.peers import PATIENCE, Peer, serving
-from usarmjx.models.arena_spec import ArenaSpec, StartPose
-from usarmjx.models.compose import Physics
+from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Mount, Shape, options
-from usarmjx.server.image_net import ImageServer, ImageSettings
-from usarmjx.server.live import LiveWorld
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, Shape, options
+from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
+from usarmjx.server.worlds.dynamic_world import LiveWorld
 
 MAST = -0.8
 """Cameras are so far above the chassis [m], as z points down."""

@@ -1,17 +1,12 @@
 """One run that several tests look at."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(scope="session")
 def reference(tmp_path_factory):
     """Folder of an uninterrupted run in this process."""
-    from runs import run
+    from tests.train.runs import run
 
     folder = tmp_path_factory.mktemp("reference") / "run"
     run(folder)

@@ -9,13 +9,13 @@ import numpy as np
 
 from usarmjx.comms.links import no_links
 from usarmjx.engines import PhysicsState
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose, Victim
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
+from usarmjx.models.spec.robot import Shape
 from usarmjx.sensors.base import Reading
-from usarmjx.train.orders import carry_out
-from usarmjx.train.task import View
+from usarmjx.sim.world import first_episode
+from usarmjx.train.envs.actions import carry_out
+from usarmjx.train.envs.task import View
 from usarmjx.train.tasks.team_parts import scanner_poses
-from usarmjx.world import first_episode
 
 WIDTH, DEPTH = 6.0, 3.0
 

@@ -1,4 +1,4 @@
-"""A small run that many tests look at, also as a program: python runs.py FOLDER [--resume]."""
+"""A small run that many tests look at, also as a program: python -m tests.train.runs FOLDER [--resume]."""
 
 import json
 import os
@@ -8,9 +8,11 @@ import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parent)]
+from usarmjx.train.learning.config import Config
 
-from usarmjx.train.config import Config  # noqa: E402 - this is also a program
+ROOT = Path(__file__).parents[2]
+PROGRAM = ("-m", "tests.train.runs")
+"""This module as a program, for Python in the folder of the project."""
 
 CONFIG = Config(
     steps=24_000,  # 10 iterations of 25 steps of 32 worlds of 3 robots
@@ -31,9 +33,8 @@ PATIENCE = 600
 
 def run(folder, config=CONFIG, resume=False, watch=None):
     """Train on the toy of several robots, in which some worlds go wrong."""
-    from toys import DriveToy
-
-    from usarmjx.train.trainer import train
+    from tests.train.toys import DriveToy
+    from usarmjx.train.learning.trainer import train
 
     def make(worlds, first):
         return DriveToy(worlds, first, rotten=True)
@@ -52,6 +53,7 @@ def started(command, cache):
     }
     process = subprocess.Popen(
         command,
+        cwd=ROOT,
         env=environment,
         start_new_session=True,
         stdout=subprocess.PIPE,
@@ -75,14 +77,14 @@ def lines(folder):
 
 def checksums(folder, name="last"):
     """What is in a checkpoint, by its checksums: learner and worlds of the first process."""
-    from usarmjx.train.checkpoint import Checkpoints
+    from usarmjx.train.learning.checkpoint import Checkpoints
 
     path = Checkpoints(folder).find(name)
     return path.name, [json.loads((path / f"{part}_0.json").read_text()) for part in ("learner", "worlds")]
 
 
 if __name__ == "__main__":
-    from usarmjx.train.distributed import join
+    from usarmjx.train.processes.group import join
 
     join()
     run(sys.argv[1], resume="--resume" in sys.argv)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.train.env import AgentGroup, EnvState
+from usarmjx.train.envs.env import AgentGroup, EnvState
 
 
 class ToyMemory(struct.PyTreeNode, kw_only=True):

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
-from usarmjx.train.task import View
-from usarmjx.transforms import quat_from_angles
-from usarmjx.world import first_episode
+from usarmjx.sim.world import first_episode
+from usarmjx.train.envs.task import View
 
 
 def view_of(task, scene=None):

@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from usarmjx.models.pieces import TRIANGLE_KIND
-from usarmjx.models.plan import BodyPlan
+from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.pieces import TRIANGLE_KIND
 
 CLOSE = 0.04
 """How near to the lens a solid covers it [m]."""

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.arena_spec import Light
-from usarmjx.transforms import Array, Vec3
+from usarmjx.base.transforms import Array, Vec3
+from usarmjx.models.spec.arena import Light
 
 AMBIENT, DIFFUSE = 0.45, 0.6
 """Daylight from everywhere, and that of the sun on what faces it."""

@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.base.transforms import Array, Vec3, flip_angles, flip_vector, mat_from_angles
 from usarmjx.cameras.lens_cover import covers
-from usarmjx.errors import SpecError, UnknownNameError
+from usarmjx.models.build.body_plan import body_plan
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.still import Headlight
-from usarmjx.models.plan import body_plan
-from usarmjx.models.spec import CHASSIS, Mount, RobotSpec
+from usarmjx.models.spec.robot import CHASSIS, Mount, RobotSpec
 from usarmjx.sensors.settings import CameraSettings, resolve
-from usarmjx.transforms import Array, Vec3, flip_angles, flip_vector, mat_from_angles
 
 OMNI_PACKAGES = ("OmniCamera", "OmniCamPillar")
 """Mission packages that carry a mirror: a camera on one of their links looks into it (manual 10.15.2)."""

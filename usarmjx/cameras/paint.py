@@ -5,12 +5,12 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.models.arena_spec import ArenaSpec
-from usarmjx.models.compose_arena import ARENA as ARENA_NAMES
-from usarmjx.models.compose_arena import BONE, DOOR, LOOSE
-from usarmjx.models.spec import GLASS, MIRROR
-from usarmjx.models.victims import victim_table
-from usarmjx.transforms import Array
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.compose_arena import ARENA as ARENA_NAMES
+from usarmjx.models.build.compose_arena import BONE, DOOR, LOOSE
+from usarmjx.models.build.victims import victim_table
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import GLASS, MIRROR
 
 OUTSIDE, SKY_LABEL, ARENA, LOOSE_OBJECT, DOOR_LABEL, VICTIM, FALSE_ALARM, WATER = range(-1, 7)
 """What a pixel of a segmentation shows: nothing, since it is outside of an omnidirectional camera's mirror;

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Array
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni, pinhole, untiled
 from usarmjx.cameras.mounts import Camera
 from usarmjx.cameras.paint import OUTSIDE, hidden
 from usarmjx.cameras.shading import Stage, shade
-from usarmjx.errors import UsageError
-from usarmjx.models.plan import Bodies
-from usarmjx.transforms import Array
+from usarmjx.models.build.body_plan import Bodies
 
 LARGEST = 4096
 """Most pixels along a side."""

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.transforms import Array
 from usarmjx.cameras.lenses import TILE
 from usarmjx.cameras.light import (
     AMBIENT,
@@ -28,10 +29,9 @@ from usarmjx.cameras.light import (
     falloff,
 )
 from usarmjx.cameras.paint import ARENA, NOBODY, PLANE, SKY_LABEL, Paint
-from usarmjx.models.spec import GLASS, MATERIALS, MIRROR, SKY
-from usarmjx.sensors.raycast import First, Gaze, nearest, normals
-from usarmjx.sensors.targets import FAR_AWAY, Geoms
-from usarmjx.transforms import Array
+from usarmjx.models.spec.robot import GLASS, MATERIALS, MIRROR, SKY
+from usarmjx.sensors.rays.raycast import First, Gaze, nearest, normals
+from usarmjx.sensors.rays.targets import FAR_AWAY, Geoms
 
 SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
 NIGHT_RGB = np.array([0.1, 0.11, 0.14], np.float32)

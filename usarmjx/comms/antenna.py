@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from usarmjx.models.spec import RobotSpec
-from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import Vec3, flip_vector
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import Vec3, flip_vector
+from usarmjx.models.spec.robot import RobotSpec
 
 LOWEST = 0.01
 """No antenna is lower than this above the arena's floor: a robot on its back would have it below [m]."""

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.errors import SpecError
-from usarmjx.models.ini import IniFile, Line, read_ini
-from usarmjx.models.ini_read import as_bool, as_number, fail
-from usarmjx.transforms import Array
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Array
+from usarmjx.models.ini.parse import IniFile, Line, read_ini
+from usarmjx.models.ini.read import as_bool, as_number, fail
 
 NEAREST = 1e-3
 """Antennas that are closer than this are taken to be this far apart [m]: the formula has no end at 0."""

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.pieces import COLUMN_KIND, TRIANGLE_KIND
-from usarmjx.sensors.targets import Block
+from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
+from usarmjx.sensors.rays.targets import Block
 
 Triple = tuple[jax.Array, jax.Array, jax.Array]
 """Components x, y, z; apart, so that no array of segments times geoms is stored."""

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.transforms import Array
 from usarmjx.comms.attenuation import Radio, received_power
 from usarmjx.comms.walls import count_walls
-from usarmjx.sensors.targets import Geoms
-from usarmjx.transforms import Array
+from usarmjx.sensors.rays.targets import Geoms
 
 SHORTEST = 1e-12
 """Keeps the square root of a distance differentiable where two antennas are in one place [m2]."""

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Array
 from usarmjx.comms.links import Links
-from usarmjx.errors import SpecError
-from usarmjx.transforms import Array
 
 BYTES_PER_NUMBER = 4
 """What a message stands for if nothing else is said: numbers in single precision."""

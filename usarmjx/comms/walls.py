@@ -25,15 +25,15 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.errors import UnsupportedGeomError
+from usarmjx.base.transforms import Array
 from usarmjx.comms.clipping import PIECES, Triple, count_in_pieces, filled
-from usarmjx.errors import UnsupportedGeomError
-from usarmjx.models.arena_spec import ArenaSpec
-from usarmjx.models.compose import Physics, new_spec
-from usarmjx.models.materials import materials_of
-from usarmjx.models.pieces import HFIELD, MESH, pieces_of
-from usarmjx.models.spec import OPAQUE, SKY
-from usarmjx.sensors.targets import Block, Geoms, gather
-from usarmjx.transforms import Array
+from usarmjx.models.build.compose import Physics, new_spec
+from usarmjx.models.build.materials import materials_of
+from usarmjx.models.build.pieces import HFIELD, MESH, pieces_of
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import OPAQUE, SKY
+from usarmjx.sensors.rays.targets import Block, Geoms, gather
 
 TINY = 1e-12
 """Stands in for zero where it divides."""

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.transforms import Array
 from usarmjx.engines.varied import VariedModel
-from usarmjx.errors import UnsupportedFeatureError
-from usarmjx.models.compose import Physics
-from usarmjx.models.moved import MovedGeoms
-from usarmjx.models.variation import Varied, VariedBodies
-from usarmjx.transforms import Array
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.moved import MovedGeoms
+from usarmjx.models.build.variation import Varied, VariedBodies
 
 GeomType = mujoco.mjtGeom
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.threads import cores
+from usarmjx.base.transforms import Array
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
-from usarmjx.models.compose import Physics
-from usarmjx.models.moved import MovedGeoms
-from usarmjx.models.variation import VariedBodies
-from usarmjx.threads import cores
-from usarmjx.transforms import Array
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.moved import MovedGeoms
+from usarmjx.models.build.variation import VariedBodies
 
 STATE = mujoco.mjtState
 EVERYTHING = STATE.mjSTATE_INTEGRATION

@@ -7,11 +7,11 @@ from typing import Literal
 import jax
 import mujoco
 
+from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Engine
-from usarmjx.models.compose import Physics
-from usarmjx.models.moved import MovedGeoms
-from usarmjx.models.variation import VariedBodies
-from usarmjx.registry import Registry
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.moved import MovedGeoms
+from usarmjx.models.build.variation import VariedBodies
 
 ENGINES: Registry[tuple[str, str]] = Registry("engine")
 """Module and class of each engine."""

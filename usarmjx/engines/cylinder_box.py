@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from usarmjx.errors import EngineError
+from usarmjx.base.errors import EngineError
 
 MJX_VERSION = "3.17.0"  # the private names that `register` uses were checked in this one only
 CONTACTS = 3  # a disc needs three to stand on a face, a rolling wheel uses two

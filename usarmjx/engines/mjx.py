@@ -10,16 +10,16 @@ import numpy as np
 from mujoco import mjx
 from mujoco.mjx._src import collision_driver
 
-from usarmjx import threads
+from usarmjx.base import threads
+from usarmjx.base.errors import EngineError
+from usarmjx.base.transforms import Array
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, Inputs, PhysicsState, Places
 from usarmjx.engines.short_boxes import ShortBoxes
-from usarmjx.errors import EngineError
-from usarmjx.models.compose import Physics
-from usarmjx.models.compose_arena import with_short_boxes
-from usarmjx.models.moved import MovedGeoms
-from usarmjx.models.variation import VariedBodies
-from usarmjx.transforms import Array
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.compose_arena import with_short_boxes
+from usarmjx.models.build.moved import MovedGeoms
+from usarmjx.models.build.variation import VariedBodies
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
 # all of its iterations, which the capped CG solver does on nearly every step.

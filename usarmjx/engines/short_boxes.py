@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.base import Places
-from usarmjx.models.moved import MovedGeoms
-from usarmjx.rotations import mat_from_quat
+from usarmjx.models.build.moved import MovedGeoms
 
 
 class ShortBoxes:

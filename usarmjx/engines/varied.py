@@ -1,4 +1,4 @@
-"""Fields of an engine's model that differ between worlds under domain randomisation (`models.variation`)."""
+"""Fields of an engine's model that differ between worlds: domain randomisation (`models.build.variation`)."""
 
 import copy
 from collections.abc import Callable
@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.errors import UnsupportedFeatureError
-from usarmjx.models.variation import Varied, VariedBodies
-from usarmjx.transforms import Array
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.variation import Varied, VariedBodies
 
 KNOTS = 9
 """Masses for which MuJoCo works out the numbers that follow from them; between two they are interpolated."""

@@ -13,19 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import SpecError
-from usarmjx.models.plan import Bodies, BodyPlan
-from usarmjx.models.settings import NOT_NEGATIVE
-from usarmjx.models.spec import SKY, Mount
-from usarmjx.models.state import RobotState
-from usarmjx.registry import Registry
-from usarmjx.rotations import composed, turned
-from usarmjx.sensors.bundles import Fans
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
+from usarmjx.base.rotations import composed, turned
+from usarmjx.base.transforms import Array, flip_angles, flip_vector, mat_from_angles
+from usarmjx.models.build.body_plan import Bodies, BodyPlan
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.robot import SKY, Mount
+from usarmjx.models.spec.settings import NOT_NEGATIVE
 from usarmjx.sensors.quantities import Quantity, total
-from usarmjx.sensors.raycast import BUNDLE, Hits
+from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.rays.raycast import BUNDLE, Hits
 from usarmjx.sensors.sketch import Sketch
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
-from usarmjx.transforms import Array, flip_angles, flip_vector, mat_from_angles
 
 NOISY = ("noise", "sigma", "max_noise", "min_noise")
 """Settings that are sizes of random errors; `precision` is the inverse of one."""
@@ -73,7 +73,7 @@ class Common:
     """Settings that all sensors have (manual 10).
 
     Attributes:
-        hidden_sensor: Whether the sensor itself is not to be seen; see `models.housings`.
+        hidden_sensor: Whether the sensor itself is not to be seen; see `models.build.housings`.
         with_time_stamp: Whether its messages carry the time.
         weight: Adds to the payload [kg].
         scan_interval: Time between two measurements [s]; 0 measures whenever asked.

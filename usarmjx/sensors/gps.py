@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import SpecError
-from usarmjx.models.geodesy import LATITUDE_SCALE, LONGITUDE_SCALE, Place, degrees_of
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import NOT_NEGATIVE
-from usarmjx.models.spec import Options, options
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.roads.geodesy import LATITUDE_SCALE, LONGITUDE_SCALE, Place, degrees_of
+from usarmjx.models.spec.robot import Options, options
+from usarmjx.models.spec.settings import NOT_NEGATIVE
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.transforms import Array
 
 SATELLITES, FIX = 12, 4
 """Most satellites there are, and fewest that a position takes (manual 10.5.2)."""

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import POSITIVE, Limits
-from usarmjx.models.spec import GLASS, SKY
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.robot import GLASS, SKY
+from usarmjx.models.spec.settings import POSITIVE, Limits
 from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
 from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
 from usarmjx.sensors.surroundings import Surroundings
-from usarmjx.transforms import Array
 
 MOST = 8
 """So many moving body parts, the nearest, are looked at for whether something hides them."""

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import SpecError
-from usarmjx.models.settings import NOT_NEGATIVE, POSITIVE, STEP, Limits
-from usarmjx.models.spec import Mount
-from usarmjx.rotations import mat_from_rotation_vector, rotation_vector
+from usarmjx.base.errors import SpecError
+from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector
+from usarmjx.base.transforms import angles_from_mat, mat_from_angles
+from usarmjx.models.spec.robot import Mount
+from usarmjx.models.spec.settings import NOT_NEGATIVE, POSITIVE, STEP, Limits
 from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor, Sight
 from usarmjx.sensors.noise import noisy, relative_normal
-from usarmjx.transforms import angles_from_mat, mat_from_angles
 
 SHARE = Limits(low=-1.0, beyond=True)
 """An error as a share: what is measured stays above 0."""

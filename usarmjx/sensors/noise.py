@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import Array
 from usarmjx.sensors.base import Measuring
-from usarmjx.transforms import Array
 
 Curve = tuple[tuple[float, float], ...]
 """Points (input, output) of an OutputCurve, inputs ascending."""

@@ -1,8 +1,8 @@
 """What a robot carries, against what it can (manual 10, footnote 3)."""
 
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.settings import resolve
-from usarmjx.models.spec import Mount, RobotSpec
+from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.models.spec.settings import resolve
 from usarmjx.sensors.base import SENSORS, Common
 from usarmjx.sensors.settings import CameraSettings
 

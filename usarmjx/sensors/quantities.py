@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 
 FORMS = {"number": 1, "count": 1, "flag": 1, "yaw": 1, "vector": 3, "angles": 3}
 """Kinds of quantities, and of how many numbers each is. `count` is a whole number, `flag` is 1 or 0, `yaw` an

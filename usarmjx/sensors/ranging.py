@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
-from usarmjx.models.spec import GLASS, SKY
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.robot import GLASS, SKY
+from usarmjx.models.spec.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
-from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
+from usarmjx.sensors.rays.bundles import Fans
 
 MOST_BEAMS = 65_536
 """More than this no scan has: its resolution is a slip."""

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import NOT_NEGATIVE, OneOf
-from usarmjx.models.spec import GLASS, SKY
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.robot import GLASS, SKY
+from usarmjx.models.spec.settings import NOT_NEGATIVE, OneOf
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.sketch import Sketch, blank
 from usarmjx.sensors.surroundings import Surroundings
-from usarmjx.transforms import Array
 
 MOST = 16
 """Most tags that a sensor reads at once, the nearest; so many rays look for obstacles."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 
-from usarmjx.models.settings import HALF_TURN, STEP, TURN
+from usarmjx.models.spec.settings import HALF_TURN, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Sight
 from usarmjx.sensors.ranging import (
     Ir,

@@ -1,8 +1,8 @@
-"""Settings of cameras; `field_name` and `resolve` are those of `models.settings`, here for sensors."""
+"""Settings of cameras; `field_name` and `resolve` are those of `models.spec.settings`, here for sensors."""
 
 from dataclasses import dataclass
 
-from usarmjx.models.settings import field_name, resolve
+from usarmjx.models.spec.settings import field_name, resolve
 
 __all__ = ["CameraSettings", "field_name", "resolve"]
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.transforms import Array
+from usarmjx.base.transforms import Array
 
 
 class Sketch(struct.PyTreeNode, kw_only=True):

@@ -19,14 +19,14 @@ import usarmjx.sensors.scanners
 import usarmjx.sensors.sound
 import usarmjx.sensors.touch
 import usarmjx.sensors.victim  # noqa: F401 - these fill SENSORS
-from usarmjx.errors import UnknownNameError
-from usarmjx.models.plan import Bodies, BodyPlan, body_plan
-from usarmjx.models.spec import RobotSpec
+from usarmjx.base.errors import UnknownNameError
+from usarmjx.models.build.body_plan import Bodies, BodyPlan, body_plan
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
-from usarmjx.sensors.raycast import NO_HITS, Gaze, Hits, cast
+from usarmjx.sensors.rays.raycast import NO_HITS, Gaze, Hits, cast
+from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import CameraSettings, resolve
 from usarmjx.sensors.surroundings import NOTHING, Surroundings
-from usarmjx.sensors.targets import Geoms
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""

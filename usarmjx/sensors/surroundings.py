@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.effecters import Tags, no_tags
-from usarmjx.models.tags import TagTable, tag_table
-from usarmjx.models.victims import (
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.tags import TagTable, tag_table
+from usarmjx.models.build.victims import (
     VictimTable,
     loudness,
     mouths,
@@ -17,7 +17,7 @@ from usarmjx.models.victims import (
     segment_speeds,
     victim_table,
 )
-from usarmjx.transforms import Array
+from usarmjx.models.effecters import Tags, no_tags
 
 
 class Surroundings(struct.PyTreeNode, kw_only=True):

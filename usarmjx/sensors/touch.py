@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import POSITIVE
-from usarmjx.rotations import turned
+from usarmjx.base.rotations import turned
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.settings import POSITIVE
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
 from usarmjx.sensors.ranging import BEAM
 

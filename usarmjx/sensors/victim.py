@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
 from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.bundles import Fans
 from usarmjx.sensors.ranging import steps, too_many
+from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.sketch import Sketch, blank
-from usarmjx.transforms import Array
 
 TOLERANCE = 1e-3
 """A ray that ends this much short of a body part still met it [m]: the same number, worked out twice."""

@@ -6,22 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from usarmjx.control import FLIP_TIME, Order, steer
-from usarmjx.errors import PeerError, UnknownNameError, UsageError
+from usarmjx.base.errors import PeerError, UnknownNameError, UsageError
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import STEER, RobotSpec
-from usarmjx.scene import start_height
+from usarmjx.models.spec.robot import STEER, RobotSpec
 from usarmjx.sensors.rfid import Rfid
-from usarmjx.server import commands as wire
-from usarmjx.server import reports
-from usarmjx.server.found import access
-from usarmjx.server.frames import angles, vector
-from usarmjx.server.grammar import Message, to_vector, truncated
-from usarmjx.server.host import HostWorld, Robot
-from usarmjx.server.session import RobotSession
-from usarmjx.server.traces import Trail
-from usarmjx.server.viewports import FAILED, OK
-from usarmjx.server.wording import (
+from usarmjx.server.messages.sensors import (
     configuration,
     geometry,
     link_joint,
@@ -29,7 +19,17 @@ from usarmjx.server.wording import (
     robot_report,
     sensor_report,
 )
-from usarmjx.transforms import Vec3
+from usarmjx.server.messages.victims import access
+from usarmjx.server.protocol import commands as wire
+from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.frames import angles, vector
+from usarmjx.server.protocol.grammar import Message, to_vector, truncated
+from usarmjx.server.protocol.session import RobotSession
+from usarmjx.server.protocol.traces import Trail
+from usarmjx.server.protocol.viewports import FAILED, OK
+from usarmjx.server.worlds.host import HostWorld, Robot
+from usarmjx.sim.control import FLIP_TIME, Order, steer
+from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
 

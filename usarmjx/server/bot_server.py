@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from usarmjx.models.ini import read_ini
-from usarmjx.models.ini_read import as_whole, fail
+from usarmjx.models.ini.parse import read_ini
+from usarmjx.models.ini.read import as_whole, fail
 
 SECTION = "BotAPI.BotServer"
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}

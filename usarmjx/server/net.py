@@ -12,10 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
-from usarmjx.errors import PeerError, UsageError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
-from usarmjx.server.commands import Init
-from usarmjx.server.host import HostWorld
+from usarmjx.server.protocol.commands import Init
+from usarmjx.server.worlds.host import HostWorld
 
 log = logging.getLogger(__name__)
 

@@ -3,10 +3,10 @@
 from dataclasses import fields, replace
 from typing import Any
 
-from usarmjx.errors import UnknownNameError
+from usarmjx.base.errors import UnknownNameError
 from usarmjx.train import tasks  # noqa: F401 - these fill TASKS
-from usarmjx.train.env import Env
-from usarmjx.train.task import TASKS, Task
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.task import TASKS, Task
 
 
 def make_task(name: str, **overrides: Any) -> Task:  # noqa: ANN401 - fields of any task

@@ -7,7 +7,6 @@ some of the satellites. Four traffic cones lie loose, all else is fixed.
 import math
 from pathlib import Path
 
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Loose, StartPose
 from usarmjx.models.arenas.arda_roads import (
     EAST,
     FIRST_SPOT,
@@ -21,9 +20,10 @@ from usarmjx.models.arenas.arda_roads import (
     SPOTS,
     Point,
 )
-from usarmjx.models.roads import CONCRETE, PAINT, WHITE, Rgba, road_shapes
-from usarmjx.models.route_network import FOOT
-from usarmjx.models.spec import Shape
+from usarmjx.models.roads.network import FOOT
+from usarmjx.models.roads.shapes import CONCRETE, PAINT, WHITE, Rgba, road_shapes
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Loose, StartPose
+from usarmjx.models.spec.robot import Shape
 
 FILES = tuple(Path(__file__).with_name(name) for name in (NETWORK.name, *(m.name for m in MISSIONS)))
 """The route network and the missions as files, for controllers."""

@@ -9,8 +9,8 @@ took place, at Victorville's former George Air Force Base; places are metres nor
 import math
 from collections.abc import Iterator
 
-from usarmjx.models.geodesy import Place, degrees_of
-from usarmjx.models.route_network import (
+from usarmjx.models.roads.geodesy import Place, degrees_of
+from usarmjx.models.roads.network import (
     FOOT,
     Lane,
     Mission,

@@ -6,11 +6,11 @@ Fixed pieces are shapes; loose ones, which robots push about, are `Loose` and ha
 import math
 import random
 
-from usarmjx.models.arena_spec import Loose
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import STONE, WOOD, Rgba, block
 from usarmjx.models.arenas.pieces import CONCRETE, loose_box
-from usarmjx.models.spec import Shape
-from usarmjx.transforms import Vec3
+from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.robot import Shape
 
 Place = tuple[float, float]
 

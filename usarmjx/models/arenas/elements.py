@@ -8,9 +8,9 @@ counter-clockwise from x.
 
 import math
 
-from usarmjx.errors import SpecError
-from usarmjx.models.spec import Shape
-from usarmjx.transforms import Vec3
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.spec.robot import Shape
 
 Rgba = tuple[float, float, float, float]
 

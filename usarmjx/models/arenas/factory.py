@@ -21,18 +21,6 @@ the height which test programs use there (1.8, z down) is just above it here too
 
 import math
 
-from usarmjx.models.arena_spec import (
-    START_ELEVATION,
-    ArenaSpec,
-    Door,
-    FalseAlarm,
-    HelpSound,
-    Light,
-    Segment,
-    StartPose,
-    Tag,
-    Victim,
-)
 from usarmjx.models.arenas.elements import WOOD
 from usarmjx.models.arenas.factory_plan import (
     BUILDING,
@@ -44,7 +32,19 @@ from usarmjx.models.arenas.factory_plan import (
     WIDTH,
 )
 from usarmjx.models.arenas.pieces import brick, drum, loose_box, waving
-from usarmjx.models.victims import rest_height
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import (
+    START_ELEVATION,
+    ArenaSpec,
+    Door,
+    FalseAlarm,
+    HelpSound,
+    Light,
+    Segment,
+    StartPose,
+    Tag,
+    Victim,
+)
 
 FLOOR = -2.08
 

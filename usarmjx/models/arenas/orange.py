@@ -8,17 +8,6 @@ P2AT, whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
 
 import math
 
-from usarmjx.models.arena_spec import (
-    START_ELEVATION,
-    ArenaSpec,
-    Door,
-    FalseAlarm,
-    HelpSound,
-    Light,
-    StartPose,
-    Tag,
-    Victim,
-)
 from usarmjx.models.arenas.debris import (
     cinder_block,
     loose_board,
@@ -43,8 +32,19 @@ from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import PANE, brick, span, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe
 from usarmjx.models.arenas.step_fields import POST, step_field
-from usarmjx.models.spec import GLASS
-from usarmjx.models.victims import rest_height
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import (
+    START_ELEVATION,
+    ArenaSpec,
+    Door,
+    FalseAlarm,
+    HelpSound,
+    Light,
+    StartPose,
+    Tag,
+    Victim,
+)
+from usarmjx.models.spec.robot import GLASS
 
 FLOOR = -1.44
 ORIGIN = (-4.2, -4.3)

@@ -14,7 +14,10 @@ import math
 
 import numpy as np
 
-from usarmjx.models.arena_spec import (
+from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
+from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
@@ -23,10 +26,7 @@ from usarmjx.models.arena_spec import (
     Tag,
     Victim,
 )
-from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
-from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
-from usarmjx.models.spec import SKY, HeightField, Shape
-from usarmjx.models.victims import rest_height
+from usarmjx.models.spec.robot import SKY, HeightField, Shape
 
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""

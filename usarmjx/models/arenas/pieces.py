@@ -2,10 +2,10 @@
 
 import math
 
-from usarmjx.models.arena_spec import Loose, Segment
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import WOOD, Rgba, block
-from usarmjx.models.spec import OPAQUE, Shape
-from usarmjx.transforms import Vec3
+from usarmjx.models.spec.arena import Loose, Segment
+from usarmjx.models.spec.robot import OPAQUE, Shape
 
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
 STEEL: Rgba = (0.45, 0.48, 0.52, 1.0)

@@ -6,11 +6,11 @@ A pipe is two square bars across each other: their eight edges lie on its circle
 
 import math
 
-from usarmjx.models.arena_spec import Loose
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import CELL, WOOD, block
 from usarmjx.models.arenas.pieces import STEEL
-from usarmjx.models.spec import ZERO, Shape
-from usarmjx.transforms import Vec3
+from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.robot import ZERO, Shape
 
 PIPE = 0.06
 """Outer diameter of a 2 inch pipe [m]."""

@@ -9,7 +9,14 @@ the ground (5.3.6), 2 cm above it.
 
 import math
 
-from usarmjx.models.arena_spec import (
+from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
+from usarmjx.models.arenas.elements import CELL, deck, slope
+from usarmjx.models.arenas.floorplan import walls
+from usarmjx.models.arenas.pieces import brick, waving
+from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
+from usarmjx.models.arenas.step_fields import step_field
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
@@ -19,13 +26,6 @@ from usarmjx.models.arena_spec import (
     Tag,
     Victim,
 )
-from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
-from usarmjx.models.arenas.elements import CELL, deck, slope
-from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import brick, waving
-from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
-from usarmjx.models.arenas.step_fields import step_field
-from usarmjx.models.victims import rest_height
 
 FLOOR = -2.08
 ORIGIN = (-3.44, -4.1)

@@ -12,9 +12,9 @@ robots' hulls cover their wheels. It rolls without resistance until something st
 
 import math
 
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, Light, Loose, StartPose
 from usarmjx.models.arenas.elements import Rgba, block
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, Loose, StartPose
+from usarmjx.models.spec.robot import Shape
 
 LENGTH, WIDTH = 5.4, 3.6
 """Between the goal lines and between the side lines [m]."""

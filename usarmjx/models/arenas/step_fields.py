@@ -8,9 +8,9 @@ places are ours; the patterns are the same after half a turn, as the symmetric f
 
 import math
 
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.arenas.elements import WOOD
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.robot import Shape
 
 POST = 0.10
 """Width of a post [m]."""

@@ -11,7 +11,11 @@ victims, glass, a mirror, a grid fender, and few loose things, as each costs the
 
 import math
 
-from usarmjx.models.arena_spec import (
+from usarmjx.models.arenas.elements import CELL, WOOD, block, ramp
+from usarmjx.models.arenas.floorplan import walls
+from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
@@ -22,11 +26,7 @@ from usarmjx.models.arena_spec import (
     Tag,
     Victim,
 )
-from usarmjx.models.arenas.elements import CELL, WOOD, block, ramp
-from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
-from usarmjx.models.spec import FENDER, GLASS, MIRROR, Shape
-from usarmjx.models.victims import rest_height
+from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, Shape
 
 FLOOR = -2.08
 ORIGIN = (-2.4, -4.8)

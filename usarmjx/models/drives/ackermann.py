@@ -9,8 +9,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives.base import Aim, Drive
-from usarmjx.transforms import Array
 
 POSITION, VELOCITY, TORQUE = 0, 1, 2
 """Orders of a joint (manual 9.4); `control.Order` has them too, one layer up."""

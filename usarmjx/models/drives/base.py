@@ -13,8 +13,8 @@ from typing import ClassVar, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.state import RobotState
-from usarmjx.transforms import Array
+from usarmjx.base.transforms import Array
+from usarmjx.models.drives.state import RobotState
 
 Vehicle = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
 DRY = -1e3

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.state import RobotState
-from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import GRAVITY, Array, Vec3
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import GRAVITY, Array, Vec3
+from usarmjx.models.drives.state import RobotState
 
 AIR, WATER = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""

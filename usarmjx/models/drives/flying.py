@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import GRAVITY, Array, Vec3
 from usarmjx.models.drives.base import Drive, Vehicle
 from usarmjx.models.drives.fluid import AIR, Hull
-from usarmjx.models.state import RobotState
-from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import GRAVITY, Array, Vec3
+from usarmjx.models.drives.state import RobotState
 
 STEEPEST = math.radians(65)
 """No more tilt than this, whatever is asked [rad]."""

@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives.base import Aim, Drive, Vehicle
-from usarmjx.transforms import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.base import Aim, Drive
-from usarmjx.transforms import Array
 
 
 @dataclass(frozen=True, kw_only=True)

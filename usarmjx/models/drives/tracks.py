@@ -6,8 +6,8 @@ from types import ModuleType
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives.ground import SkidSteer
-from usarmjx.transforms import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,11 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives.base import Drive, Vehicle
 from usarmjx.models.drives.fluid import WATER, Hull
-from usarmjx.models.state import RobotState
-from usarmjx.rotations import mat_from_quat
-from usarmjx.transforms import Array
+from usarmjx.models.drives.state import RobotState
 
 STALLED = 1.17
 """Normal force coefficient of a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 3-9)."""

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.effecters.base import (
     EFFECTERS,
     TAG_ROOM,
@@ -15,8 +15,8 @@ from usarmjx.models.effecters.base import (
 from usarmjx.models.effecters.gripper import Gripper
 from usarmjx.models.effecters.roller import RollerTable
 from usarmjx.models.effecters.still import Headlight, RfidReleaser
-from usarmjx.models.settings import resolve
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.settings import resolve
 
 __all__ = [
     "EFFECTERS",

@@ -1,7 +1,8 @@
 """What an effecter is: the parts it adds to its robot, its operations, what each does (manual 8, 14.3).
 
 An effecter acts in three ways only: it gives its joints an order, it switches the headlight, or it takes
-something from its stock and drops it. `effect` says which as plain arrays; `usarmjx.operate` carries it out.
+something from its stock and drops it. `effect` says which as plain arrays; `usarmjx.sim.operate` carries it
+out.
 """
 
 from abc import ABC, abstractmethod
@@ -13,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.spec import Mount, Part, Shape
-from usarmjx.registry import Registry
-from usarmjx.transforms import Array, Vec3, mat_from_angles
+from usarmjx.base.registry import Registry
+from usarmjx.base.transforms import Array, Vec3, mat_from_angles
+from usarmjx.models.spec.robot import Mount, Part, Shape
 
 TAG_ROOM = 64
 """Most RFID tags that lie in one world (the manual's releasers have ids for 1001)."""

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from types import ModuleType
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.spec import Motor, Part, Shape
-from usarmjx.transforms import Array
+from usarmjx.models.spec.robot import Motor, Part, Shape
 
 # All measures are chosen: the manual gives none.
 LEVER = 0.12

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 from types import ModuleType
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.kit import AXLE
-from usarmjx.models.spec import Motor, Part, Shape
-from usarmjx.transforms import Array
+from usarmjx.models.robots.kit import AXLE
+from usarmjx.models.spec.robot import Motor, Part, Shape
 
 # All measures are chosen: the manual gives none.
 RADIUS, WIDTH = 0.03, 0.36

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from types import ModuleType
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.transforms import Array
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from usarmjx.errors import SpecError
-from usarmjx.models.arena_spec import ArenaSpec
+from usarmjx.base.errors import SpecError
+from usarmjx.models.build.reach import Size, reach_map, size_of, victims_reached
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import Site, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.kinds import KINDS, budget
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, Plan, doubled, edge
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
-from usarmjx.models.reach import Size, reach_map, size_of, victims_reached
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import Shape
 
 SMALLEST, LARGEST = 3, 64
 """Cells along a side."""

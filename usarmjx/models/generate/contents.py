@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usarmjx.models.arena_spec import START_ELEVATION, HelpSound, Loose, Segment, StartPose, Tag, Victim
+from usarmjx.base.transforms import mat_from_angles
+from usarmjx.models.build.raster import half_lengths
+from usarmjx.models.build.reach import Size, placed
+from usarmjx.models.build.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import Draw
 from usarmjx.models.generate.kinds import MOST_STARTS, Kind, counts
 from usarmjx.models.generate.plan import BASE, CELL, SIDES, THICKNESS, Cell, Plan, middle
 from usarmjx.models.generate.structures import ROOM, STONE, WOOD, Place, Rgba, block, mixed, void
-from usarmjx.models.raster import half_lengths
-from usarmjx.models.reach import Size, placed
-from usarmjx.models.spec import Shape
-from usarmjx.models.victims import rest_height
-from usarmjx.transforms import mat_from_angles
+from usarmjx.models.spec.arena import START_ELEVATION, HelpSound, Loose, Segment, StartPose, Tag, Victim
+from usarmjx.models.spec.robot import Shape
 
 INNER = (CELL - THICKNESS) / 2
 """From the middle of a cell to its walls [m]."""

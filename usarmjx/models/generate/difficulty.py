@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from usarmjx.errors import SpecError
+from usarmjx.base.errors import SpecError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from usarmjx.base.registry import Registry
 from usarmjx.models.generate import layouts, structures
 from usarmjx.models.generate.plan import LONGEST
 from usarmjx.models.generate.structures import Maker
-from usarmjx.registry import Registry
 
 MOST_LOOSE, MOST_VICTIMS, MOST_STARTS, MOST_TAGS = 12, 16, 24, 16
 """In arenas of any size."""

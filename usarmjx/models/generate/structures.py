@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from usarmjx.models.generate.draw import Draw
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
-from usarmjx.models.spec import Shape
+from usarmjx.models.spec.robot import Shape
 
 ROOM = 1.1
 """Side of the square that a structure stays within [m]."""

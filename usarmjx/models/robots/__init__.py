@@ -1,5 +1,6 @@
 """The robot classes that INIT can spawn."""
 
+from usarmjx.base.registry import Registry
 from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
 from usarmjx.models.robots.cars import COOPER, HUMMER, SEDAN, SNOWSTORM
 from usarmjx.models.robots.flippers import KENAF, TARANTULA
@@ -15,8 +16,7 @@ from usarmjx.models.robots.talon import RUGBOT, TALON
 from usarmjx.models.robots.telemax import TELEMAX
 from usarmjx.models.robots.underwater import SUBMARINE
 from usarmjx.models.robots.unit_loader import UNIT_LOADER
-from usarmjx.models.spec import RobotSpec
-from usarmjx.registry import Registry
+from usarmjx.models.spec.robot import RobotSpec
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
 for _spec in (

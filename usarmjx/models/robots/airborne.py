@@ -6,11 +6,11 @@ the AirRobot's limits of tilt are those of its successor in the UDK version.
 
 import math
 
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Blimp, RotaryWing
 from usarmjx.models.drives.fluid import AIR, Hull
-from usarmjx.models.kit import BLACK, POSE_SENSORS, Colour, camera
-from usarmjx.models.spec import Link, MissionPackage, Motor, RobotSpec, Shape
-from usarmjx.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Colour, camera
+from usarmjx.models.spec.robot import Link, MissionPackage, Motor, RobotSpec, Shape
 
 WHITE: Colour = (0.9, 0.9, 0.9, 1.0)
 ORANGE: Colour = (0.95, 0.55, 0.1, 1.0)

@@ -4,9 +4,9 @@ The manual gives sizes and speeds of most; the real cars' data sheets, and choic
 and Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the Hummer's bigger wheels.
 """
 
-from usarmjx.models.cars import Car, build_car
-from usarmjx.models.kit import camera, pan_tilt, sick, sick_housing
-from usarmjx.models.spec import CHASSIS, Mount, options
+from usarmjx.models.robots.car_kit import Car, build_car
+from usarmjx.models.robots.kit import camera, pan_tilt, sick, sick_housing
+from usarmjx.models.spec.robot import CHASSIS, Mount, options
 
 HUMMER_LENGTH, HUMMER_WIDTH = 3.686, 1.799  # manual 12.5.1; the real one has 4.57 and 2.16
 _HUMMER = Car(

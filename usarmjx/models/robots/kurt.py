@@ -3,7 +3,7 @@
 import math
 
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.kit import (
+from usarmjx.models.robots.kit import (
     BLACK,
     ENCODER_AXIS,
     POSE_SENSORS,
@@ -13,7 +13,7 @@ from usarmjx.models.kit import (
     sick_housing,
     wheel,
 )
-from usarmjx.models.spec import CHASSIS, Mount, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec, Shape
 
 LENGTH, WIDTH, HEIGHT = 0.45, 0.29, 0.35  # manual 12.16.1; the scanner is the highest
 MASS = 35.0  # manual 12.16.1

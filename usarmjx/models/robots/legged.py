@@ -8,10 +8,10 @@ bend; pans turn to the left.
 
 import math
 
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.kit import BLACK, POSE_SENSORS, RUBBER, Colour, camera
-from usarmjx.models.spec import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
-from usarmjx.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, Colour, camera
+from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
 
 SILVER: Colour = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)

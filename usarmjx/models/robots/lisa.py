@@ -7,8 +7,8 @@ import math
 
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
-from usarmjx.models.spec import STEER, Mount, RobotSpec, Shape
+from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
+from usarmjx.models.spec.robot import STEER, Mount, RobotSpec, Shape
 
 ORIGIN = 0.40
 RADIUS, TYRE = 0.125, 0.05

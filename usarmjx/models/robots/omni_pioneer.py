@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from usarmjx.models.kit import camera
-from usarmjx.models.packages import PACKAGES, mounted
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.kit import camera
+from usarmjx.models.robots.packages import PACKAGES, mounted
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, P2DX, P2DX_SCANNER
-from usarmjx.models.spec import MissionPackage, RobotSpec
-from usarmjx.transforms import Vec3
+from usarmjx.models.spec.robot import MissionPackage, RobotSpec
 
 LOOKS_UP: Vec3 = (-3.1415927, 1.5707964, 0.0)
 """Direction of the camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""

@@ -7,7 +7,7 @@ UsarCommander's copy of USARBot.ini (sonar rings), and what had to be chosen, ma
 import math
 
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.kit import (
+from usarmjx.models.robots.kit import (
     BLACK,
     ENCODER_AXIS,
     POSE_SENSORS,
@@ -17,7 +17,7 @@ from usarmjx.models.kit import (
     sick_housing,
     wheel,
 )
-from usarmjx.models.spec import Motor, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import Motor, Mount, RobotSpec, Shape
 
 RED = (0.75, 0.1, 0.1, 1.0)
 

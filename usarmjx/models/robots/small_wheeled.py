@@ -4,9 +4,18 @@ import math
 from dataclasses import replace
 
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.kit import BLACK, POSE_SENSORS, camera, firm_motor, pan_tilt, sick, sick_housing, wheel
+from usarmjx.models.robots.kit import (
+    BLACK,
+    POSE_SENSORS,
+    camera,
+    firm_motor,
+    pan_tilt,
+    sick,
+    sick_housing,
+    wheel,
+)
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec import Motor, Mount, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import Motor, Mount, Part, RobotSpec, Shape
 
 GREEN = (0.2, 0.4, 0.25, 1.0)
 YELLOW = (0.85, 0.7, 0.15, 1.0)

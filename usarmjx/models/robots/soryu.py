@@ -1,9 +1,9 @@
 """The Soryu: three cars on two tracks each, with a joint to pan and one to tilt between them (12.15)."""
 
-from usarmjx.models.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.spec import CHASSIS, LEFT, UP, Motor, Part, RobotSpec, Shape
-from usarmjx.models.tracks import Belt, drive_tracks, mass_of, track, track_names
-from usarmjx.transforms import Vec3
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.robots.track_kit import Belt, drive_tracks, mass_of, track, track_names
+from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec, Shape
 
 RIGHT: Vec3 = (0.0, 1.0, 0.0)
 DOWN: Vec3 = (0.0, 0.0, 1.0)

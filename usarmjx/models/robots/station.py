@@ -1,8 +1,8 @@
 """ComStation, the base station of the wireless simulation (manual 3.2.4.1): it stands where it was put."""
 
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.kit import BLACK, Colour
-from usarmjx.models.spec import Mount, RobotSpec, Shape
+from usarmjx.models.robots.kit import BLACK, Colour
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
 
 GREY: Colour = (0.6, 0.6, 0.65, 1.0)
 

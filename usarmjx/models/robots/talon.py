@@ -2,10 +2,10 @@
 
 import math
 
-from usarmjx.models.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick, sick_housing
-from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
-from usarmjx.models.tracks import FINGERS, Belt, drive_tracks, mass_of, track_pair
-from usarmjx.transforms import Vec3
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick, sick_housing
+from usarmjx.models.robots.track_kit import FINGERS, Belt, drive_tracks, mass_of, track_pair
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
 
 OLIVE = (0.35, 0.38, 0.22, 1.0)
 RED = (0.75, 0.1, 0.1, 1.0)

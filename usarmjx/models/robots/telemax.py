@@ -3,10 +3,18 @@
 import math
 from typing import Literal
 
-from usarmjx.models.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.spec import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
-from usarmjx.models.tracks import FINGERS, FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
-from usarmjx.transforms import Vec3
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.robots.track_kit import (
+    FINGERS,
+    FLIPPERS,
+    Belt,
+    Flippers,
+    drive_tracks,
+    mass_of,
+    track_pair,
+)
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
 
 SILVER = (0.75, 0.75, 0.78, 1.0)
 

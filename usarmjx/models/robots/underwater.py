@@ -6,11 +6,11 @@ its size displaces, as it neither rises nor sinks; the CONF example's 50 kg is t
 
 import math
 
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Underwater
 from usarmjx.models.drives.fluid import WATER, Hull
-from usarmjx.models.kit import BLACK, POSE_SENSORS, Colour, camera, pan_tilt
-from usarmjx.models.spec import Mount, RobotSpec, Shape
-from usarmjx.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Colour, camera, pan_tilt
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
 
 NAVY: Colour = (0.2, 0.25, 0.35, 1.0)
 GREY: Colour = (0.5, 0.5, 0.55, 1.0)

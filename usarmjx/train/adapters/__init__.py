@@ -1,4 +1,4 @@
-"""The interfaces of other libraries over `train.env.Env`; each module needs its library (extra `rl`).
+"""The interfaces of other libraries over `train.envs.env.Env`; each module needs its library (extra `rl`).
 
 None of them computes anything: they hand the same numbers over under other names.
 """

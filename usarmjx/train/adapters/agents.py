@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from usarmjx.errors import UsageError
-from usarmjx.transforms import Array
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Array
 
 if TYPE_CHECKING:
-    from usarmjx.train.env import Env, EnvState
+    from usarmjx.train.envs.env import Env, EnvState
 
 MOST_SEED = 2**31 - 1
 """Seeds are drawn below this: an int32 holds them."""

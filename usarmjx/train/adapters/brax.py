@@ -10,7 +10,7 @@ from brax.envs.base import State
 from usarmjx.train.adapters.agents import MOST_SEED, check_one_group
 
 if TYPE_CHECKING:
-    from usarmjx.train.env import Env, EnvState
+    from usarmjx.train.envs.env import Env, EnvState
 
 
 class BatchedRobots(BraxEnv):

@@ -8,12 +8,12 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Array
 from usarmjx.train.adapters.agents import check_one_group, drawn_seed, stepper
-from usarmjx.transforms import Array
 
 if TYPE_CHECKING:
-    from usarmjx.train.env import Env, EnvState
+    from usarmjx.train.envs.env import Env, EnvState
 
 Robots = Literal["joined", "each"]
 

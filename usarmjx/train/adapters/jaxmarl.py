@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.train.adapters.agents import MOST_SEED, agents_of, by_agent, check_one_world, gather
 
 if TYPE_CHECKING:
-    from usarmjx.train.env import Env, EnvState
+    from usarmjx.train.envs.env import Env, EnvState
 
 Values = dict[str, jax.Array]
 

@@ -7,11 +7,11 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.train.adapters.agents import agents_of, by_agent, check_one_world, drawn_seed, gather, stepper
 
 if TYPE_CHECKING:
-    from usarmjx.train.env import Env, EnvState
+    from usarmjx.train.envs.env import Env, EnvState
 
 Values = dict[str, Any]
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from usarmjx.registry import Registry
+from usarmjx.base.registry import Registry
 from usarmjx.train.baselines.climb import climber
 from usarmjx.train.baselines.frontier import frontier
 from usarmjx.train.baselines.goal import go_to_goal
@@ -11,8 +11,8 @@ from usarmjx.train.baselines.pursuit import pursuit
 from usarmjx.train.baselines.relay import relay
 from usarmjx.train.baselines.roam import roam
 from usarmjx.train.baselines.soccer import players
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
 
 BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
 BASELINES.add("drive-to-goal", go_to_goal)

@@ -5,9 +5,9 @@ import math
 import jax
 import jax.numpy as jnp
 
-from usarmjx.errors import UsageError
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
 from usarmjx.train.tasks.stairs import RAISED, Stairs
 
 UP = 0.6

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from usarmjx.train.env import Env
-from usarmjx.train.knowledge import SECTORS
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
+from usarmjx.train.mapping.knowledge import SECTORS
 
 TURN, FASTEST_TURN = 0.8, 0.5
 """Turning over the bearing of the next place [1/rad], and the most of it."""

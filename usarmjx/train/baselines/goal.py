@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.errors import UsageError
-from usarmjx.models.spec import RobotSpec
+from usarmjx.base.errors import UsageError
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.baselines.steering import choose_way, head_for, obstacles, way_lengths, wrapped
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
 from usarmjx.train.tasks.drive_to_goal import FAR, DriveToGoal
 
 GAIN = 0.4

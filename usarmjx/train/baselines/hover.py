@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from usarmjx.errors import UsageError
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
 from usarmjx.train.tasks.hover_inspect import FAR, PACE, TURN, HoverInspect
 
 GAIN, TURN_GAIN = 1.0, 1.2

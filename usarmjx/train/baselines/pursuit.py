@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
 from usarmjx.train.tasks.convoy import AHEAD, BEAMS, REACH, TOP, Convoy
 
 LOOKAHEAD = 3.0, 0.6

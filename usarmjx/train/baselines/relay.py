@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.train.baselines.frontier import drive, frontier
-from usarmjx.train.env import Env
-from usarmjx.train.knowledge import SECTORS
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
+from usarmjx.train.mapping.knowledge import SECTORS
 
 STOP, SLOW = 0.1, 0.2
 """Power above the cutoff, as observed, at which a robot stops, and up to which it is slow: 2 and 4 dB."""

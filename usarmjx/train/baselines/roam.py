@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.baselines.steering import ANGLES, UNSEEN, driver, obstacles, way_lengths
-from usarmjx.train.clearance import hull_of
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
+from usarmjx.train.scenes.clearance import hull_of
 from usarmjx.train.tasks.wander import Wander
 
 STOP, GO, SLOW = 0.2, 0.45, 0.7

@@ -2,9 +2,9 @@
 
 import jax
 
-from usarmjx.errors import UsageError
-from usarmjx.train.env import Env
-from usarmjx.train.policy import Actions, Observations, Policy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Actions, Observations, Policy
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.soccer_play import play
 

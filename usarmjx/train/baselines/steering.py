@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import UsageError
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Array
 from usarmjx.models.drives import Ackermann, RotaryWing, SkidSteer, Tracks
-from usarmjx.models.spec import RobotSpec
-from usarmjx.train.clearance import hull_of
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.train.scenes.clearance import hull_of
 from usarmjx.train.tasks.ranges import FAR, range_lines
-from usarmjx.transforms import Array
 
 PACE = 1.0
 """Hand-written policies drive no faster than this [m/s]."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from usarmjx.registry import Registry
+from usarmjx.base.registry import Registry
 
 FOLDER = Path(__file__).parent
 

@@ -1,6 +1,6 @@
 """The tasks, one module each; importing this registers them."""
 
-from usarmjx.train.task import TASKS
+from usarmjx.train.envs.task import TASKS
 from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore

@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import UsageError
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.base.errors import UsageError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda_roads import NETWORK
 from usarmjx.models.drives import Ackermann
-from usarmjx.models.route_network import RouteNetwork
-from usarmjx.models.spec import Mount, RobotSpec, options
-from usarmjx.scene import Scene
-from usarmjx.train.orders import Orders
-from usarmjx.train.recipe import Arenas, spec_of
-from usarmjx.train.task import Task, Verdict, View
+from usarmjx.models.roads.network import RouteNetwork
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.recipe import Arenas, spec_of
+from usarmjx.train.envs.task import Task, Verdict, View
 from usarmjx.train.tasks.lane import Way, closed_lane
 
 AHEAD = (3.0, 5.0, 8.0, 12.0, 17.0, 23.0)

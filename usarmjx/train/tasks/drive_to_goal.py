@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.models.spec import Mount, RobotSpec
-from usarmjx.train.recipe import spec_of
-from usarmjx.train.task import Task, Verdict, View
+from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.train.envs.recipe import spec_of
+from usarmjx.train.envs.task import Task, Verdict, View
 from usarmjx.train.tasks.ranges import first_kind, ranges
 
 FAR = 10.0

@@ -6,10 +6,10 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from usarmjx.models.spec import RobotSpec
-from usarmjx.train.equip import mapper
-from usarmjx.train.maps import FREE
-from usarmjx.train.task import Verdict, View
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.mapping.maps import FREE
+from usarmjx.train.scenes.equip import mapper
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import TeamMemory, coverage
 

@@ -8,17 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import UsageError
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.drives import RotaryWing
-from usarmjx.models.spec import Mount, RobotSpec, Shape, options
-from usarmjx.rotations import mat_from_quat
-from usarmjx.scene import Scene
-from usarmjx.train.clearance import FREE, apart, hulls, solids
-from usarmjx.train.orders import Orders
-from usarmjx.train.recipe import spec_of
-from usarmjx.train.task import Task, Verdict, View, drive_keys
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.recipe import spec_of
+from usarmjx.train.envs.task import Task, Verdict, View, drive_keys
+from usarmjx.train.scenes.clearance import FREE, apart, hulls, solids
 
 LONG, WIDE, HIGH, THICK = 5.0, 5.0, 3.0, 0.1
 """Length along x, width and height of each room, and thickness of walls [m]."""

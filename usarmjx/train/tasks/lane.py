@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.errors import SpecError
-from usarmjx.models.geodesy import Place
-from usarmjx.models.roads import lane_path, lane_width
-from usarmjx.models.route_network import RouteNetwork
+from usarmjx.base.errors import SpecError
+from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.network import RouteNetwork
+from usarmjx.models.roads.shapes import lane_path, lane_width
 
 
 @dataclass(frozen=True, eq=False)

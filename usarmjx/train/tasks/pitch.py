@@ -13,7 +13,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.base.transforms import Array, Vec3
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.arenas.soccer import (
     BALL,
@@ -27,9 +27,9 @@ from usarmjx.models.arenas.soccer import (
     SOCCER,
 )
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec import Mount, RobotSpec, Shape, options
-from usarmjx.train.equip import TRUTH
-from usarmjx.transforms import Array, Vec3
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.train.scenes.equip import TRUTH
 
 GOAL_LINE, SIDE_BOARD = LENGTH / 2, CARPET[1] / 2
 """Where the boards are [m]."""

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.plan import Bodies
-from usarmjx.models.spec import RobotSpec
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.suite import suite_of
-from usarmjx.train.task import View
+from usarmjx.train.envs.task import View
 
 MOST = 24
 """More readings of one sensor than this are seen in sectors."""

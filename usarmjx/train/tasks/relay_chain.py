@@ -8,16 +8,16 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.comms.connectivity import reachable
-from usarmjx.models.spec import RobotSpec
-from usarmjx.train import knowledge, planning
-from usarmjx.train.buildings import Buildings
-from usarmjx.train.equip import mapper, station
-from usarmjx.train.knowledge import Knowledge
-from usarmjx.train.recipe import Arenas
-from usarmjx.train.task import Verdict, View
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.train.envs.recipe import Arenas
+from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.mapping import knowledge, planning
+from usarmjx.train.mapping.knowledge import Knowledge
+from usarmjx.train.mapping.wavefront import FAR, distances, frontier, passable
+from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.scenes.equip import mapper, station
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import WIDE, TeamMemory, base_of, local
-from usarmjx.train.wavefront import FAR, distances, frontier, passable
 
 OUTWARD = 3.0
 """So many squares of way is a square worth that lies one square farther from the base."""

@@ -9,18 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
-from usarmjx.errors import UsageError
-from usarmjx.models.spec import RobotSpec
-from usarmjx.scene import Scene
-from usarmjx.train.orders import Orders
-from usarmjx.train.recipe import Arenas
-from usarmjx.train.task import Task, Verdict, View
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.recipe import Arenas
+from usarmjx.train.envs.task import Task, Verdict, View
 from usarmjx.train.tasks.pitch import BLUE, GOAL_LINE, PITCH, REACH, SIDE_BOARD, YELLOW, goal_scored, player
 from usarmjx.train.tasks.ranges import sectors
-from usarmjx.train.tasks.soccer_play import play
-from usarmjx.train.tasks.soccer_sight import (
+from usarmjx.train.tasks.soccer_knowledge import (
     LOWER,
     NUMBERS,
     UPPER,
@@ -31,6 +30,7 @@ from usarmjx.train.tasks.soccer_sight import (
     look,
     nothing,
 )
+from usarmjx.train.tasks.soccer_play import play
 from usarmjx.train.tasks.team_parts import local
 
 WORDS = MailSettings(numbers=NUMBERS, capacity=2, budget=BYTES_PER_NUMBER * NUMBERS)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.transforms import Array
 from usarmjx.models.arenas.soccer import BALL_RADIUS
 from usarmjx.train.tasks.pitch import (
     CORNER,
@@ -17,7 +18,6 @@ from usarmjx.train.tasks.pitch import (
     beams,
     depth_inside,
 )
-from usarmjx.transforms import Array
 
 NEAR = 3.0
 """What places in a robot's axes are shares of [m], see `soccer.Soccer`."""

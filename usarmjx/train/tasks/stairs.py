@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.errors import UsageError
-from usarmjx.models.arena_spec import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.kit import ENCODER_AXIS
-from usarmjx.models.spec import Mount, RobotSpec, Shape, options
-from usarmjx.rotations import mat_from_quat
-from usarmjx.scene import Scene
-from usarmjx.train.orders import Move, Orders
-from usarmjx.train.recipe import spec_of
-from usarmjx.train.task import Task, Verdict, View, drive_all
+from usarmjx.models.robots.kit import ENCODER_AXIS
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.train.envs.recipe import spec_of
+from usarmjx.train.envs.task import Task, Verdict, View, drive_all
 from usarmjx.train.tasks.drive_to_goal import bearing
 
 WIDTH, PLATFORM = 2.4, 4.0

@@ -9,17 +9,17 @@ import numpy as np
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
-from usarmjx.scene import Scene, Team
-from usarmjx.train import knowledge, planning
-from usarmjx.train.buildings import Buildings, Ground, ground_of, reachable_of
-from usarmjx.train.clearance import clearance
-from usarmjx.train.equip import flies, pose_sensor
-from usarmjx.train.knowledge import HEADER, Knowledge, ignorance
-from usarmjx.train.maps import FREE, MARK, UNKNOWN, WALL, around
-from usarmjx.train.orders import Orders
-from usarmjx.train.planning import Minds
-from usarmjx.train.recipe import Arenas
-from usarmjx.train.task import Task, View
+from usarmjx.sim.scene import Scene, Team
+from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.recipe import Arenas
+from usarmjx.train.envs.task import Task, View
+from usarmjx.train.mapping import knowledge, planning
+from usarmjx.train.mapping.knowledge import HEADER, Knowledge, ignorance
+from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, around
+from usarmjx.train.mapping.planning import Minds
+from usarmjx.train.scenes.buildings import Buildings, Ground, ground_of, reachable_of
+from usarmjx.train.scenes.clearance import clearance
+from usarmjx.train.scenes.equip import flies, pose_sensor
 from usarmjx.train.tasks.team_parts import (
     LONG,
     NEAR,

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.scene import Scene, Team
 from usarmjx.sensors.motion import wrap
-from usarmjx.train import knowledge
-from usarmjx.train.knowledge import Knowledge, Scan
-from usarmjx.train.maps import MapGrid, look
-from usarmjx.train.task import View
-from usarmjx.transforms import flip_angles, flip_vector
+from usarmjx.sim.scene import Scene, Team
+from usarmjx.train.envs.task import View
+from usarmjx.train.mapping import knowledge
+from usarmjx.train.mapping.knowledge import Knowledge, Scan
+from usarmjx.train.mapping.maps import MapGrid, look
 
 STATION = "ComStation"
 WALLED = RadioSettings(pdo=-40.0, do=1.0, n=2.0, cutoff=-49.0, max_obs=8, atten_fac=6.0)

@@ -8,21 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
-from usarmjx.models.spec import RobotSpec
-from usarmjx.scene import Scene, Team
-from usarmjx.train import knowledge, planning
-from usarmjx.train.buildings import Buildings
-from usarmjx.train.equip import flies, pose_sensor, seeker, station
-from usarmjx.train.knowledge import Knowledge
-from usarmjx.train.maps import FREE, MARK, MapGrid
-from usarmjx.train.orders import Move, Orders
-from usarmjx.train.recipe import Arenas
-from usarmjx.train.task import Verdict, View
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.scene import Scene, Team
+from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.train.envs.recipe import Arenas
+from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.mapping import knowledge, planning
+from usarmjx.train.mapping.knowledge import Knowledge
+from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
+from usarmjx.train.mapping.wavefront import FAR
+from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.scenes.equip import flies, pose_sensor, seeker, station
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import STATION, WIDE, TeamMemory, base_of, local
-from usarmjx.train.wavefront import FAR
-from usarmjx.transforms import flip_angles, flip_vector, mat_from_angles
 
 FLIPPERS = {"FRFlipper": -1.3, "FLFlipper": -1.3, "RRFlipper": 1.3, "RLFlipper": 1.3}
 """Flippers folded up [rad]: negative in front and positive behind is up."""

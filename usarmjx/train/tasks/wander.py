@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.spec import Mount, RobotSpec
-from usarmjx.train.clearance import clearance
-from usarmjx.train.recipe import Arenas, spec_of
-from usarmjx.train.task import Task, Verdict, View
+from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.train.envs.recipe import Arenas, spec_of
+from usarmjx.train.envs.task import Task, Verdict, View
+from usarmjx.train.scenes.clearance import clearance
 from usarmjx.train.tasks.ranges import first_kind, ranges
 
 

@@ -1,0 +1,84 @@
+"""`usarmjx train` and `usarmjx export`, on the smallest robot task."""
+
+import json
+import os
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from usarmjx.cli.app import app
+from usarmjx.train.policies.export import NumpyPolicy
+
+SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
+SETTINGS = {
+    "rollout": 2,
+    "minibatches": 1,
+    "epochs": 1,
+    "layers": 4,
+    "critic_layers": 4,
+    "episode_steps": 7,  # of the task
+}
+
+
+def invoke(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_a_run_is_trained_and_exported(tmp_path):
+    """Two iterations; settings of the training and of the task both take effect."""
+    out = tmp_path / "run"
+    told = [word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}")]
+    result = invoke("train", *SMALL, *told, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.output.startswith("8 agent steps, score")
+    settings = json.loads((out / "config.json").read_text())
+    assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
+    assert settings["overrides"] == {"episode_steps": "7"}
+    assert settings["config"]["layers"] == [4]
+    assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
+    result = invoke("export", out, tmp_path / "policy.npz", "--checkpoint", "last")
+    assert result.exit_code == 0, result.output
+    policy = NumpyPolicy(tmp_path / "policy.npz")
+    group = policy.groups[policy.group("P2AT")]
+    actions, _ = policy.act(0, np.zeros(group["obs_size"]), policy.start(0))
+    assert actions.shape == (2,)  # Left and Right of DRIVE
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["train", "--task", "drive", "--out", "x"], "unknown task"),
+        (
+            ["train", "--task", "drive-to-goal", "--out", "x", "--set", "lr=1"],
+            "has no setting 'lr'; it has: ",
+        ),
+        (
+            ["train", "--task", "drive-to-goal", "--out", "x", "--set", "epochs=a"],
+            "needs a value of type int",
+        ),
+        (["train", "--task", "drive-to-goal", "--out", "x", "--resume"], "nothing to resume in x"),
+        (["export", "nowhere", "x.npz"], "nowhere is no run"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(words, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = invoke(*words)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_several_processes_run_the_same_command(monkeypatch):
+    """Each is told who it is by its environment, and so does not start others."""
+    called = []
+    monkeypatch.setattr(
+        "usarmjx.train.processes.launch.spawn", lambda count, command: called.append((count, command)) or 3
+    )
+    monkeypatch.setattr(sys, "argv", ["usarmjx", "train", "--processes", "2"])
+    result = invoke("train", "--task", "drive-to-goal", "--out", "x", "--processes", "2")
+    assert result.exit_code == 3
+    assert called == [(2, [sys.executable, "-m", "usarmjx", "train", "--processes", "2"])]
+    assert "USARMJX_PROCESS" not in os.environ

@@ -1,0 +1,240 @@
+"""The three engines: the same result, and what the batch promises about worlds and randomness."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arenas import COURSE, FLAT
+from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatureError, UsageError
+from usarmjx.engines.base import check_features
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+PARITY = 5e-3
+"""Poses after 1 s of driving up a ramp and over a step [m]: single against double precision and another
+contact function, through a solver that is stopped after 16 iterations, over a path of 0.4 m."""
+ALONE = 1e-4
+"""Poses of a world alone and in a batch after 1 s [m]: XLA orders sums differently for other batch sizes, and
+a solver that is stopped early makes more of it, so these tests let it converge."""
+CONVERGED = Physics(iterations=30, ls_iterations=20)
+SECOND = 50  # control steps of 20 ms
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(COURSE, ["P2AT", "P2AT"], CONVERGED)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return build_scene(FLAT, ["P2AT"], CONVERGED)
+
+
+@pytest.fixture(scope="module")
+def jax_batch(flat):
+    return Batch(flat, 2, engine="jax", seed=3)
+
+
+def drive_for(batch, steps=SECOND, left=4.0, right=4.0):
+    state = batch.drive(batch.reset(), 0, {"Left": left, "Right": right})
+    for _ in range(steps):
+        state = batch.step(state)
+    return state
+
+
+def roots(batch, state):
+    return np.asarray(batch.physics(state).qpos)[:, batch.scene.teams[0].root_qpos]
+
+
+@pytest.fixture(scope="module")
+def driven(jax_batch):
+    """One second of driving on `jax`, shared by the tests below."""
+    return drive_for(jax_batch)
+
+
+@pytest.fixture(scope="module")
+def reference(scene):
+    batch = Batch(scene, 2, engine="c", seed=3)
+    return roots(batch, drive_for(batch))
+
+
+@pytest.mark.oracle
+def test_jax_drives_as_c_mujoco_does(scene, reference):
+    batch = Batch(scene, 2, engine="jax", seed=3)
+    state = drive_for(batch)
+    np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
+    batch.check(state)
+
+
+@pytest.mark.oracle
+def test_warp_drives_as_c_mujoco_does(scene, reference):
+    pytest.importorskip("warp", reason="needs warp-lang")
+    batch = Batch(scene, 2, engine="warp", seed=3)
+    state = drive_for(batch)
+    np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
+    batch.check(state)
+    # Warp only sets bits of overflow: an old one must not count again in every later step.
+    full = state.replace(physics=state.physics.tree_replace({"_impl.overflow": jnp.array([1, 0])}))
+    assert np.asarray(batch.engine.overflow(full.physics, None)).tolist() == [1, 0]
+    assert np.asarray(batch.step(full).worlds.status.overflow).tolist() == [0, 0]
+
+
+def test_the_robots_really_met_the_ramp_and_the_step(reference):
+    on_the_flat = 0.26
+    assert (reference[0, :, 2] > on_the_flat + 0.01).all(), "one climbs the ramp, the other the step"
+
+
+def test_c_batch_is_plain_mj_step(scene):
+    """The engine adds nothing to MuJoCo: same model, same inputs, same double-precision state."""
+    batch = Batch(scene, 1, engine="c", seed=3)
+    state = batch.drive(batch.reset(), 0, {"Left": 2.0, "Right": 2.0})
+    data = mujoco.MjData(batch.engine.model)
+    data.qpos[:] = state.physics.qpos[0]
+    for _ in range(5):
+        _, inputs = batch._control(state.worlds, batch.physics(state))
+        data.ctrl[:], data.act[:] = np.asarray(inputs.ctrl[0]), np.asarray(inputs.act[0])
+        mujoco.mj_step(batch.engine.model, data, nstep=scene.physics.substeps)
+        state = batch.step(state)
+        np.testing.assert_array_equal(state.physics.qpos[0], data.qpos)
+
+
+def test_a_world_alone_is_the_world_in_a_batch(flat, jax_batch, driven):
+    alone = Batch(flat, 1, engine="jax", seed=3, first=1)
+    state = drive_for(alone)
+    np.testing.assert_allclose(roots(alone, state)[0], roots(jax_batch, driven)[1], atol=ALONE)
+    np.testing.assert_array_equal(
+        jax.random.key_data(state.worlds.key[0]), jax.random.key_data(driven.worlds.key[1])
+    )
+
+
+def test_noise_draws_do_not_depend_on_the_batch(flat):
+    """Bit-equal: same world number, same step, same robot, same sensor; other worlds differ."""
+    together = Batch(flat, 3, engine="c", seed=5)
+    alone = Batch(flat, 1, engine="c", seed=5, first=2)
+    _, many = together.observe(together.reset())
+    _, one = alone.observe(alone.reset())
+    for a, b in zip(jax.tree.leaves(many), jax.tree.leaves(one), strict=True):
+        np.testing.assert_array_equal(np.asarray(a)[2], np.asarray(b)[0])
+
+
+def test_a_partial_reset_leaves_the_other_worlds_bit_exact(jax_batch, driven):
+    mask = jnp.array([False, True])
+    after = jax_batch.reset_where(driven, mask)
+    qpos = np.asarray(jax_batch.physics(after).qpos)
+    np.testing.assert_array_equal(qpos[0], np.asarray(jax_batch.physics(driven).qpos)[0])
+    np.testing.assert_array_equal(qpos[1], np.asarray(jax_batch.physics(jax_batch.reset()).qpos)[1])
+    for new, old in zip(
+        jax.tree.leaves(after.worlds.teams), jax.tree.leaves(driven.worlds.teams), strict=True
+    ):
+        np.testing.assert_array_equal(np.asarray(new)[0], np.asarray(old)[0])
+    assert np.asarray(after.worlds.episode).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("engine", ["jax", "c"])
+def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, jax_batch, engine):
+    batch = jax_batch if engine == "jax" else Batch(flat, 2, engine="c", seed=3)
+    start = batch.drive(batch.reset(), 0, {"Left": 2.0, "Right": 2.0})
+    broken_qpos = np.asarray(batch.physics(start).qpos).copy()
+    broken_qpos[1, 0] = np.nan
+    pinned = np.zeros_like(broken_qpos, bool)
+    pinned[1, 0] = True
+    no_dof = np.zeros(np.asarray(batch.physics(start).qvel).shape, bool)
+    broken = start.replace(physics=batch.engine.place(start.physics, pinned, no_dof, broken_qpos))
+    good, bad = batch.step(start), batch.step(broken)
+    assert np.asarray(bad.worlds.status.not_finite).tolist() == [0, 1]
+    assert np.asarray(bad.worlds.episode).tolist() == [0, 1]
+    assert np.isfinite(np.asarray(batch.physics(bad).qpos)).all()
+    np.testing.assert_array_equal(
+        np.asarray(batch.physics(bad).qpos)[0], np.asarray(batch.physics(good).qpos)[0]
+    )
+
+
+def test_commands_that_are_not_finite_reach_nobody(jax_batch):
+    state = jax_batch.drive(jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan], [2.0]]), "Right": 2.0})
+    state = jax_batch.step(state)
+    assert np.asarray(state.worlds.status.refused).tolist() == [2, 0]  # two left wheels of one robot
+    assert np.asarray(state.worlds.status.not_finite).tolist() == [0, 0]
+
+
+def test_one_compilation_serves_all_steps(jax_batch, driven):
+    del driven
+    assert jax_batch.step._cache_size() == 1
+
+
+def test_overflow_is_an_error_that_names_the_setting(jax_batch, driven):
+    jax_batch.check(driven)
+    counted = driven.worlds.status.replace(overflow=jnp.array([0, 2]))
+    with pytest.raises(EngineError, match=r"1 of 2 worlds; raise Physics.contacts_per_robot"):
+        jax_batch.check(driven.replace(worlds=driven.worlds.replace(status=counted)))
+
+
+def test_jax_counts_a_full_contact_buffer():
+    tight = build_scene(FLAT, ["P2AT"], Physics(contacts_per_robot=4))
+    batch = Batch(tight, 1, engine="jax")
+    state = batch.step(batch.step(batch.reset()))
+    assert int(state.worlds.status.overflow[0]) > 0
+    with pytest.raises(EngineError, match="overflowed"):
+        batch.check(state)
+
+
+@pytest.mark.parametrize(
+    ("xml", "engine", "named"),
+    [
+        ('<geom size=".1" surfacevel="1 0 0 0 0 0"/>', "jax", "geom_surfacevel"),
+        ('<geom name="pipe" type="cylinder" size=".1 .1"/>', "jax", "pipe"),
+    ],
+)
+def test_features_that_an_engine_ignores_are_refused_by_name(xml, engine, named):
+    body = '<body pos="0 0 1"><freejoint/><geom name="ball" size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{xml}{body}</worldbody></mujoco>")
+    with pytest.raises(UnsupportedFeatureError, match=named):
+        check_features(model, engine)
+    check_features(model, "c")
+
+
+def test_joint_armature_is_not_the_actuator_attribute_that_engines_ignore(scene):
+    for engine in ("c", "jax", "warp"):
+        check_features(scene.model, engine)
+
+
+def test_bad_requests_say_what_is_allowed(scene):
+    with pytest.raises(UsageError, match="at least one world"):
+        Batch(scene, 0, engine="c")
+    with pytest.raises(UnknownNameError, match="c, jax, warp"):
+        Batch(scene, 1, engine="karma")
+
+
+def test_worlds_draw_different_noise():
+    """In sight of a wall the sonars' noise shows, and no two worlds have the same."""
+    batch = Batch(build_scene("yellow", ["P2AT"]), 2, engine="c", seed=5)
+    _, readings = batch.observe(batch.reset())
+    sonar = np.asarray(readings[0][0].value)
+    assert (sonar[0] != sonar[1]).any()
+
+
+WEDGE = Mesh(vertices=np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0.3), (1, 1, 0.3)], float))
+HILL = HeightField(heights=np.array([(0.0, 0.1), (0.0, 0.0)]))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape(kind="mesh", mesh=WEDGE, surface="ground"),
+        Shape(kind="hfield", size=(2, 2, 0.1), heights=HILL, surface="ground"),
+    ],
+    ids=lambda shape: shape.kind,
+)
+def test_wheels_on_meshes_and_terrain_are_refused_by_jax_alone(shape):
+    arena = replace(ARENAS.get("field"), name="uneven", shapes=(shape,))
+    model = build_scene(arena, ["P2AT"]).model
+    with pytest.raises(UnsupportedFeatureError, match=r"Wheel.*refused"):
+        check_features(model, "jax")
+    for engine in ("c", "warp"):
+        check_features(model, engine)

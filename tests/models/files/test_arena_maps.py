@@ -1,0 +1,150 @@
+"""Terrain from grey images, and walls from maps of ROS' map_server."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image
+
+import dev
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.images import read_heights, write_heights
+from usarmjx.models.files.load import load_arena
+from usarmjx.models.files.maps import rectangles
+
+EXAMPLES = dev.ROOT / "examples" / "arenas"
+EXACT = 1e-9  # m
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(("kind", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_grey_values_are_heights(kind, white, tmp_path):
+    pixels = np.array([[0, white // 5], [white // 3, white], [0, 0]], kind)
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    heights = read_heights(tmp_path / "a.png", 3.0)
+    np.testing.assert_allclose(heights, [[0, 0], [1, 3], [0, 0.6]], atol=EXACT)  # the last line is near
+    (shape,) = load_arena(tmp_path / "a.png").shapes
+    assert shape.size == pytest.approx((0.05, 0.1, 0.1))
+
+
+def test_heights_are_rounded_to_half_a_step(tmp_path):
+    heights = np.random.default_rng(0).uniform(0, 7, (5, 4))
+    top = write_heights(tmp_path / "a.png", heights)
+    np.testing.assert_allclose(
+        read_heights(tmp_path / "a.png", top), heights, atol=top / 65535 * 0.5001, rtol=0
+    )
+
+
+def test_a_broken_image_is_one_line(tmp_path):
+    whole = (EXAMPLES / "hill.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
+    Image.new("RGB", (4, 4)).save(tmp_path / "colour.png")
+    Image.new("L", (4, 1)).save(tmp_path / "flat.png")
+    for name, says in (("cut", "does not read as an image"), ("colour", "mode RGB"), ("flat", "2 x 2")):
+        with pytest.raises(ArenaFileError, match=rf"{name}\.png: .*{says}") as caught:
+            load_arena(tmp_path / f"{name}.png")
+        assert "\n" not in str(caught.value)
+
+
+@given(arrays.arrays(bool, st.tuples(st.integers(1, 8), st.integers(1, 8))))
+def test_rectangles_cover_what_is_filled_once(filled):
+    count = np.zeros(filled.shape, int)
+    for r0, r1, c0, c1 in rectangles(filled):
+        count[r0:r1, c0:c1] += 1
+    np.testing.assert_array_equal(count, filled)
+
+
+def map_file(folder, pixels, **keys):
+    Image.fromarray(np.array(pixels, np.uint8)).save(folder / "map.png")
+    lines = [f"{key}: {value}" for key, value in {"image": "map.png", "resolution": 0.5, **keys}.items()]
+    return write(folder / "map.yaml", "\n".join(lines))
+
+
+def cells(path, side=0.5, **wanted):
+    """Which cells of a map in one row are walls."""
+    more = "".join(f", {key}: {value}" for key, value in wanted.items())
+    arena = load_arena(write(path.with_name("a.yaml"), f"map: {{file: {path.name}{more}}}\nstarts: []"))
+    walls = set()
+    for shape in arena.shapes:
+        first, last = ((shape.at[0] + sign * shape.size[0]) / side for sign in (-1, 1))
+        walls |= set(range(round(first), round(last)))
+    return sorted(walls)
+
+
+GREYS = [[0, 89, 90, 127, 204, 205, 206, 254, 255]]  # occupied 1, .651, .647, .502, .2, .196, .192, .004, 0
+
+
+@pytest.mark.parametrize(
+    ("keys", "wanted", "walls"),
+    [
+        ({}, {}, [0, 1]),  # above 0.65
+        ({}, {"unknown": "occupied"}, [0, 1, 2, 3, 4, 5]),  # 0.196078 is not below 0.196
+        ({"negate": 1}, {}, [4, 5, 6, 7, 8]),
+        ({"occupied_thresh": 0.5}, {}, [0, 1, 2, 3]),
+        ({"mode": "scale"}, {}, [0, 1, 2, 3]),  # from (.65 + .196) / 2 = .423 on
+        ({"mode": "raw"}, {}, [1, 2]),  # 65 to 100; more is unknown
+        ({"mode": "raw"}, {"unknown": "occupied"}, [1, 2, 3, 4, 5, 6, 7, 8]),
+    ],
+)
+def test_thresholds_are_map_servers(keys, wanted, walls, tmp_path):
+    assert cells(map_file(tmp_path, GREYS, **keys), **wanted) == walls
+
+
+def test_transparent_cells_of_a_graded_map_are_unknown(tmp_path):
+    path = map_file(tmp_path, [[0]], mode="scale")
+    pixels = np.array([[(0, 255), (100, 255), (100, 128)]], np.uint8)
+    Image.fromarray(pixels, "LA").save(tmp_path / "map.png")
+    assert cells(path) == [0, 1]
+    assert cells(path, unknown="occupied") == [0, 1, 2]
+
+
+def test_a_map_lies_where_its_origin_is(tmp_path):
+    pixels = [[255] * 40] * 40
+    pixels[10] = [255] * 30 + [0] * 10  # the last ten cells of the line 29.5 cells from below
+    arena = load_arena(map_file(tmp_path, pixels, origin=[1, 2, np.pi / 2], resolution=0.1))
+    (wall,) = arena.shapes
+    assert wall.size == pytest.approx((0.5, 0.05, 0.6))
+    assert wall.at == pytest.approx((1 - 2.95, 2 + 3.5, 0.6), abs=EXACT)  # turned to the left
+    assert wall.rotation == (0, 0, np.pi / 2)
+    assert arena.extent == (pytest.approx((-3, 1)), pytest.approx((2, 6)))
+    (start,) = arena.starts
+    assert start.at[2] == 0.188
+
+
+def test_the_office_is_the_map():
+    arena = load_arena(EXAMPLES / "office-map.yaml")
+    rows = [[int(v) for v in line.split()] for line in (EXAMPLES / "office.pgm").read_text().splitlines()[4:]]
+    filled = np.zeros((16, 24), int)
+    for shape in arena.shapes:
+        low, high = (
+            np.rint((np.array(shape.at) + sign * np.array(shape.size) - (-3, -2, 0)) / 0.25).astype(int)
+            for sign in (-1, 1)
+        )
+        filled[low[1] : high[1], low[0] : high[0]] += 1
+    np.testing.assert_array_equal(filled[::-1], np.array(rows) == 0)
+    assert len(arena.shapes) <= 9
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("image: gone.pgm\nresolution: 1", "gone.pgm: cannot be read"),
+        ("image: a.yaml\nresolution: 1", "does not read as an image"),
+        ("image: a.yaml\nresolution: 0", r"a.yaml:2: resolution: is not above zero"),
+        (
+            "image: a.yaml\nresolution: 1\nmode: odd",
+            r"a.yaml:3: mode: 'odd' is not one of trinary, scale, raw",
+        ),
+        ("image: a.yaml\nresolution: 1\nnegate: 2", r"a.yaml:3: negate: 2 is not 0 or 1"),
+        ("image: a.yaml\nresolution: 1\nscale: 2", r"a.yaml:3: scale: unknown key 'scale'"),
+        ("image: a.yaml\nresolution: 1\nfree_thresh: 0.9", "free_thresh 0.9 is above occupied_thresh 0.65"),
+    ],
+)
+def test_a_mistake_in_a_map_is_named(text, says, tmp_path):
+    with pytest.raises(ArenaFileError, match=says):
+        load_arena(write(tmp_path / "a.yaml", text))

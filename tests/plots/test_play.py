@@ -1,0 +1,113 @@
+"""Pictures of a policy at work."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from tests.train.handmade import policy_file
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.app import app
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.plots.play import HASTE, _caption, film, write
+from usarmjx.server.pictures.spectator_server import SpectatorServer
+from usarmjx.server.worlds.policy_world import DrivenWorld
+from usarmjx.train.make import make
+from usarmjx.train.policies import policies_in, sources
+from usarmjx.train.policies.sources import find_source
+
+LIGHT = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 4}
+SEED = 2
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """An environment and a policy that heads for its goals."""
+    file = policy_file(tmp_path_factory.mktemp("policy") / "goal.npz")
+    env = make("drive-to-goal", engine="c", episode_steps=150, **LIGHT)
+    return env, find_source(str(file)).policy(env)
+
+
+@pytest.fixture(scope="module")
+def shown(driven):
+    return film(*driven, seed=SEED)
+
+
+def test_a_film_shows_where_the_robot_truly_was(driven, shown):
+    """The critic is told the way to the goal; at full speed a step of 0.2 s is 0.14 m."""
+    env, _ = driven
+    way = np.asarray(env.reset(SEED).privileged[0, :2])
+    np.testing.assert_allclose(shown.goal - shown.poses[0, 0, :2], way, atol=1e-5)
+    np.testing.assert_allclose(np.diff(shown.times), env.period, rtol=1e-6)
+    limit = ROBOTS.get("P2AT").drive.full["Left"] * ROBOTS.get("P2AT").wheel_radius * env.period
+    steps = np.linalg.norm(np.diff(shown.poses[:, 0, :2], axis=0), axis=-1)
+    assert steps.max() < 1.05 * limit
+    assert (shown.end, shown.scores[-1], shown.scores[-2]) == ("done", 1.0, 0.0)
+    left = np.linalg.norm(shown.goal - shown.poses[-1, 0, :2])
+    assert env.task.radius < left < env.task.radius + limit, "the step before it was there"
+
+
+def test_a_film_ends_when_asked(driven):
+    short = film(*driven, seconds=1.0, seed=SEED)
+    assert (len(short.times), short.times[-1], short.end) == (6, pytest.approx(1.0), "")
+    with pytest.raises(UsageError, match="more than 0"):
+        film(*driven, seconds=0.0)
+
+
+def test_captions_tell_time_and_score(shown):
+    assert _caption(shown, 0) == "0.0 s   score 0.00"
+    assert _caption(shown, len(shown.times) - 1) == f"{shown.times[-1]:.1f} s   score 1.00 (done)"
+
+
+def test_a_strip_has_the_goal_in_every_moment(shown, tmp_path):
+    write(shown, tmp_path / "new" / "strip.png")
+    picture = np.asarray(Image.open(tmp_path / "new" / "strip.png").convert("RGB")).astype(int)
+    red = np.abs(picture - (0xC4, 0x12, 0x2F)).sum(-1) < 30
+    rows, columns = np.array_split(np.arange(len(red)), 2), np.array_split(np.arange(red.shape[1]), 3)
+    assert all(red[np.ix_(row, column)].sum() > 20 for row in rows for column in columns)
+
+
+def test_an_animation_moves_and_lasts_as_long_as_the_episode(shown, tmp_path):
+    write(shown, tmp_path / "film.gif")
+    with Image.open(tmp_path / "film.gif") as picture:
+        assert picture.n_frames == len(shown.times)
+        first, lasted = np.asarray(picture.convert("RGB")).astype(int), 0
+        for frame in range(picture.n_frames):
+            picture.seek(frame)
+            lasted += picture.info["duration"]
+        assert np.abs(np.asarray(picture.convert("RGB")).astype(int) - first).sum(-1).max() > 200
+    # The last moment, which stays for 2 s, is that of the end.
+    assert lasted == pytest.approx(1000 * shown.times[-1] / HASTE + 2000, rel=0.02)
+
+
+def test_other_endings_are_refused(shown, tmp_path):
+    with pytest.raises(UsageError, match=r"pictures end in \.png, \.gif"):
+        write(shown, tmp_path / "film.mp4")
+    done = CliRunner().invoke(app, ["play", "--baseline", "wander", "--out", "film.mp4"])
+    assert done.exit_code == 2
+
+
+def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
+    """What clients meet in it is tested with `DrivenWorld`."""
+    served = []
+    monkeypatch.setattr("usarmjx.server.net.serve", lambda *given: served.append(given))
+    file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
+    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
+    done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
+    assert done.exit_code == 0, done.output
+    assert done.output == "robots to take over by INIT: P2AT0\n"
+    ((world, settings, (page,)),) = served
+    assert isinstance(page, SpectatorServer)
+    assert isinstance(world, DrivenWorld)
+    assert (settings.host, settings.port, settings.realtime_factor) == ("127.0.0.1", 3001, 2.0)
+
+
+def test_play_runs_a_packaged_policy_by_the_name_of_its_task(tmp_path, monkeypatch):
+    policy_file(tmp_path / "drive-to-goal.npz", {"ranges": ""})
+    monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["play", "drive-to-goal", "--out", "strip.png", "--seconds", "1"])
+    assert done.exit_code == 0, done.output
+    assert "drive-to-goal: 1.0 s, score 0.00: strip.png" in done.output
+    assert (tmp_path / "strip.png").read_bytes().startswith(b"\x89PNG")

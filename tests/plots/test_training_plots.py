@@ -1,0 +1,148 @@
+"""Figures of training: what is drawn is what was written down."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from numpy.testing import assert_allclose, assert_array_equal
+from typer.testing import CliRunner
+
+import dev
+from tests.test_docs import blocks
+from tests.train.runs import lines
+from usarmjx.base.errors import UsageError
+from usarmjx.bench.train import train_record
+from usarmjx.cli.app import app
+from usarmjx.plots.training_plots import BLUE, ORANGE, PALE, draw_curves, mean_curve, of_run, read_curves
+from usarmjx.train.learning.metrics import read_lines
+
+ABOUT = {"benchmark": "train", "device": "GPU", "worlds": 8, "agent_steps_per_s": 50.0}
+RECORDS = (
+    {**ABOUT, "task": "wait", "seed": 0, "curve": [[100, 9.0]]},  # superseded by the last one
+    {**ABOUT, "task": "wait", "seed": 1, "curve": [[100, 0.0], [300, 4.0]], "baseline": 3.0},
+    {"benchmark": "step", "worlds": 8},
+    {**ABOUT, "task": "go", "seed": 0, "curve": [[1e6, -1.0, 7.0], [2e6, 5.0, 9.0]]},
+    {**ABOUT, "task": "wait", "seed": 0, "curve": [[100, 2.0], [200, 4.0], [400, 6.0]], "baseline": 3.0},
+)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "train.jsonl"
+    path.write_text("".join(json.dumps(record) + "\n" for record in RECORDS))
+    return path
+
+
+@pytest.fixture
+def panels(file):
+    """Of each panel the lines in it by colour, as places and scores."""
+    figure = Figure()
+    draw_curves(figure, read_curves(file))
+    found = []
+    for axes in figure.axes:
+        drawn = {}
+        for line in axes.lines:
+            drawn.setdefault(line.get_color(), []).append(np.array(line.get_data(), float).T.tolist())
+        found.append((axes, drawn))
+    return found
+
+
+def test_each_task_has_its_curves_over_steps_and_over_time(panels):
+    """Time is as written down, or at the record's steps per second; the last run of a seed counts."""
+    (steps, waited), (time, timed), (_, went), (_, went_on) = panels
+    assert (steps.get_xlabel(), time.get_xlabel()) == ("million agent steps", "time [s]")
+    assert steps.get_title(loc="left") == "wait (8 worlds, GPU)"
+    first, second = [[1e-4, 2.0], [2e-4, 4.0], [4e-4, 6.0]], [[1e-4, 0.0], [3e-4, 4.0]]
+    assert_allclose(waited[PALE][0], first)
+    assert_allclose(waited[PALE][1], second)
+    assert_allclose(timed[PALE][0], [[2.0, 2.0], [4.0, 4.0], [8.0, 6.0]])
+    assert went == {BLUE: [[[1.0, -1.0], [2.0, 5.0]]]}
+    assert went_on == {BLUE: [[[7.0, -1.0], [9.0, 5.0]]]}
+    assert panels[2][0].get_ylim()[0] == -1.0
+
+
+def test_the_mean_goes_as_far_as_all_seeds(panels):
+    """At 200 steps (4 + 2) / 2, at 300 (5 + 4) / 2; beyond, one of them has nothing."""
+    (_, waited), (_, timed), *_ = panels
+    assert_allclose(waited[BLUE], [[[1e-4, 1.0], [2e-4, 3.0], [3e-4, 4.5]]])
+    assert_allclose(timed[BLUE], [[[2.0, 1.0], [4.0, 3.0], [6.0, 4.5]]])
+
+
+def test_the_baseline_is_a_line_across(panels):
+    (axes, waited), *_, (_, went) = panels
+    assert [score for _, score in waited[ORANGE][0]] == [3.0, 3.0]
+    assert ORANGE not in went
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "mean of 2 seeds",
+        "baseline by hand",
+    ]
+
+
+def test_a_run_is_drawn_from_what_it_has_written(reference):
+    curve = of_run(reference)
+    written = lines(reference)
+    assert (curve.task, curve.seed, curve.about) == ("drive-toy", 0, "32 worlds")
+    assert_array_equal(curve.steps, [line["agent_steps"] for line in written])
+    assert_array_equal(curve.score, [line["score"] for line in written])
+    first, second, *_ = (2400 / line["steps_per_s"] for line in read_lines(reference / "metrics.jsonl"))
+    assert_allclose(curve.seconds[:2], [first, first + second])
+    places, mean = mean_curve([curve, curve], lambda one: one.steps)
+    assert_array_equal(places, curve.steps)
+    assert_allclose(mean, curve.score)
+
+
+def test_the_command_draws_records_and_runs(file, reference, tmp_path):
+    out = tmp_path / "new" / "curves.png"
+    done = CliRunner().invoke(app, ["curves", str(file), str(reference), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert done.output == f"wrote {out}\n"
+    rows, columns, _ = imread(out).shape
+    assert (columns, rows) == (900, 3 * 280)
+
+
+def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):
+    """And when it was as good as the baseline: in the first iteration with such a score."""
+    file, scores = tmp_path / "records.jsonl", [line["score"] for line in lines(reference)]
+    words = ["bench", "train", str(reference), "--baseline", "0.5", "--json", str(file)]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    (record,), (curve,) = (json.loads(line) for line in file.open()), read_curves(file)
+    drawn = of_run(reference)
+    assert_array_equal(curve.steps, drawn.steps)
+    assert_allclose(curve.score, drawn.score, atol=5e-5)  # four decimals
+    assert_allclose(curve.seconds, drawn.seconds, atol=0.05)  # one
+    reached = drawn.seconds[next(i for i, score in enumerate(scores) if score >= 0.5)]
+    assert (curve.baseline, record["baseline_reached_s"]) == (0.5, pytest.approx(reached))
+    assert record["agent_steps"] == 24_000
+    assert any(change.startswith("discount: 0.99 -> 0.9") for change in record["settings"]["training"])
+    assert f"score {scores[-1]:.3f}; baseline 0.5 after {reached:.0f} s" in done.output
+    assert train_record(reference, 2.0)["baseline_reached_s"] is None
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (None, "is neither a file of benchmark records nor the folder of a run"),
+        ("", "has no records of training"),
+        ('{"benchmark": "step"}\n', "has no records of training"),
+        ('{"benchmark": "train"}\n', "is no file of benchmark records: KeyError"),
+        ("hello\n", "is no file of benchmark records"),
+    ],
+)
+def test_what_has_no_curves_is_refused(text, complaint, tmp_path):
+    path = tmp_path / "records.jsonl"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(UsageError, match=complaint):
+        read_curves(path)
+
+
+def test_the_figure_of_the_docs_is_of_all_records():
+    page = (dev.ROOT / "docs" / "training.md").read_text(encoding="utf-8")
+    assert "](training-curves.png)" in page
+    command = "usarmjx curves benchmarks/results/train.jsonl --out docs/training-curves.png"
+    assert any(command in block for block in blocks(page, "console"))
+    assert (dev.ROOT / "docs" / "training-curves.png").stat().st_size < 150_000
+    assert all(curve.baseline for curve in read_curves(dev.ROOT / "benchmarks" / "results" / "train.jsonl"))

@@ -1,0 +1,219 @@
+"""One world of a batch, served: clients claim robots that wait parked."""
+
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from usarmjx.base.errors import UsageError
+from usarmjx.cameras.paint import ROBOT
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.worlds.batch_world import ClaimedWorld
+from usarmjx.server.worlds.host import Shot, Vista
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import PARKING_HEIGHT, Entry, build_scene
+
+P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
+STAND = 0.26  # m: a P2AT's origin above the floor (manual 5.3.6)
+SERVED, OTHERS = 1, [0, 2]
+LEVEL = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    scene = build_scene(FLAT, [Entry(robot="P2AT", parked=True)] * 2)
+    return Batch(scene, 3, engine="c", seed=4)
+
+
+@pytest.fixture(scope="module")
+def compiled(batch):
+    return ClaimedWorld(batch, SERVED)
+
+
+@pytest.fixture
+def world(compiled, batch):
+    """The world with all robots parked, as at its start."""
+    yield compiled
+    for robot in list(compiled.robots.values()):
+        compiled.remove(robot)
+    compiled.step()
+
+
+def places(world, batch):
+    """Positions of all robots (worlds, robots, 3)."""
+    return np.asarray(batch.physics(world._state).qpos)[:, batch.scene.teams[0].root_qpos[:, :3]]
+
+
+def run(world, steps):
+    for _ in range(steps):
+        world.step()
+
+
+def reading(world, robot, kind):
+    """The robot's next reading of a sensor."""
+    place = robot.suite.place(kind)
+    robot.pending.clear()
+    for _ in range(60):
+        world.step()
+        world.observe([robot])
+        if place in robot.pending:
+            return robot.pending.pop(place)
+    raise AssertionError(f"no {kind} for 1.2 s")
+
+
+def drive(world, robot, left, right):
+    target = robot.command.target.copy()
+    target[[0, 2]], target[[1, 3]] = left, right
+    world.tell(robot, robot.command.replace(target=target))
+
+
+def test_parked_robots_stay_where_they_wait_to_the_bit(world, batch):
+    before = places(world, batch)
+    run(world, 20)
+    np.testing.assert_array_equal(places(world, batch), before)
+    assert (before[..., 2] > PARKING_HEIGHT - 1).all()
+
+
+def test_a_claimed_robot_stands_where_its_client_wanted_it(world, batch):
+    robot = world.spawn(P2AT, "R1", (1.0, -2.0, 0.5), (0.0, 0.0, 1.0))
+    run(world, 50)
+    pos = places(world, batch)
+    np.testing.assert_allclose(pos[SERVED, robot.slot], [1.0, -2.0, STAND], atol=0.01)
+    truth = reading(world, robot, "GroundTruth")
+    np.testing.assert_allclose(truth, [1.0, -2.0, STAND, 0.0, 0.0, 1.0], atol=0.02)
+    assert (pos[OTHERS, :, 2] > PARKING_HEIGHT - 1).all(), "nobody moved in the other worlds"
+
+
+def test_it_drives_as_told_and_the_other_worlds_do_not_notice(world, batch):
+    robot = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    before = places(world, batch)[OTHERS]
+    drive(world, robot, 3.0, 3.0)
+    run(world, 100)
+    pos = places(world, batch)
+    assert pos[SERVED, robot.slot, 0] == pytest.approx(3.0 * P2AT.wheel_radius * 2.0, rel=0.1)
+    np.testing.assert_array_equal(pos[OTHERS], before)
+    np.testing.assert_allclose(reading(world, robot, "Odometry")[0], pos[SERVED, robot.slot, 0], atol=0.3)
+
+
+def test_one_inside_the_floor_is_raised(world, batch, caplog):
+    caplog.set_level("INFO", "usarmjx")
+    robot = world.spawn(P2AT, "Mole", (0.0, 0.0, -3.0), LEVEL)
+    assert "Mole would start 3.260 m inside the floor: raised" in caplog.text
+    run(world, 50)
+    assert places(world, batch)[SERVED, robot.slot, 2] == pytest.approx(STAND, abs=0.01)
+
+
+def test_when_none_is_left_the_roster_is_named(world):
+    first, second = (world.spawn(P2AT, f"R{i}", (0.0, 2.0 * i, STAND), LEVEL) for i in range(2))
+    assert {first.slot, second.slot} == {0, 1}
+    with pytest.raises(UsageError, match="no parked P2AT left in the roster"):
+        world.spawn(P2AT, "R3", (0.0, -2.0, STAND), LEVEL)
+
+
+def test_a_class_that_is_not_in_the_roster_is_refused(world):
+    with pytest.raises(UsageError, match="no parked P2DX left"):
+        world.spawn(P2DX, "R1", (0.0, 0.0, 0.2), LEVEL)
+    assert not world.robots
+
+
+def test_a_place_out_of_reach_is_refused_and_claims_nobody(world):
+    with pytest.raises(UsageError, match="out of reach"):
+        world.spawn(P2AT, "R1", (1e6, 0.0, 0.0), LEVEL)
+    assert not world.robots
+
+
+def test_leaving_parks_the_robot_and_the_next_client_gets_it_at_rest(world, batch):
+    robot = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    drive(world, robot, 5.0, 5.0)
+    run(world, 20)
+    world.remove(robot)
+    run(world, 20)
+    assert (places(world, batch)[..., 2] > PARKING_HEIGHT - 1).all()
+    again = world.spawn(P2AT, "R2", (0.0, 0.0, STAND), LEVEL)
+    assert again.slot == robot.slot
+    run(world, 50)
+    np.testing.assert_allclose(places(world, batch)[SERVED, again.slot, :2], 0.0, atol=0.01)
+    np.testing.assert_allclose(reading(world, again, "Odometry"), 0.0, atol=0.01)
+
+
+def test_leaving_twice_does_not_take_the_next_clients_robot(world):
+    """A client whose world started again is told late; its slot may have been claimed by then."""
+    old = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    world.remove(old)
+    new = world.spawn(P2AT, "R2", (0.0, 0.0, STAND), LEVEL)
+    assert new.slot == old.slot
+    world.remove(old)
+    assert world.robots == {new.slot: new}
+
+
+def test_a_robot_in_use_is_heard_and_a_parked_one_is_not(world):
+    first = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    forward = [mount.name for mount in P2AT.sensors if mount.kind == "Sonar"].index("F4")
+    assert reading(world, first, "Sonar")[forward] == 5.0
+    second = world.spawn(P2AT, "R2", (1.0, 0.0, STAND), LEVEL)
+    assert reading(world, first, "Sonar")[forward] < 1.0
+    world.remove(second)
+    assert reading(world, first, "Sonar")[forward] == 5.0
+
+
+def test_orders_reach_the_sensors_memory(world):
+    robot = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    drive(world, robot, 3.0, 3.0)
+    run(world, 50)
+    drive(world, robot, 0.0, 0.0)
+    run(world, 50)
+    odometry = robot.suite.place("Odometry")
+    assert reading(world, robot, "Odometry")[0] > 0.2
+    assert world.order(robot, odometry, "RESET", ())
+    assert abs(reading(world, robot, "Odometry")[0]) < 0.02
+    assert not world.order(robot, odometry, "SCAN", ())
+
+
+def test_a_world_that_goes_bad_loses_its_robots_and_time_goes_on(world, batch, caplog):
+    robot = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    before = world.time
+    qpos = np.array(batch.physics(world._state).qpos)
+    pinned, no_dof = np.zeros(qpos.shape, bool), np.zeros((3, batch.scene.model.nv), bool)
+    at = batch.scene.teams[0].root_qpos[robot.slot, 0]
+    pinned[SERVED, at], qpos[SERVED, at] = True, np.nan
+    world._state = world._state.replace(
+        physics=batch.engine.place(world._state.physics, pinned, no_dof, qpos)
+    )
+    world.step()
+    assert not world.robots
+    assert "not finite" in caplog.text
+    assert world.time == pytest.approx(before + world.period)
+    again = world.spawn(P2AT, "R2", (0.0, 0.0, STAND), LEVEL)
+    assert reading(world, again, "GroundTruth")[2] == pytest.approx(STAND, abs=0.01)
+
+
+@pytest.mark.parametrize("instance", [-1, 3])
+def test_an_instance_out_of_range_is_an_error(batch, instance):
+    with pytest.raises(UsageError, match=f"instance {instance} is not among worlds 0 to 2"):
+        ClaimedWorld(batch, instance)
+
+
+def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
+    """From 3 m behind; every length in a pinhole's picture goes with 1 / tan(fov / 2)."""
+    seer = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)
+    other = world.spawn(P2AT, "R2", (3.0, 0.0, STAND), LEVEL)
+    run(world, 10)
+    counts = []
+    for fov in (1.0, 0.5):
+        assert world.zoom(seer, 0, fov)
+        (picture,) = world.expose([Shot(seer, 0, 96, 72)])()
+        assert picture.rgb.shape == (72, 96, 3)
+        counts.append((picture.segmentation == ROBOT + other.slot).sum())
+    assert counts[0] > 50
+    # It is about 10 and 20 pixels wide: its rim is a fifth of it.
+    assert counts[1] / counts[0] == pytest.approx((np.tan(0.5) / np.tan(0.25)) ** 2, rel=0.2)
+    take = world.expose([Shot(seer, 0, 96, 72)])
+    world.remove(other)
+    run(world, 1)
+    assert (take()[0].segmentation == ROBOT + other.slot).sum() == counts[1], "the moment it was held still"
+    same = Vista(world.viewpoint(Shot(seer, 0, 96, 72)), 96, 72)  # a spectator from where the camera is
+    np.testing.assert_array_equal(*(world.expose([one])()[0].rgb for one in (same, Shot(seer, 0, 96, 72))))
+    world.remove(seer)
+    again = world.spawn(P2AT, "R3", (0.0, 0.0, STAND), LEVEL)
+    team, place = world._batch.scene.team_of(again.slot)
+    assert again.slot == seer.slot
+    assert world._state.worlds.teams[team].fov[SERVED, place, 0] == pytest.approx(again.cameras[0].default)

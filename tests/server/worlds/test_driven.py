@@ -1,0 +1,164 @@
+"""A served world whose robots a policy drives, and clients that take some of them over."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.scripts import load
+from tests.server.peers import PATIENCE, serving
+from usarmjx.base.errors import UsageError
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.worlds.policy_world import DrivenWorld
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Task, Verdict
+
+P2AT = ROBOTS.get("P2AT")
+LEVEL = (0.0, 0.0, 0.0)
+SHARE = 0.4
+SPEED = SHARE * P2AT.drive.full["Left"] * P2AT.wheel_radius
+STEPS = 5
+"""Actions until the task begins anew."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Roll(Task):
+    """Two robots; what counts is the number of the action."""
+
+    @property
+    def robots(self):
+        return ("P2AT", "P2AT")
+
+    def start(self, view, key):
+        return jnp.zeros(())
+
+    def observe(self, view, memory):
+        return (view.sensor(0, "GroundTruth"),)
+
+    def judge(self, view, memory):
+        return Verdict(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """Both robots of both worlds are driven straight on; the policy's memory counts its actions."""
+    task = Roll(
+        sensors=("GroundTruth",),
+        physics=Physics(timestep=0.01, substeps=5),
+        repeat=4,
+        episode_steps=STEPS,
+    )
+    policy = Policy(
+        start=lambda worlds: jnp.zeros(worlds),
+        act=lambda memory, obs, key: (memory + 1, (jnp.full((*obs[0].shape[:2], 2), SHARE),)),
+    )
+    return DrivenWorld(Env(task, 2, engine="c", seed=3), policy)
+
+
+@pytest.fixture
+def world(compiled):
+    yield compiled
+    for robot in list(compiled.robots.values()):
+        compiled.remove(robot)
+    run(compiled, 1.0)
+
+
+def run(world, seconds):
+    for _ in range(round(seconds / world.period)):
+        world.step()
+
+
+def places(world):
+    """Positions of all robots (worlds, robots, 2)."""
+    qpos = np.asarray(world._batch.physics(world._state).qpos)
+    return qpos[:, world._batch.scene.teams[0].root_qpos[:, :2]]
+
+
+def went(world, seconds):
+    """How far each robot goes in that time (worlds, robots)."""
+    before = places(world)
+    run(world, seconds)
+    return np.linalg.norm(places(world) - before, axis=-1)
+
+
+def test_the_policy_drives_all_robots_of_all_worlds(world):
+    run(world, 1.0)
+    np.testing.assert_allclose(went(world, 1.0), SPEED, rtol=0.05)  # wheels slip a little
+
+
+def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):
+    run(world, 1.0)
+    before = places(world)[0, 1]
+    robot = world.spawn(P2AT, "p2at1", (90.0, 90.0, 1.0), LEVEL)
+    assert robot.slot == 1
+    run(world, 1.0)
+    assert np.linalg.norm(places(world)[0, 1] - before) < 0.1, "it brakes"
+    way = went(world, 1.0)
+    assert way[0, 1] < 0.01
+    np.testing.assert_allclose(way[[0, 1, 1], [0, 0, 1]], SPEED, rtol=0.05)
+    world.remove(robot)
+    run(world, 0.6)
+    np.testing.assert_allclose(went(world, 1.0)[0, 1], SPEED, rtol=0.05)
+
+
+def test_any_other_name_gets_the_first_free_robot_where_it_wants(world):
+    first = world.spawn(P2AT, "Ann", (20.0, -5.0, 0.3), LEVEL)
+    run(world, 1.0)
+    np.testing.assert_allclose(places(world)[0, first.slot], [20.0, -5.0], atol=0.02)
+    second = world.spawn(P2AT, "Bob", (20.0, 5.0, 0.3), LEVEL)
+    assert {first.slot, second.slot} == {0, 1}
+    with pytest.raises(UsageError, match="no P2AT left to take over; the robots here: P2AT0, P2AT1"):
+        world.spawn(P2AT, "Eve", (0.0, 0.0, 0.3), LEVEL)
+
+
+def test_a_robot_that_is_taken_or_of_another_class_is_refused(world):
+    world.spawn(P2AT, "P2AT0", (0.0, 0.0, 0.3), LEVEL)
+    with pytest.raises(UsageError, match="P2AT0 is taken"):
+        world.spawn(P2AT, "P2AT0", (0.0, 0.0, 0.3), LEVEL)
+    with pytest.raises(UsageError, match="P2AT1 is a P2AT, not a P2DX"):
+        world.spawn(ROBOTS.get("P2DX"), "P2AT1", (0.0, 0.0, 0.3), LEVEL)
+
+
+def test_clients_are_told_what_was_measured_for_the_last_action(world):
+    robot = world.spawn(P2AT, "P2AT0", (0.0, 0.0, 0.3), LEVEL)
+    told = 0
+    for _ in range(20):
+        world.step()
+        truth = robot.pending.pop(0, None)
+        if truth is not None:
+            told += 1
+            np.testing.assert_allclose(truth[:3], world.state(robot).pos, atol=1e-5)
+    assert told == 20 / 4
+
+
+def test_the_task_begins_anew_where_the_robots_are(world):
+    scores, ways = [], []
+    for _ in range(2 * STEPS):
+        ways.append(went(world, 4 * world.period))
+        scores.append(world.score)
+    assert sorted(set(scores)) == list(range(1, STEPS + 1)), "the score counts the actions of each round"
+    assert np.max(ways) < 1.1 * SPEED * 4 * world.period, "nobody is put elsewhere"
+
+
+def test_a_protocol_client_sees_reports_and_drives(world):
+    client = load("usarsim_client")
+    with (
+        serving(world, realtime_factor=2.0) as (port, _),
+        client.UsarsimClient(port=port, timeout=PATIENCE) as robot,
+    ):
+        robot.init("USARBot.P2AT", "P2AT1", (0.0, 0.0, 0.0))
+        robot.drive(50.0, -50.0, normalized=True)
+        yaws, times = [], []
+        for message in robot:
+            if message.kind == "STA":
+                times.append(message.time())
+            if message.value("Type") == "GroundTruth":
+                yaws.append(message.pose()[2])
+            if len(yaws) == 10:
+                break
+    np.testing.assert_allclose(np.diff(times), 0.2, atol=0.011)  # two decimals
+    turns = np.unwrap(yaws)[1:] - np.unwrap(yaws)[:-1]
+    assert turns[-3:].min() > 0.05, "clockwise, as left wheels forward turn"

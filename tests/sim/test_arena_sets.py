@@ -1,0 +1,187 @@
+"""Worlds of one batch with arenas of their own: the same arena compiled alone is the oracle."""
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from usarmjx.base.errors import SpecError
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.models.build.arena_set import arena_set, turn_of
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Loose, Segment, StartPose, Victim, Water
+from usarmjx.models.spec.robot import GLASS, Shape
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+EXACT = Physics(iterations=100, ls_iterations=30)
+"""A converged solver: engines and batches differ by rounding only."""
+STEPS = 30
+"""Later a rear wheel lifts by some micrometres, and rounding decides when it touches again."""
+TOLERANCE = {"c": 1e-5, "jax": 5e-3, "warp": 5e-4}
+"""Of poses [m] and quaternions after 0.6 s up a ramp; on `jax` with a contact function of our own."""
+BRICK = (Shape(kind="box", size=(0.1, 0.05, 0.04), mass=2.5, surface="loose"),)
+
+
+def wall(x, y, half_x, half_y, yaw=0.0, **more):
+    kinds = {"surface": "wall", **more}
+    return Shape(kind="box", size=(half_x, half_y, 0.5), at=(x, y, 0.5), rotation=(0.0, 0.0, yaw), **kinds)
+
+
+def victim(x, y, **more):
+    wave = Segment(name="LeftArm", initial=(0.0, 0.0, 0.0), final=(0.0, 1.2, 0.0), rates=(0.0, 2.0, 0.0))
+    return Victim(name="one", at=(x, y, 0.12), segments=(wave,), **more)
+
+
+def starts(*places):
+    return tuple(StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=yaw) for i, (x, y, yaw) in enumerate(places))
+
+
+def arena(name, shapes, places, **more):
+    return ArenaSpec(
+        name=name, shapes=tuple(shapes), starts=starts(*places), extent=((-5, 5), (-5, 5)), **more
+    )
+
+
+ARENAS = (
+    arena(
+        "corridor",
+        [wall(0.9, 0, 0.03, 2.4), wall(-2, 0, 0.05, 1.0, 0.3), wall(0, 2, 1.5, 0.03, material=GLASS)],
+        [(0, 0, 0.0), (0, 1.2, 0.5)],
+        loose=(Loose(name="a", at=(0.75, 0.0, 0.05), shapes=BRICK),),
+        victims=(victim(-1.0, -1.5),),
+    ),
+    arena(
+        "ramp",
+        [
+            Shape(
+                kind="box", size=(0.6, 0.6, 0.1), at=(0.8, 0, 0.0), rotation=(0, -0.2, 0), surface="ground"
+            ),
+            wall(0, -1.2, 2.0, 0.05),
+            wall(2.2, 1, 0.05, 0.5),
+            wall(-1.5, 1, 0.05, 0.5, 1.0),
+        ],
+        [(0.05, 0, 0.0), (0, 2.2, math.pi)],
+        victims=(victim(2.5, -2.0), Victim(name="two", at=(3, 3, 0.12), posture="sitting")),
+        false_alarms=(FalseAlarm(part="LeftLeg", at=(1.2, 2.2, 0.1)),),
+    ),
+    arena("empty", [], [(1, 1, 0.0), (-1, -1, 1.0), (0, 0, 0)]),
+)
+
+
+def drive(batch, steps=STEPS):
+    state = batch.drive(batch.reset(), 0, {"Left": 3.0, "Right": 2.5})
+    for _ in range(steps):
+        state = batch.step(state)
+    state, readings = batch.observe(state)
+    return state, readings
+
+
+def alone(world):
+    """One world by itself, with the same noise as in a batch."""
+    scene = build_scene(ARENAS[world], ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
+    return Batch(scene, engine="c", first=world)
+
+
+@pytest.fixture(scope="module")
+def solo():
+    """Each arena compiled alone, on C MuJoCo: the oracle."""
+    return [(batch, *drive(batch)) for batch in map(alone, range(len(ARENAS)))]
+
+
+@pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
+def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
+    """Rays end where the poses say, and a grazing one up to 20 times as far away."""
+    scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
+    batch = Batch(scene, len(ARENAS), engine=engine)
+    state, readings = drive(batch)
+    tolerance = TOLERANCE[engine]
+    _, links = batch.links(state)
+    for world, (single, lone, seen) in enumerate(solo):
+        team, own = scene.teams[0], single.scene.teams[0]
+        pos = np.asarray(batch.physics(state).qpos[world])[team.root_qpos]
+        expected = np.asarray(single.physics(lone).qpos[0])[own.root_qpos]
+        np.testing.assert_allclose(pos, expected, atol=tolerance, err_msg=ARENAS[world].name)
+        for here, there in zip(readings[0], seen[0], strict=True):
+            np.testing.assert_allclose(here.value[world], there.value[0], atol=20 * tolerance)
+        _, single_links = single.links(lone)
+        np.testing.assert_allclose(links.power[world], single_links.power[0], atol=0.05)
+        np.testing.assert_array_equal(links.walls[world], single_links.walls[0])
+
+
+def test_the_oracle_has_something_to_tell(solo):
+    climbing, lone, _ = solo[1]
+    assert climbing.physics(lone).qpos[0, climbing.scene.teams[0].root_qpos[0, 2]] > 0.265, (
+        "it is on the ramp"
+    )
+    scans = []
+    for single, _, seen in solo:
+        place = single.scene.teams[0].suite.place("RangeScanner")
+        scans.append(np.asarray(seen[0][place].value[0, 0]))
+    assert all(np.abs(scans[a] - scans[b]).max() > 0.5 for a, b in ((0, 1), (1, 2), (0, 2)))
+
+
+def test_worlds_go_through_all_arenas_in_turn():
+    batch = Batch(build_scene(ARENAS, ["P2AT"]), 2, engine="c", first=5)
+    state = batch.reset()
+    names = [[batch.arena_of(state, world).name for world in range(2)]]
+    for _ in range(2):
+        state = batch.reset_where(state, jnp.array([True, False]))
+        names.append([batch.arena_of(state, world).name for world in range(2)])
+        site = jax.tree.map(lambda x: x[0], state.worlds.site)
+        wanted = arena_set(ARENAS).sites
+        turn = int(turn_of(np.array(5), int(state.worlds.episode[0]), 3))
+        np.testing.assert_array_equal(site.pos, wanted.pos[turn])
+    assert {row[0] for row in names} == {one.name for one in ARENAS}
+    assert len({row[1] for row in names}) == 1
+    # Another library of the same shapes takes over at the next reset, and not before.
+    before = np.asarray(state.worlds.site.pos)
+    state = state.replace(library=state.library.replace(pos=state.library.pos + 1))
+    state = batch.reset_where(state, jnp.array([True, False]))
+    turn = int(turn_of(np.array(5), int(state.worlds.episode[0]), 3))
+    np.testing.assert_allclose(state.worlds.site.pos[0], arena_set(ARENAS).sites.pos[turn] + 1)
+    np.testing.assert_array_equal(state.worlds.site.pos[1], before[1])
+
+
+def test_a_loose_object_that_an_arena_lacks_waits_out_of_the_way():
+    batch = Batch(build_scene(ARENAS, ["P2AT"]), 3, engine="c")
+    state, _ = drive(batch, 20)
+    pos = np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qpos[0, :3]]
+    assert pos[0, 2] < 0.1
+    np.testing.assert_allclose(pos[1:, 2], 30.0, atol=0.01)  # it falls within a step, and is put back
+
+
+def test_no_recompilation_when_arenas_change():
+    batch = Batch(build_scene(ARENAS, ["P2AT"]), 2, engine="jax")
+    state = batch.step(batch.reset())
+    before = batch.step._cache_size()
+    for _ in range(3):
+        state = batch.step(batch.reset_where(state, jnp.ones(2, bool)))
+    assert batch.step._cache_size() == before
+
+
+DOOR = Door(name="d", at=(1, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "words"),
+    [
+        ([], "at least one arena"),
+        ([replace(ARENAS[0], doors=(DOOR,))], "doors"),
+        ([replace(ARENAS[0], waters=(Water(low=(0, 0, 0), high=(1, 1, 1)),))], "waters"),
+        ([replace(ARENAS[0], shapes=(Shape(kind="sphere", size=(0.1,)),))], "kind sphere"),
+        ([ARENAS[0], replace(ARENAS[1], floor=1.0)], "different floors"),
+        ([replace(ARENAS[0], starts=())], "no start pose"),
+    ],
+)
+def test_what_cannot_differ_between_worlds_is_refused_by_name(spoilt, words):
+    with pytest.raises(SpecError, match=words):
+        build_scene(spoilt, ["P2AT"])
+
+
+def test_more_robots_than_the_smallest_arena_has_starts():
+    with pytest.raises(SpecError, match="3 robots"):
+        build_scene(ARENAS, ["P2AT"] * 3)

@@ -1,0 +1,301 @@
+"""Environments: what a step is made of, on both engines that a CPU has."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import usarmjx
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.mail import Letters, MailSettings
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.robot import Mount
+from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.recipe import Generated, equipped, open_floor
+from usarmjx.train.envs.task import Task, Verdict
+
+LIGHT = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+"""A P2AT on an empty floor needs no finer steps to be tested with."""
+LIMIT = 4
+"""Steps of an episode."""
+
+
+def goal_env(worlds, engine="c", **overrides):
+    settings = {**LIGHT, "episode_steps": LIMIT, "radius": -1.0, **overrides}
+    return usarmjx.make("drive-to-goal", worlds=worlds, engine=engine, **settings)
+
+
+def actions(env, *values):
+    """One action per world for the only group; the last one for all others."""
+    (group,) = env.groups
+    rows = [values[min(w, len(values) - 1)] for w in range(env.worlds)]
+    return (jnp.array(rows, jnp.float32).reshape(env.worlds, len(group.agents), group.action_size),)
+
+
+@pytest.fixture(scope="module", params=["c", "jax"])
+def env(request):
+    return goal_env(3, request.param)
+
+
+@pytest.fixture(scope="module")
+def begun(env):
+    """An environment, its state after a step, and an action."""
+    told = actions(env, (1.0, 0.5), (0.3, 0.9), (-1.0, 1.0))
+    return env, env.step(env.reset(), told), told
+
+
+def run(env, state, told, steps):
+    for _ in range(steps):
+        state = env.step(state, told)
+    return state
+
+
+def same(one, other, worlds):
+    """Whether two states have the same bits in some worlds; leaves without an axis over worlds apart."""
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(np.asarray(a)[worlds], np.asarray(b)[worlds])
+
+
+def worldly(state):
+    """Everything of a state that belongs to single worlds."""
+    return state.replace(level=None, batch=state.batch.replace(library=None))
+
+
+def spoil(env, state, world):
+    """Return the state with a velocity that is not a number."""
+    physics = state.batch.physics
+    if env.traceable:
+        physics = physics.replace(qvel=physics.qvel.at[world, 0].set(jnp.nan))
+    else:
+        everything = physics.everything.copy()
+        everything[world, 1 + env.scene.model.nq] = np.nan
+        physics = physics._replace(everything=everything)
+    return state.replace(batch=state.batch.replace(physics=physics))
+
+
+def test_sizes_are_those_that_the_groups_say(begun):
+    env, state, _ = begun
+    (group,) = env.groups
+    assert (group.name, group.agents, group.obs_size, group.action_size) == ("P2AT", ("P2AT0",), 4, 2)
+    assert state.obs[0].shape == (3, 1, 4)
+    assert state.obs[0].dtype == jnp.float32
+    assert state.reward[0].shape == (3, 1)
+    assert state.privileged.shape == (3, env.privileged_size)
+    assert env.period == pytest.approx(0.1)
+    assert env.traceable == (env.batch.engine.name == "jax")
+    np.testing.assert_array_equal(state.length, 1)
+
+
+def test_actions_are_made_finite_and_clamped(env):
+    wild = env.step(env.reset(), actions(env, (7.0, np.nan), (np.inf, -9.0), (0.5, -0.5)))
+    tame = env.step(env.reset(), actions(env, (1.0, 0.0), (0.0, -1.0), (0.5, -0.5)))
+    same(worldly(wild), worldly(tame), slice(None))
+
+
+def test_actions_of_another_shape_are_refused(env):
+    with pytest.raises(UsageError, match=r"expected \[\(3, 1, 2\)\]"):
+        env.step(env.reset(), (jnp.zeros((3, 2)),))
+
+
+def test_time_out_truncates_keeps_the_last_observation_and_restarts(begun):
+    env, state, told = begun
+    before = run(env, state, told, LIMIT - 2)
+    assert not before.done.any()
+    last = env.step(before, told)
+    assert last.done.all()
+    assert last.truncated.all()
+    assert not last.bad.any()
+    # One step more towards the same goal than before: less than 0.7 m/s for 0.1 s.
+    near = jnp.abs(last.final_obs[0] - before.obs[0]).max()
+    assert 0.0 < float(near) < 1.0
+    np.testing.assert_array_equal(last.length, 0)
+    np.testing.assert_array_equal(last.batch.worlds.episode, np.asarray(state.batch.worlds.episode) + 1)
+    assert (jnp.abs(last.obs[0] - last.final_obs[0]).max(-1) > 1e-3).all(), "other goals, other starts"
+    np.testing.assert_array_equal(last.final_score, 0.0)
+    following = env.step(last, told)
+    assert not following.done.any()
+    np.testing.assert_array_equal(following.final_obs[0], following.obs[0])
+
+
+def test_what_is_seen_last_does_not_depend_on_the_restart(begun):
+    """The same step with time left is the oracle."""
+    env, state, told = begun
+    going = env.step(state, told)
+    ended = env.step(state.replace(length=jnp.full_like(state.length, LIMIT - 1)), told)
+    assert ended.done.all()
+    assert not going.done.any()
+    np.testing.assert_array_equal(ended.final_obs[0], going.obs[0])
+    np.testing.assert_array_equal(ended.final_privileged, going.privileged)
+    np.testing.assert_array_equal(ended.reward[0], going.reward[0])
+
+
+def test_a_restart_leaves_the_other_worlds_bit_exact(begun):
+    env, state, told = begun
+    usual = env.step(state, told)
+    late = env.step(state.replace(length=state.length.at[1].set(LIMIT - 1)), told)
+    np.testing.assert_array_equal(late.done, [False, True, False])
+    same(worldly(late), worldly(usual), np.array([0, 2]))
+
+
+def test_a_world_whose_physics_breaks_is_bad_and_restarts_as_one(begun):
+    env, state, told = begun
+    usual, hurt = env.step(state, told), env.step(spoil(env, state, 1), told)
+    for flag, expected in ((hurt.bad, True), (hurt.done, True), (hurt.truncated, False)):
+        np.testing.assert_array_equal(flag, [False, expected, False])
+    assert float(hurt.reward[0][1, 0]) == 0.0
+    assert int(hurt.length[1]) == 0
+    assert int(hurt.batch.worlds.step[1]) == 0
+    assert all(bool(jnp.isfinite(seen).all()) for seen in (*hurt.obs, *hurt.final_obs, hurt.privileged))
+    # Its memory is that of the new episode: the distance from the new goal.
+    robot = env.batch.physics(hurt.batch).qpos[1, env.scene.teams[0].root_qpos[0, :2]]
+    expected = jnp.linalg.norm(hurt.memory.goal[1] - robot)
+    np.testing.assert_allclose(hurt.memory.distance[1], expected, rtol=1e-6)
+    same(worldly(hurt), worldly(usual), np.array([0, 2]))
+
+
+def test_full_contact_buffers_are_bad_too(begun):
+    """Judged by the count that the batch keeps: the parts that `step` is made of are called as it does."""
+    env, state, _ = begun
+    worlds, before = state.batch.worlds, state.batch.worlds.status
+    full = worlds.replace(status=before.replace(overflow=before.overflow.at[2].add(1)))
+    _, after = env._finish(state.replace(batch=None), full, env.batch.physics(state.batch), before)
+    np.testing.assert_array_equal(after.bad, [False, False, True])
+    np.testing.assert_array_equal(after.done, [False, False, True])
+
+
+def test_a_world_is_the_same_alone_as_in_a_batch(begun):
+    together, _, told = begun
+    if together.traceable:
+        pytest.skip("there poses differ by rounding between batch sizes")
+    alone = goal_env(1, first=2)
+    many, one = together.reset(), alone.reset()
+    for _ in range(LIMIT + 2):  # beyond a restart
+        many, one = together.step(many, told), alone.step(one, (told[0][2:],))
+        np.testing.assert_array_equal(many.obs[0][2], one.obs[0][0])
+        np.testing.assert_array_equal(many.reward[0][2], one.reward[0][0])
+    assert int(one.batch.worlds.episode[0]) == 1
+
+
+def test_seeds_give_other_episodes_and_the_same_seed_the_same(env):
+    one, again, other = env.reset(4), env.reset(4), env.reset(5)
+    same(worldly(one), worldly(again), slice(None))
+    assert (one.memory.goal != other.memory.goal).any()
+
+
+def test_nothing_is_compiled_after_the_first_restart(env):
+    told = actions(env, (1.0, 0.5))
+    state = run(env, env.reset(), told, LIMIT + 1)
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    run(env, state, told, LIMIT + 1)
+    assert compiled == []
+    jax.jit(lambda x: x + len(compiled))(jnp.ones(7))
+    assert compiled, "the listener hears of what is compiled"
+
+
+def test_a_step_can_be_scanned_where_the_engine_is_traced(begun):
+    env, state, told = begun
+    if not env.traceable:
+        pytest.skip("stepped from Python")
+    scanned, _ = jax.eval_shape(
+        lambda s: jax.lax.scan(lambda s, _: (env.step(s, told), None), s, None, 2), state
+    )
+    assert jax.tree.map(jnp.shape, scanned) == jax.tree.map(jnp.shape, state)
+
+
+def test_levels_choose_among_generated_arenas():
+    arena = Generated(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
+    env = goal_env(4, arena=arena)
+    sites, easy = env.scene.arenas.sites.pos, [0, 1, 0, 1]
+    state = env.reset(level=0.0)
+    np.testing.assert_array_equal(state.batch.worlds.site.pos, sites[easy])
+    for level, places in ((0.9, easy), (1.0, range(4)), (0.0, easy)):
+        state = env.at_level(state, level)
+        np.testing.assert_array_equal(state.batch.library.pos, sites[np.array(places)])
+        assert float(state.level) == pytest.approx(level)
+    assert env._library._cache_size() == 1, "nothing is compiled again"
+
+
+def test_overrides_and_names_that_do_not_exist_are_refused():
+    with pytest.raises(UnknownNameError, match=r"no field lidar, robots; it has: arena, bonus, .*, shuffle"):
+        usarmjx.make("drive-to-goal", robots=3, lidar=True)
+    with pytest.raises(UnknownNameError, match=r"unknown task 'drive'; known: .*drive-to-goal"):
+        usarmjx.make("drive")
+    with pytest.raises(UsageError, match="repeat 0"):
+        usarmjx.make("drive-to-goal", repeat=0)
+    with pytest.raises(AttributeError, match="no attribute 'mak'"):
+        usarmjx.mak  # noqa: B018
+
+
+def test_robots_have_only_the_sensors_that_are_asked_for():
+    env = usarmjx.make("drive-to-goal", engine="c")
+    assert [s.kind for s in env.scene.teams[0].suite.sensors] == ["Sonar", "INS"]
+    ring = Mount(kind="Sonar", name="Up", direction=(0.0, 1.57, 0.0))
+    (given,) = equipped(["P2AT"], ("ins", ring))
+    assert [mount.name for mount in given.sensors] == ["INS", "Up"]
+    assert equipped(["P2AT"], None) == [ROBOTS.get("P2AT")]
+    with pytest.raises(
+        UnknownNameError, match=r"none of the robots has a sensor gps; they have: GroundTruth"
+    ):
+        equipped(["P2AT"], ("GPS",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whisper(Task):
+    """Two robots tell each other what they are told, and pan their cameras."""
+
+    sensors: tuple = ("GroundTruth",)
+    repeat: int = 1
+    shuffle: bool = False
+    radio: RadioSettings = field(default_factory=RadioSettings)
+    mail: MailSettings = field(default_factory=lambda: MailSettings(numbers=1))
+
+    @property
+    def robots(self):
+        return ("P2AT", "P2AT", "ComStation")
+
+    def action_sizes(self, scene):
+        return (1,)
+
+    def start(self, view, key):
+        return jnp.zeros(())
+
+    def act(self, view, memory, actions):
+        everyone = jnp.ones((3, 3), bool)
+        payload = jnp.concatenate([actions[0], jnp.zeros((1, 1))])
+        letters = Letters(to=everyone, payload=payload, length=jnp.full(3, 4))
+        pan = Move(team=0, targets={"CameraPanTilt_Link1": 0.1 * actions[0][:, 0]})
+        return Orders(moves=(pan,), letters=letters)
+
+    def observe(self, view, memory):
+        box = view.mail
+        said = jnp.where(box.valid, box.payload[..., 0], 0.0).sum(-1)
+        return (jnp.stack([said, box.count, view.links.in_range.sum(-1)], -1)[:2],)
+
+    def judge(self, view, memory):
+        pan = view.scene.teams[0].plan.joint("CameraPanTilt_Link1")
+        target = view.world.teams[0].command.target[:, pan]
+        return Verdict(memory, (target,), memory > 1, target.sum(), {})
+
+
+def test_a_task_of_ones_own_sends_letters_and_moves_joints():
+    tall = open_floor(starts=3)
+    env = Env(Whisper(arena=tall), 2, engine="c")
+    assert [group.name for group in env.groups] == ["P2AT"]
+    assert env.name == "Whisper"
+    told = (jnp.array([[[0.25], [0.5]], [[-1.0], [1.0]]]),)
+    state = env.step(env.reset(), told)
+    # From the other robot what that was told, from the station nothing; links to both others hold.
+    np.testing.assert_allclose(state.obs[0], [[[0.5, 2, 2], [0.25, 2, 2]], [[1.0, 2, 2], [-1.0, 2, 2]]])
+    np.testing.assert_allclose(state.reward[0], 0.1 * told[0][..., 0], rtol=1e-6)
+    state = env.step(state, (jnp.zeros((2, 2, 1)),))
+    np.testing.assert_allclose(state.obs[0][..., :2], [[[0, 2], [0, 2]], [[0, 2], [0, 2]]])

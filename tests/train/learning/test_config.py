@@ -1,0 +1,133 @@
+"""Settings: what they may be, and how they are typed."""
+
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import pytest
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.train.learning.config import HYPERPARAMETERS, Config, from_record, parse_settings, task_config
+from usarmjx.train.learning.metrics import Log, read_lines, summary
+from usarmjx.train.make import TASKS
+
+
+def test_settings_are_read_with_their_type():
+    pairs = [
+        "steps=1_000",
+        "discount=0.5",
+        "layers=32,16",
+        "stagger=no",
+        "schedule=linear",
+        "critic_layers=[8]",
+    ]
+    assert parse_settings(pairs, asdict(Config()), "training") == {
+        "steps": 1000, "discount": 0.5, "layers": (32, 16), "stagger": False, "schedule": "linear",
+        "critic_layers": (8,),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("pair", "words"),
+    [
+        ("steps", "not of the form key=value"),
+        ("steps=many", "needs a value of type int"),
+        ("stagger=perhaps", "needs a value of type bool"),
+        ("layers=a,b", "needs a value of type tuple"),
+    ],
+)
+def test_what_does_not_read_is_refused(pair, words):
+    with pytest.raises(UsageError, match=words):
+        parse_settings([pair], asdict(Config()), "training")
+
+
+def test_unknown_settings_list_the_known_ones():
+    with pytest.raises(UnknownNameError, match=r"'lr'; it has: .*learning_rate"):
+        parse_settings(["lr=1"], asdict(Config()), "training")
+    with pytest.raises(UnknownNameError, match=r"unknown setting lr; known: .*learning_rate"):
+        task_config("drive-to-goal", lr=1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"discount": 1.5}, "discount is 1.5; it must be from 0 to 1"),
+        ({"clip": 0.0}, "clip is 0.0; it must be above 0"),
+        ({"schedule": "cosine"}, "constant, linear, adaptive"),
+        ({"layers": ()}, "needs a hidden layer"),
+        ({"critic_layers": ()}, "critic_layers is empty"),
+        ({"memory": -1}, "memory at least 0"),
+        ({"worlds": 10, "minibatches": 4}, "10 worlds cannot be divided into 4"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, words):
+    with pytest.raises(UsageError, match=words):
+        Config(**settings)
+
+
+def test_the_table_of_hyper_parameters_is_of_tasks_and_settings_that_there_are():
+    for task in HYPERPARAMETERS:
+        assert task in TASKS
+        assert task_config(task) == Config(**HYPERPARAMETERS[task])
+    assert task_config("Drive-To-Goal", discount=0.5).discount == 0.5
+
+
+def test_settings_come_back_from_json():
+    config = Config(layers=(3, 4), memory=5)
+    assert (
+        from_record({k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}) == config
+    )
+
+
+@pytest.mark.parametrize(
+    ("worlds", "minibatches", "blocks", "expected"),
+    [(64, 4, 8, 8), (8, 4, 8, 2), (96, 4, 8, 8), (28, 4, 8, 7)],
+)
+def test_blocks_divide_the_worlds_of_a_minibatch(worlds, minibatches, blocks, expected):
+    assert Config(worlds=worlds, minibatches=minibatches, blocks=blocks).shuffled_blocks == expected
+
+
+def test_means_of_an_iteration():
+    """4 of 20 world-steps were bad; two episodes ended, one of them by time-out."""
+    sums = {
+        "episodes": 2.0, "return": 3.0, "score": 1.0, "length": 9.0, "timeouts": 1.0, "bad": 4.0,
+        "end/way": 5.0, "step/way": 10.0, "loss/value": 0.25,
+    }  # fmt: skip
+    assert summary(sums, 20) == {
+        "episodes": 2.0, "return": 1.5, "score": 0.5, "length": 4.5, "timeouts": 0.5, "bad": 0.2,
+        "end/way": 2.5, "step/way": 0.5, "loss/value": 0.25,
+    }  # fmt: skip
+    none = summary({**sums, "episodes": 0.0, "loss/value": float("nan")}, 20)
+    assert [none[name] for name in ("score", "return", "loss/value")] == [None] * 3
+
+
+def test_the_log_drops_what_is_done_again_and_shows_a_bar(tmp_path):
+    """As after a kill behind the last checkpoint."""
+    shown = SimpleNamespace(text="")
+    from rich.console import Console
+
+    class Sink:
+        def write(self, text):
+            shown.text += text
+
+        def flush(self):
+            pass
+
+    line = {"agent_steps": 1, "steps_per_s": 1234.0, "return": 0.5, "score": 0.25, "bad": 0.125}
+    with Log(tmp_path, 5, bar=False) as log:
+        for iteration in (1, 2, 3):
+            log.write({"iteration": iteration, **line})
+    with Log(tmp_path, 5, after=1, console=Console(file=Sink(), force_terminal=True, width=120)) as log:
+        log.write({"iteration": 2, **line, "score": 0.75})
+    assert [(r["iteration"], r["score"]) for r in read_lines(tmp_path / "metrics.jsonl")] == [
+        (1, 0.25),
+        (2, 0.75),
+    ]
+    for words in ("2/5", "1,234 steps/s", "return 0.5", "score 0.75", "bad worlds 12.50%"):
+        assert words in shown.text
+
+
+def test_a_log_with_a_broken_line_in_the_middle_is_refused(tmp_path):
+    (tmp_path / "metrics.jsonl").write_text('{"iteration": 1}\n{"iter\n{"iteration": 3}\n')
+    with pytest.raises(UsageError, match="line 2 is no JSON"):
+        read_lines(tmp_path / "metrics.jsonl")

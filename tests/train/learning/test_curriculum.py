@@ -1,0 +1,110 @@
+"""Generated arenas that get harder during a run: which worlds meet when, and again after a restart."""
+
+import shutil
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import usarmjx
+from tests.train.envs.test_env import LIGHT
+from tests.train.runs import checksums, lines
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.recipe import Generated
+from usarmjx.train.learning.checkpoint import Checkpoints, read_part
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.processes.group import Team
+from usarmjx.train.scenes.buildings import Buildings
+
+ARENAS = Generated(kind="maze", count=1, levels=(0.0, 0.5, 1.0), size=(3, 3))
+"""One easy, one in the middle, one hard."""
+STEPS = 4
+"""Actions of an episode and of a rollout: each world meets another arena in every iteration."""
+CONFIG = Config(
+    steps=6 * STEPS * 4,  # six iterations of four worlds
+    worlds=4, rollout=STEPS, minibatches=2, epochs=1, layers=(4,), critic_layers=(4,),
+    curriculum=0.5, checkpoint_every=1, keep=10,
+)  # fmt: skip
+LEVELS = (0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0)
+"""It rises over half of the iterations, evenly."""
+
+
+@pytest.fixture(scope="module")
+def env():
+    return usarmjx.make("drive-to-goal", 4, "c", **LIGHT, arena=ARENAS, episode_steps=STEPS, radius=-1.0)
+
+
+@pytest.fixture(scope="module")
+def trained(env, tmp_path_factory):
+    """Folder of a run."""
+    folder = tmp_path_factory.mktemp("curriculum") / "run"
+    train(env, CONFIG, folder, progress=False)
+    return folder
+
+
+def numbers(env, sites):
+    """Which of the environment's arenas these are, by where their solids are."""
+    every = np.asarray(env.scene.arenas.sites.pos)
+    return [next(n for n, one in enumerate(every) if np.array_equal(one, pos)) for pos in np.asarray(sites)]
+
+
+def test_arenas_of_a_library_get_harder():
+    """By how much stands and lies about in them."""
+    arenas = replace(ARENAS, count=3).arenas()
+    obstacles = np.array([len(arena.shapes) + len(arena.loose) for arena in arenas]).reshape(3, 3).sum(1)
+    assert all(easy < hard for easy, hard in pairwise(obstacles))
+    lengths = [sum(2 * max(wall.size) for wall in arena.shapes) for arena in Buildings(count=4).arenas()]
+    assert all(easy < hard for easy, hard in pairwise(np.reshape(lengths, (3, 4)).sum(1)))
+
+
+@pytest.mark.parametrize(
+    ("level", "expected"),
+    [
+        (0.0, [0, 1, 0, 1, 0, 1]),  # no arena is as easy as that: those of the easiest level
+        (0.3, [0, 1, 0, 1, 0, 1]),
+        (0.6, [0, 1, 2, 3, 0, 2]),  # one of each level comes once more, not both of the easiest
+        (np.float32(0.8), [0, 1, 2, 3, 4, 5]),  # a little more than 0.8
+        (1.0, [0, 1, 2, 3, 4, 5]),
+    ],
+)
+def test_those_in_play_fill_a_library_evenly(level, expected):
+    assert_array_equal(Generated(count=2, levels=(0.2, 0.6, 0.8)).in_play(level), expected)
+
+
+def test_arenas_get_harder_during_a_run(env, trained):
+    """In each iteration worlds meet only arenas that are no harder than its level, and in the end all."""
+    assert [line["level"] for line in lines(trained)] == pytest.approx(LEVELS)
+    _, template = Trainer(env, CONFIG, Team()).start()
+    met = []
+    for path, level in zip(Checkpoints(trained).all(), LEVELS, strict=True):
+        state = read_part(path, "worlds", template).env
+        assert float(state.level) == pytest.approx(level)
+        allowed = {n for n, one in enumerate(ARENAS.levels) if one <= level}
+        assert set(numbers(env, state.batch.library.pos)) == allowed
+        met.append(set(numbers(env, state.batch.worlds.site.pos)))
+        assert met[-1] <= allowed
+    assert met[:2] == [{0}, {0}]
+    assert set.union(*met[3:]) == {0, 1, 2}
+
+
+def test_a_run_goes_on_with_the_arenas_that_were_in_play(env, trained, tmp_path):
+    """Left after two of six iterations, it ends as if it had not been."""
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    for path in Checkpoints(folder).all()[2:]:
+        shutil.rmtree(path)
+    train(env, CONFIG, folder, resume=True, progress=False)
+    assert lines(folder) == lines(trained)
+    assert checksums(folder) == checksums(trained)
+
+
+def test_arenas_that_are_not_generated_have_no_levels(tmp_path):
+    env = usarmjx.make("drive-to-goal", 4, "c", **LIGHT)
+    with pytest.raises(UsageError, match=r"curriculum is 0.5, but drive-to-goal has no generated arenas"):
+        train(env, CONFIG, tmp_path / "run", progress=False)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(UsageError, match=r"drive-to-goal has no generated arenas, so none of level 0.5"):
+        env.reset(level=0.5)

@@ -1,0 +1,114 @@
+"""Imitation of a policy by hand before PPO."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.distribution import NormalTanhDistribution
+from numpy.testing import assert_allclose, assert_array_equal
+
+from tests.train.toys import DriveToy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.imitation import DEVIATION, imitation_loss
+from usarmjx.train.learning.train_state import policy_params
+from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.processes.group import Team
+
+CONFIG = Config(worlds=32, rollout=16, minibatches=2, layers=(32,), critic_layers=(8,), learning_rate=3e-3)
+ROUND = CONFIG.worlds * CONFIG.rollout * 3
+"""Agent steps of an iteration: three robots."""
+
+
+def straight(env):
+    """Go straight to the goal; remember the steps of the episode."""
+    del env
+
+    def act(steps, obs, key):
+        del key
+        return steps + 1, tuple(jnp.clip(2.0 * one, -0.8, 0.8) for one in obs)
+
+    return Policy(start=lambda worlds: jnp.zeros(worlds, jnp.int32), act=act)
+
+
+@pytest.fixture(autouse=True)
+def teacher(monkeypatch):
+    monkeypatch.setattr(BASELINES, "_entries", dict(BASELINES._entries))
+    BASELINES.add("drive-toy", straight)
+
+
+def trainer_of(**settings):
+    return Trainer(DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), Team())
+
+
+@pytest.mark.oracle
+def test_the_loss_is_half_the_squares_of_what_is_off():
+    kind = NormalTanhDistribution(2, min_std=0.0)
+    scale = np.log(np.expm1(np.array([DEVIATION, DEVIATION + 0.2])))  # the inverse of softplus
+    logits = jnp.array([*np.arctanh([0.5, -0.3]), *scale])
+    assert_allclose(imitation_loss(kind, logits, jnp.array([0.5, -0.3])), 0.5 * 0.2**2, rtol=1e-4)
+    # What a teacher asks for beyond what a robot can do counts as all it can do.
+    assert_allclose(imitation_loss(kind, logits, jnp.array([3.0, -0.3])), 0.5 * (0.5**2 + 0.2**2), rtol=1e-4)
+
+
+def test_a_learner_does_what_it_was_shown():
+    trainer = trainer_of(imitate=20 * ROUND, steps=25 * ROUND)
+    learner, worlds = trainer.start()
+    off = []
+    for iteration in range(20):
+        learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+        off.append(float(known["loss/imitation"]))
+    assert off[-1] < 0.05 * off[0]
+    obs = worlds.env.obs
+    done, _ = trainer.networks.policy.act(policy_params(learner), obs, worlds.policy, deterministic=True)
+    _, shown = straight(None).act(0, obs, None)
+    for mine, his in zip(done, shown, strict=True):
+        assert np.sqrt(np.mean((mine - his) ** 2)) < 0.15  # of 0.8, the teacher's fastest
+    weights = learner.weights.policy
+    for iteration in range(20, 25):  # PPO from here on: the policy goes on changing, and stays finite
+        learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+    assert np.isfinite(float(known["loss/policy"]))
+    assert not np.array_equal(
+        weights[0]["params"]["head"]["bias"], learner.weights.policy[0]["params"]["head"]["bias"]
+    )
+
+
+def test_a_teacher_begins_anew_with_each_episode():
+    trainer = trainer_of(imitate=ROUND)
+    learner, worlds = trainer.start()
+    worlds, steps, _, _ = trainer.rollout.collect(learner, worlds, jax.random.key(0))
+    since = np.zeros(CONFIG.worlds, int)
+    for done in np.asarray(steps.done):
+        since = np.where(done, 0, since + 1)
+    assert_array_equal(worlds.teacher, since)
+    assert since.min() < CONFIG.rollout  # some episodes did end
+    for shown, obs in zip(steps.shown, steps.obs, strict=True):
+        assert_allclose(shown, np.clip(2.0 * np.asarray(obs), -0.8, 0.8), rtol=1e-6)
+
+
+def test_after_the_lessons_only_ppo_counts():
+    """An update of a learner past its lessons is that of one that never had any, to rounding."""
+    with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
+    learner, worlds = alone.start()
+    learner = learner.replace(iteration=learner.iteration + 1)
+    _, steps, bounds, sums = alone.rollout.collect(learner, worlds, jax.random.key(0))
+    _, same, _, _ = with_teacher.rollout.collect(learner, with_teacher.start()[1], jax.random.key(0))
+    assert not any(np.asarray(shown).any() for shown in same.shown)
+    experience = bounds, {name: one[None] for name, one in sums.items()}
+    expected, _ = alone._improve(learner, (steps, *experience))
+    found, known = with_teacher._improve(learner, (same, *experience))
+    assert "loss/imitation" in known
+    for a, b in zip(jax.tree.leaves(expected.weights), jax.tree.leaves(found.weights), strict=True):
+        assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+
+
+def test_what_cannot_be_imitated_is_said():
+    BASELINES._entries.pop("drive-toy")
+    with pytest.raises(UsageError, match=r"drive-toy has no policy by hand.*set imitate to 0.*explore"):
+        trainer_of(imitate=1)
+    with pytest.raises(UsageError, match="imitate is -1; it must be at least 0"):
+        Config(imitate=-1)

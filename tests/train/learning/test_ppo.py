@@ -1,0 +1,169 @@
+"""One update: its loss, its masks, its shuffling."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from tests.train.toys import DriveToy
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
+from usarmjx.train.learning.train_state import judge
+from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.processes.group import Team
+
+CONFIG = Config(worlds=16, rollout=8, minibatches=2, epochs=2, layers=(8,), critic_layers=(8,), memory=4)
+
+
+@pytest.fixture(scope="module")
+def trainer():
+    return Trainer(DriveToy(16, rotten=True), CONFIG, Team())
+
+
+@pytest.fixture(scope="module")
+def collected(trainer):
+    """Learner, and what was collected under it; some of it bad."""
+    learner, worlds = trainer.start()
+    worlds, steps, bounds, sums = trainer.rollout.collect(learner, worlds, jax.random.key(3))
+    assert np.asarray(steps.bad).any()
+    return learner, steps, bounds, {name: one[None] for name, one in sums.items()}
+
+
+def leaves(tree):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+
+
+@pytest.mark.oracle
+def test_the_surrogate_and_its_gradient_are_those_of_the_paper():
+    """min(r A, clip(r) A): no gradient where it would push the ratio further out, else that of r A."""
+    ratio = np.array([0.5, 0.7, 0.9, 1.0, 1.1, 1.3, 2.0], np.float32)
+    log_ratio = np.log(ratio)
+    for advantage in (1.5, -1.5):
+        value, slope = jax.vmap(jax.value_and_grad(lambda x, a=advantage: surrogate(x, 0.0, a, 0.2)))(
+            log_ratio
+        )
+        pushed_out = (ratio > 1.2) if advantage > 0 else (ratio < 0.8)
+        expected = np.where(pushed_out, np.clip(ratio, 0.8, 1.2), ratio) * advantage
+        assert_allclose(value, expected, rtol=1e-6)
+        assert_allclose(slope, np.where(pushed_out, 0.0, ratio * advantage), rtol=1e-6)
+
+
+def test_log_probabilities_far_apart_leave_everything_finite():
+    """As after many updates, or with actions at the bounds."""
+    slope = jax.grad(lambda x: surrogate(x, 0.0, -1.0, 0.2))
+    for far in (-1e4, 1e4, 300.0):
+        assert np.isfinite(slope(jnp.float32(far)))
+
+
+def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
+    learner, *experience = collected
+    new, known = trainer._improve(learner, tuple(experience))
+    assert all(np.isfinite(leaf).all() for leaf in leaves((new, known)))
+    assert known["loss/skipped"] == 0
+    # The mean of the probabilities' ratio starts at 1: what was stored is what the networks say again.
+    assert known["loss/divergence"] < 0.2
+    for before, after in zip(leaves(learner.weights), leaves(new.weights), strict=True):
+        assert (before != after).any()
+
+
+def test_bad_transitions_teach_nothing(trainer, collected):
+    """What they hold may be anything: the update is the same, bit for bit."""
+    learner, steps, bounds, sums = collected
+    expected, _ = trainer._improve(learner, (steps, bounds, sums))
+
+    def spoil(bad, leaf):
+        mask = bad.reshape(*bad.shape, *[1] * (leaf.ndim - 2))
+        return jnp.where(mask, 1e3, leaf)
+
+    # Not the critic's value: it is of the state before, in which nothing was wrong yet.
+    names = ("reward", "raw", "obs", "log_prob", "bootstrap")
+    spoilt = steps.replace(
+        **{name: tuple(spoil(steps.bad, one) for one in getattr(steps, name)) for name in names}
+    )
+    found, _ = trainer._improve(learner, (spoilt, bounds, sums))
+    for one, other in zip(leaves(expected), leaves(found), strict=True):
+        assert_array_equal(one, other)
+
+
+def test_good_transitions_teach(trainer, collected):
+    """The other way round, so that the test above can fail."""
+    learner, steps, bounds, sums = collected
+    expected, _ = trainer._improve(learner, (steps, bounds, sums))
+    found, _ = trainer._improve(
+        learner, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), bounds, sums)
+    )
+    assert any((one != other).any() for one, other in zip(leaves(expected), leaves(found), strict=True))
+
+
+def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, collected):
+    """And the statistics stay finite."""
+    learner, steps, bounds, sums = collected
+    new, _ = trainer._improve(learner, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
+    for one, other in zip(
+        leaves((learner.weights, learner.obs)), leaves((new.weights, new.obs)), strict=True
+    ):
+        assert_array_equal(one, other)
+
+
+def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
+    learner, steps, bounds, sums = collected
+    broken = steps.replace(reward=tuple(r.at[0, 0].set(jnp.inf) for r in steps.reward))
+    new, known = trainer._improve(learner, (broken, bounds, sums))
+    assert known["loss/skipped"] == 1
+    for one, other in zip(leaves(learner.weights), leaves(new.weights), strict=True):
+        assert_array_equal(one, other)
+
+
+def test_critics_see_more_than_policies(trainer, collected):
+    """And both are of a class: another critic, another policy for each."""
+    learner, steps, bounds, _ = collected
+    seen, fresh = (steps.obs, steps.privileged), steps.fresh
+    values, _ = judge(trainer.networks, learner, seen, bounds.critic, fresh)
+    others, _ = judge(trainer.networks, learner, (steps.obs, steps.privileged + 1), bounds.critic, fresh)
+    for value, other in zip(values, others, strict=True):
+        assert (value != other).all()
+    for networks, inputs in ((learner.weights.policy, set()), (learner.weights.critic, {"shared"})):
+        one, other = (weights["params"] for weights in networks)
+        assert {name for name in one if name == "shared"} == inputs
+        assert (np.asarray(one["layer_0"]["kernel"]) != np.asarray(other["layer_0"]["kernel"])).any()
+
+
+@pytest.mark.oracle
+def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collected):
+    """Of all steps that are not bad, by NumPy in double precision."""
+    learner, steps, bounds, sums = collected
+    new, _ = trainer._improve(learner, (steps, bounds, sums))
+    good = ~np.asarray(steps.bad)
+    for found, seen in zip(new.obs, steps.obs, strict=True):
+        rows = np.asarray(seen, np.float64)[good].reshape(-1, seen.shape[-1])
+        assert_allclose(found.mean, rows.mean(0), atol=1e-5)
+        assert_allclose(found.std, rows.std(0), atol=1e-5)
+    assert int(new.obs[0].running.count) == good.sum() * 2
+
+
+@pytest.mark.parametrize("processes", [1, 2, 4])
+def test_minibatches_hold_the_same_worlds_however_many_processes(processes):
+    """32 worlds in 8 blocks; a process has its share of both."""
+    worlds, blocks, minibatches = 32, 8, 4
+    parts = []
+    for p in range(processes):
+        shuffle = partial(_shuffle, jax.random.key(5), worlds // processes, blocks // processes)
+        parts.append(
+            np.asarray(shuffle(jnp.int32(p * blocks // processes), minibatches)) + p * worlds // processes
+        )
+    sets = [set(np.concatenate([part[m] for part in parts]).tolist()) for m in range(minibatches)]
+    assert set.union(*sets) == set(range(worlds))
+    assert sum(map(len, sets)) == worlds
+    whole = np.asarray(_shuffle(jax.random.key(5), worlds, blocks, jnp.int32(0), minibatches))
+    assert sets == [set(row.tolist()) for row in whole]
+    assert whole.tolist() != np.arange(worlds).reshape(minibatches, -1).tolist()
+
+
+def test_the_adaptive_rate_follows_the_divergence():
+    """Slower where the policy changed too much, faster where too little, the same between and if unknown."""
+    config, rate = Config(target_kl=0.01), jnp.float32(1e-3)
+    for divergence, factor in ((0.03, 1 / 1.5), (0.001, 1.5), (0.012, 1.0), (np.nan, 1.0)):
+        assert_allclose(_adapt(rate, jnp.float32(divergence), config), 1e-3 * factor, rtol=1e-6)

@@ -1,0 +1,190 @@
+"""A run that was stopped at any moment goes on as if nothing had been; what does not fit is refused."""
+
+import json
+import shutil
+import signal
+import sys
+import time
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from tests.train.runs import CONFIG, PATIENCE, PROGRAM, checksums, lines, run, started
+from tests.train.toys import DriveToy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_part
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.make import make
+from usarmjx.train.processes.group import Team
+
+
+def wait_for_lines(folder, count, process):
+    """Wait until so many iterations have been written down."""
+    until = time.monotonic() + PATIENCE
+    while not (folder / "metrics.jsonl").exists() or len(lines(folder)) < count:
+        assert time.monotonic() < until, "nothing was written"
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+
+
+def test_a_run_that_was_killed_ends_as_one_that_was_not(reference, cache, tmp_path):
+    """Bit for bit: all that was learned, all worlds, all that was written down."""
+    folder = tmp_path / "run"
+    with started([sys.executable, *PROGRAM, str(folder)], cache) as process:
+        wait_for_lines(folder, 4, process)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait(10) == -signal.SIGKILL
+    assert 4 <= len(lines(folder)) < 10
+    # What a kill at an unlucky moment leaves: half a line, half a checkpoint.
+    with (folder / "metrics.jsonl").open("a") as file:
+        file.write('{"iteration": 99, "sco')
+    (folder / "checkpoints" / "00000009.partial" / "worlds").mkdir(parents=True)
+    with started([sys.executable, *PROGRAM, str(folder), "--resume"], cache) as process:
+        output, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, output
+    assert lines(folder) == lines(reference)
+    assert checksums(folder) == checksums(reference)
+
+
+@pytest.fixture
+def copy(reference, tmp_path):
+    """The run, to be damaged."""
+    folder = tmp_path / "copy"
+    shutil.copytree(reference, folder)
+    return folder
+
+
+def test_the_latest_checkpoints_and_the_best_are_kept(reference):
+    there = [path.name for path in Checkpoints(reference).all()]
+    assert there[-2:] == ["00000009", "00000010"]
+    assert len(there) <= 3
+    best = Checkpoints(reference).find("best")
+    scores = {record["iteration"]: record["score"] for record in lines(reference)}
+    assert scores[int(best.name)] == max(scores.values())
+
+
+def test_a_run_that_is_over_is_over(copy):
+    """Resuming it changes nothing."""
+    before = lines(copy)
+    assert run(copy, resume=True).last["iteration"] == 10
+    assert lines(copy) == before
+
+
+def spoil_data(path):
+    """Turn over some bits in the largest file."""
+    file = max((file for file in path.rglob("*") if file.is_file()), key=lambda file: file.stat().st_size)
+    data = bytearray(file.read_bytes())
+    for place in range(len(data) // 4, len(data) // 2):
+        data[place] ^= 0xFF
+    file.write_bytes(bytes(data))
+
+
+def lose_meta(path):
+    (path / "meta.json").unlink()
+
+
+def cut_list(path):
+    (path / "learner_0.json").write_text("[")
+
+
+def lie_about_bits(path):
+    """As if a bit had fallen over that the format does not notice."""
+    file = path / "worlds_0.json"
+    content = json.loads(file.read_text())
+    content["checksums"][3] ^= 1
+    file.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("damage", [spoil_data, lose_meta, cut_list, lie_about_bits])
+def test_a_broken_checkpoint_is_refused(copy, damage):
+    damage(Checkpoints(copy).find("last"))
+    with pytest.raises(UsageError, match="00000010 is broken"):
+        run(copy, resume=True)
+
+
+def test_a_checkpoint_of_something_else_is_refused(copy, reference):
+    """Of other networks, or of another toy: it says what it found and what it expected."""
+    path = Checkpoints(reference).find("last")
+    for worlds, config in ((32, replace(CONFIG, layers=(16, 32))), (16, replace(CONFIG, worlds=16))):
+        part = "learner" if worlds == 32 else "worlds"
+        learner, collector = Trainer(DriveToy(worlds), config, Team()).start()
+        with pytest.raises(UsageError, match=r"of another run: it holds .* expected"):
+            read_part(path, part, learner if part == "learner" else collector)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"discount": 0.95}, r"started otherwise: discount: 0.9 -> 0.95"),
+        ({"layers": (16,)}, r"layers: \(32, 32\) -> \(16,\)"),
+    ],
+)
+def test_a_run_is_not_resumed_with_other_settings(copy, change, words):
+    with pytest.raises(UsageError, match=words):
+        run(copy, replace(CONFIG, **change), resume=True)
+
+
+def test_a_folder_with_a_run_is_not_overwritten(reference, tmp_path):
+    with pytest.raises(UsageError, match="has a run already"):
+        run(reference)
+    with pytest.raises(UsageError, match="nothing to resume"):
+        run(tmp_path / "none", resume=True)
+    with pytest.raises(UsageError, match="is no run"):
+        load_policy(tmp_path)
+    with pytest.raises(UsageError, match=r"there are: .*10, besides last and best"):
+        load_policy(reference, "11")
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow)])
+def test_a_robot_goes_on_where_it_was(engine, tmp_path):
+    """A real environment: physics, sensors' memories and random keys come back bit for bit."""
+    config = Config(
+        steps=4 * 4 * 4, worlds=4, rollout=4, minibatches=2, epochs=1, layers=(8,), critic_layers=(8,),
+        checkpoint_every=2,
+    )  # fmt: skip
+    env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6)
+
+    def stop(line):
+        if line["iteration"] == 3:
+            raise Stop
+
+    train(env, config, tmp_path / "whole", progress=False)
+    with pytest.raises(Stop):
+        train(env, config, tmp_path / "part", progress=False, watch=stop)
+    assert Checkpoints(tmp_path / "part").find().name == "00000002"
+    train(env, config, tmp_path / "part", resume=True, progress=False)
+    assert lines(tmp_path / "part") == lines(tmp_path / "whole")
+    assert checksums(tmp_path / "part") == checksums(tmp_path / "whole")
+    assert lines(tmp_path / "whole")[-1]["episodes"] > 0
+
+
+def test_numbers_of_64_bits_and_random_keys_come_back(tmp_path):
+    """As C MuJoCo's states have them; JAX here has no such numbers."""
+    from usarmjx.train.learning.checkpoint import _write
+
+    tree = {
+        "double": np.array([[1 / 3, np.pi], [np.nan, np.inf]]),
+        "scalar": np.float64(2 / 3) * np.ones(()),
+        "long": np.array([2**62 + 1]),
+        "key": jax.random.key(7),
+        "flag": np.array([True, False]),
+        "nothing": np.zeros((3, 0)),
+        "number": jax.numpy.float32(1 / 3),
+    }
+    _write(tmp_path, "part", tree, Team())
+    found = read_part(tmp_path, "part", tree)
+    for name, value in tree.items():
+        assert isinstance(found[name], jax.Array) == isinstance(value, jax.Array)
+        one, other = (
+            jax.random.key_data(v) if name == "key" else np.asarray(v) for v in (value, found[name])
+        )
+        assert one.dtype == other.dtype
+        assert_array_equal(one, other)

@@ -1,0 +1,174 @@
+"""Whole runs on toys: they learn, what they must not learn from is left out, and nothing compiles twice."""
+
+import json
+import struct
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from tensorboardX.proto.event_pb2 import Event
+
+from tests.train.runs import CONFIG, lines
+from tests.train.toys import DriveToy, EndlessToy, MemoryToy
+from usarmjx.base.errors import UsageError
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.processes.group import Team
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+def test_three_robots_of_two_classes_learn_to_drive_to_their_goals(reference):
+    """In 24000 agent steps from under 20 % of the episodes to over 80 %."""
+    records = lines(reference)
+    assert [record["iteration"] for record in records] == list(range(1, 11))
+    assert records[-1]["agent_steps"] == 24_000
+    assert records[0]["score"] < 0.2
+    assert records[-1]["score"] > 0.8
+    assert records[-1]["return"] > records[0]["return"] + 1.0
+    # A goal is 0.84 away on average (of uniform places, 0.3 and 1 wide) and a step at most 0.28.
+    assert records[-1]["length"] < 15 < records[0]["length"]
+
+
+def test_what_is_written_of_a_run(reference):
+    """The settings, and for each iteration the same numbers in both logs."""
+    settings = json.loads((reference / "config.json").read_text())
+    assert settings["task"] == "drive-toy"
+    assert settings["config"]["seed"] == CONFIG.seed
+    assert [group["name"] for group in settings["groups"]] == ["A", "B"]
+    record = lines(reference)[-1]
+    assert (record["level"], record["loss/skipped"]) == (1.0, 0.0)
+    assert record["end/success"] == record["score"]
+    shown = on_the_board(reference)
+    for line in lines(reference):
+        number = line.pop("iteration")
+        del line["agent_steps"]
+        told = {name: value for name, value in line.items() if value is not None}
+        assert told == {name: pytest.approx(shown[name, number]) for name in told}
+    assert ("steps_per_s", 10) in shown
+
+
+def on_the_board(folder):
+    """What TensorBoard shows of a run, by name and iteration.
+
+    Its files are records of length, checksum of that, an event, checksum of that (TFRecord).
+    """
+    found = {}
+    for file in (folder / "tensorboard").iterdir():
+        data, at = file.read_bytes(), 0
+        while at < len(data):
+            (size,) = struct.unpack_from("<Q", data, at)
+            event = Event.FromString(data[at + 12 : at + 12 + size])
+            found |= {(one.tag, event.step): one.simple_value for one in event.summary.value}
+            at += size + 16
+    return found
+
+
+def test_worlds_that_go_wrong_are_counted_and_do_no_harm(reference):
+    """A robot that goes too far to the right makes its world NaN: nothing of that gets into the networks."""
+    records = lines(reference)
+    assert records[-1]["bad"] > 0.01
+    for record in records:
+        assert all(value is not None for name, value in record.items() if name.startswith("loss/"))
+
+
+@pytest.fixture(scope="module")
+def both():
+    """The same run with one compiled rollout, and step by step: compilations, what was first collected."""
+    compiled, found = [], {}
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if name == COMPILED else None
+    )
+    config = Config(worlds=4, minibatches=2, rollout=4, layers=(4,), critic_layers=(4,), memory=3)
+    try:
+        for traceable in (True, False):
+            trainer = Trainer(DriveToy(4, traceable=traceable), config, Team())
+            learner, worlds = trainer.start()
+            first, counts = trainer.rollout.collect(learner, worlds, trainer._key), []
+            for iteration in range(3):
+                learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+                jax.device_get(known)
+                counts.append(len(compiled))
+            found[traceable] = (counts, first)
+    finally:
+        jax.monitoring.clear_event_listeners()
+    return found
+
+
+@pytest.mark.parametrize("traceable", [True, False])
+def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
+    counts, _ = both[traceable]
+    assert counts[0] > 0
+    assert counts == counts[:1] * 3
+
+
+def test_a_rollout_step_by_step_is_that_in_one_piece(both):
+    """As with an engine that cannot be traced; rounding may differ by what XLA fuses."""
+    one_piece, by_step = (jax.tree.leaves(both[traceable][1]) for traceable in (True, False))
+    for one, other in zip(one_piece, by_step, strict=True):
+        if jax.numpy.issubdtype(one.dtype, jax.dtypes.prng_key):
+            assert_array_equal(jax.random.key_data(one), jax.random.key_data(other))
+        else:
+            assert_allclose(one, other, atol=1e-5)
+
+
+def memory_score(tmp_path, memory):
+    """Return what share of the lights was told right in the last iterations."""
+    config = Config(
+        steps=40_000,
+        worlds=64,
+        rollout=20,
+        learning_rate=3e-3,
+        discount=0.99,
+        layers=(16,),
+        critic_layers=(16,),
+        memory=memory,
+        checkpoint_every=1000,
+    )
+    train(lambda worlds, first: MemoryToy(worlds, first), config, tmp_path / str(memory), progress=False)
+    return np.mean([record["score"] for record in lines(tmp_path / str(memory))[-5:]])
+
+
+def test_what_was_seen_before_is_used_by_a_policy_with_memory(tmp_path):
+    """And by no other: what it sees at the end says nothing of the light, so 1/2 is all it can get.
+
+    In 5 iterations 1280 lights were told: 0.57 is five deviations from 1/2.
+    """
+    assert memory_score(tmp_path, 0) < 0.57
+    assert memory_score(tmp_path, 8) > 0.95
+
+
+@pytest.mark.oracle
+def test_a_time_limit_is_no_end(tmp_path):
+    """A reward of 1 for ever is worth 1 / (1 - discount) = 5, though episodes are cut after 4 steps.
+
+    Without the critic's opinion of the last state it would be 1 to 2.95, depending on the time.
+    """
+    config = Config(
+        steps=60_000, worlds=16, rollout=16, discount=0.8, learning_rate=3e-3, schedule="constant",
+        layers=(8,), critic_layers=(8,), entropy=0.0,
+    )  # fmt: skip
+    trainer = Trainer(EndlessToy(16), config, Team())
+    learner, worlds = trainer.start()
+    for iteration in range(60):
+        learner, worlds, _ = trainer.iterate(learner, worlds, iteration)
+    _, steps, _, _ = trainer.rollout.collect(learner, worlds, jax.random.key(0))
+    assert np.asarray(steps.truncated).any()
+    assert_allclose(steps.value[0], 5.0, rtol=0.03)
+    assert_allclose(np.asarray(steps.bootstrap[0])[np.asarray(steps.truncated)], 5.0, rtol=0.03)
+
+
+def test_first_episodes_begin_at_random_times():
+    """So that not all time-outs come at once; the same for a world in whichever process."""
+    config = Config(worlds=32, layers=(4,), critic_layers=(4,))
+    _, worlds = Trainer(DriveToy(32), config, Team()).start()
+    lengths = np.asarray(worlds.env.length)
+    assert lengths.min() < 5
+    assert 19 < lengths.max() < DriveToy.episode_steps
+
+
+def test_worlds_that_do_not_fit_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="16 worlds; 32 worlds of 1 processes need 32"):
+        Trainer(DriveToy(16), CONFIG, Team())
+    assert not (tmp_path / "run").exists()

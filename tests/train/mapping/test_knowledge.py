@@ -1,0 +1,196 @@
+"""What robots tell each other: against a network in which every word is followed by hand."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from usarmjx.comms.links import no_links
+from usarmjx.comms.mail import MailSettings, deliver, empty, no_mail
+from usarmjx.sensors.ranging import ScannerSettings
+from usarmjx.train.mapping.knowledge import (
+    BESIDE,
+    HEADER,
+    Scan,
+    ignorance,
+    letters,
+    listen,
+    moved,
+    sectors,
+    see,
+    touch_base,
+)
+from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, MapGrid
+from usarmjx.train.mapping.planning import AHEAD, Minds, plan
+from usarmjx.train.mapping.wavefront import FAR
+
+GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(13, 9))
+ROBOTS, BASE, PERIOD = 4, 0, 0.2
+SETTINGS = MailSettings(numbers=HEADER + GRID.numbers, capacity=ROBOTS - 1, budget=10_000)
+EVERYONE = ~np.eye(ROBOTS, dtype=bool)
+read = jax.jit(listen, static_argnums=(0, 3))
+
+
+def team(poses=None):
+    poses = np.zeros((ROBOTS, 3), np.float32) if poses is None else np.array(poses, np.float32)
+    return ignorance(GRID, jnp.asarray(poses))
+
+
+@jax.jit
+def exchange(mind, linked, time):
+    """One step of mail over links that hold."""
+    links = no_links(ROBOTS).replace(in_range=linked, chance=linked.astype(jnp.float32))
+    boxes = empty(no_mail(SETTINGS, ROBOTS))
+    moment = (jnp.int32(0), time)
+    mail = deliver(SETTINGS, boxes, letters(mind, EVERYONE), links, moment, jax.random.key(0))
+    return listen(GRID, mind, mail, PERIOD)
+
+
+def drawn(*squares):
+    """Own evidence of robots: each (robot, i, j, value)."""
+    table = np.zeros((ROBOTS, *GRID.shape), np.int8)
+    for robot, i, j, value in squares:
+        table[robot, i, j] = value
+    return jnp.asarray(table)
+
+
+def test_news_travel_by_one_link_a_step_and_marks_with_them():
+    chain = np.zeros((ROBOTS, ROBOTS), bool)
+    for i in range(ROBOTS - 1):
+        chain[i, i + 1] = chain[i + 1, i] = True
+    mind = team()
+    mind = mind.replace(evidence=drawn((3, 5, 4, -1), (3, 6, 4, 2)), marked=mind.marked.at[3, 7, 7].set(True))
+    for step in range(1, ROBOTS):
+        mind = exchange(mind, chain, PERIOD * step)
+        squares = np.asarray(mind.squares)
+        knows = [squares[robot, 5, 4] == FREE for robot in range(ROBOTS)]
+        assert knows == [robot >= ROBOTS - 1 - step for robot in range(ROBOTS)]
+    assert (squares[:, 6, 4] == WALL).all()
+    assert (squares[:, 7, 7] == MARK).all()
+    assert (squares == UNKNOWN).sum() == ROBOTS * (GRID.squares - 3)
+
+
+def test_what_a_robot_sees_itself_goes_before_what_it_is_told():
+    mind = team().replace(evidence=drawn((0, 2, 2, 3), (1, 2, 2, -3)))
+    mind = exchange(mind, EVERYONE, PERIOD)
+    assert np.asarray(mind.squares)[:, 2, 2].tolist() == [WALL, FREE, FREE, FREE]
+
+
+def test_robots_hear_where_the_others_are_and_when_they_said_so():
+    poses = [(0.1 * k, 0.2 * k, 0.3 * k) for k in range(ROBOTS)]
+    linked = np.zeros((ROBOTS, ROBOTS), bool)
+    linked[1, 2] = linked[2, 1] = True
+    mind = team(poses)
+    mind = mind.replace(pose=mind.pose + 1.0, goal=mind.goal + 2.0)
+    mind = exchange(mind, linked, 5.0)
+    np.testing.assert_allclose(mind.mates[1, 2], [1.2, 1.4, 1.6, 2.2, 2.4, 0.0], atol=1e-6)
+    np.testing.assert_allclose(mind.mates[1, 3, :3], poses[3], atol=1e-6)  # where it started
+    assert mind.heard[1, 2] == mind.heard[2, 1] == 5.0
+    assert mind.heard[1, 3] == mind.heard[0, 1] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
+    """Each robot's contact is compared with the newest of its words that has really come to the base."""
+    draw = np.random.default_rng(seed)
+    mind, claims = team(), 0
+    newest = np.zeros((ROBOTS, ROBOTS))  # row: who has it, column: whose word; when it was said
+    linked = np.zeros((ROBOTS, ROBOTS), bool)
+    for step in range(60):
+        time = PERIOD * step
+        np.fill_diagonal(newest, time)
+        for i, j in itertools.combinations(range(ROBOTS), 2):
+            if draw.random() < 0.25:
+                linked[i, j] = linked[j, i] = ~linked[i, j]
+        linked[3, BASE] = linked[BASE, 3] = False  # only over others
+        mind = touch_base(mind, jnp.asarray(linked), BASE, jnp.float32(time))
+        mind = exchange(mind, jnp.asarray(linked), jnp.float32(time))
+        told = [newest[[*np.flatnonzero(row), k]].max(0) for k, row in enumerate(linked)]
+        newest = np.array(told)
+        believed = np.asarray(mind.contact)
+        assert (believed <= newest[BASE] + 1e-4).all()
+        claims += believed[3] > 0
+    assert claims > 30  # it learned of contact, too
+
+
+def test_the_base_is_in_touch_with_itself_and_with_those_it_has_a_link_to():
+    linked = np.zeros((ROBOTS, ROBOTS), bool)
+    linked[BASE, 2] = linked[2, BASE] = True
+    assert touch_base(team(), jnp.asarray(linked), BASE, jnp.float32(7.0)).contact.tolist() == [7, 0, 7, 0]
+
+
+def test_another_robot_is_not_drawn_as_a_wall_if_it_said_where_it_is():
+    settings = ScannerSettings(scan_fov=1.0, resolution=0.05, max_range=3.0)
+    poses = [(0.6, 1.2, 0.0), (2.1, 1.2, 0.0), (9.0, 9.0, 0.0), (9.0, 9.0, 0.0)]
+    ranges = np.full((1, settings.beams), 1.2, np.float32)  # the near side of robot 1
+    scan = Scan(np.array([0]), settings, jnp.array(poses[:1]), jnp.asarray(ranges), jnp.ones(1, bool))
+    heard, silent = team(poses), team(poses).replace(heard=jnp.full((ROBOTS, ROBOTS), -9.0))
+    at = (0, *GRID.index(np.array([1.8, 1.2])).tolist())
+    assert see(GRID, heard, scan, jnp.float32(0.2)).squares[at] == UNKNOWN
+    assert see(GRID, silent, scan, jnp.float32(0.2)).squares[at] == WALL
+    stale = scan.__class__(**{**vars(scan), "fresh": jnp.zeros(1, bool)})
+    assert (see(GRID, silent, stale, jnp.float32(0.2)).squares == UNKNOWN).all()
+
+
+def test_sectors_hold_the_shortest_beam():
+    ranges = np.arange(24.0)[::-1]
+    assert sectors(ranges).tolist() == list(range(22, -1, -2))
+
+
+def hall(*walls):
+    """Own evidence of all robots: a hall of free squares, with what is not known at its right end."""
+    table = np.full(GRID.shape, -1, np.int8)
+    table[[0, -1], :], table[:, [0, -1]] = 1, 1
+    table[9:, :] = 0
+    for i, j in walls:
+        table[i, j] = 1
+    return jnp.broadcast_to(jnp.asarray(table), (ROBOTS, *GRID.shape))
+
+
+thought = jax.jit(plan, static_argnums=0)
+
+
+def test_robots_go_to_the_frontier_and_keep_apart():
+    poses = [(0.6, 0.6, 0.0), (0.6, 1.8, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
+    mind = team(poses).replace(evidence=hall())
+    mind = plan(GRID, mind, jnp.float32(0.0))
+    edge = 8 * GRID.cell
+    np.testing.assert_allclose(mind.goal[:2, 0], edge, atol=1e-5)
+    assert float(jnp.abs(mind.goal[0, 1] - mind.goal[1, 1])) >= 0.6
+    ahead = np.asarray(mind.next[:2, 0]) - 0.6
+    np.testing.assert_allclose(ahead, AHEAD * GRID.cell, atol=1e-5)
+
+
+def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
+    poses = [(1.8, 1.2, 0.0)] * ROBOTS
+    table = np.array(hall())
+    table[:, :2] = 0  # unknown at both ends: free squares from 0.6 m to 2.4 m
+    mind = team(poses).replace(evidence=jnp.asarray(table), heard=jnp.full((ROBOTS, ROBOTS), -99.0))
+    new = thought(GRID, mind, jnp.float32(0.0))
+    np.testing.assert_allclose(new.goal[:, 0], 2.4, atol=1e-5)
+    mind = moved(GRID, mind, mind.pose)
+    near = np.linalg.norm(GRID.middles - np.array([1.8, 1.2]), axis=-1) < BESIDE
+    np.testing.assert_array_equal(mind.been, np.broadcast_to(near, mind.been.shape))
+    been = thought(GRID, mind, jnp.float32(0.0))
+    assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= BESIDE).all()
+
+
+def test_nobody_has_a_way_where_there_is_no_frontier():
+    table = hall().at[:, 9:, :].set(1)
+    mind = plan(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
+    assert (mind.far >= FAR).all()
+    np.testing.assert_allclose(mind.next, mind.pose[:, :2])
+
+
+def test_robots_go_where_they_are_wanted_and_those_that_fly_over_walls():
+    poses = [(0.6, 1.2, 0.0), (0.6, 1.2, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
+    shut = [(5, j) for j in range(9)]  # a wall across the hall
+    mind = team(poses).replace(evidence=hall(*shut))
+    minds = Minds(peers=np.zeros((ROBOTS, ROBOTS), bool), flyers=np.array([False, True, False, False]))
+    wanted = jnp.full((ROBOTS, *GRID.shape), FAR).at[:, 8, 4].set(0.0)
+    mind = plan(GRID, mind, jnp.float32(0.0), minds, wanted)
+    assert mind.far[0] >= FAR
+    np.testing.assert_allclose(mind.far[1], 6.0, atol=1e-4)  # six squares ahead
+    np.testing.assert_allclose(mind.goal[1], [2.4, 1.2], atol=1e-5)

@@ -1,0 +1,158 @@
+"""Policies from runs, files, the package and by hand; evaluations as JSON; the command that makes them."""
+
+import json
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.train.handmade import policy_file
+from tests.train.toy import ToyEnv
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.cli.app import app
+from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import TASKS
+from usarmjx.train.evaluation.evaluate import as_record, evaluate, interval
+from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
+from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies.sources import baseline, find_source, task_settings
+
+GOAL_GROUP = AgentGroup("P2AT", ("P2AT0",), 4, 2)
+
+
+def env_with(*groups):
+    """What a policy is compared with."""
+    return SimpleNamespace(name="drive-to-goal", groups=groups)
+
+
+def test_a_policy_from_a_file_acts_as_numpy_says(tmp_path):
+    file = policy_file(tmp_path / "goal.npz")
+    policy, told = find_source(str(file)).policy(env_with(GOAL_GROUP)), NumpyPolicy(file)
+    obs = np.random.default_rng(0).uniform(-1, 1, (5, 1, 4)).astype(np.float32)
+    _, (actions,) = policy.act(policy.start(5), (obs,), jax.random.key(0))
+    expected, _ = told.act(0, obs, told.start(0, 5, 1))
+    np.testing.assert_allclose(actions, expected, atol=1e-5)  # single precision, three sums of a few terms
+    by_hand = np.tanh(1.5 * obs[..., 0] - 2.5 * obs[..., 1])
+    np.testing.assert_allclose(actions[..., 0], by_hand, atol=1e-5)
+
+
+def test_the_policy_of_a_run_acts_as_its_checkpoint(reference):
+    found = find_source(str(reference), "last")
+    policy, params, record = load_policy(reference, "last")
+    assert found.task == record.task
+    driver, obs = (
+        found.policy(env_with(*record.groups)),
+        tuple(np.full((3, len(group.agents), group.obs_size), 0.3, np.float32) for group in record.groups),
+    )
+    _, actions = driver.act(driver.start(3), obs, jax.random.key(0))
+    expected, _ = policy.act(params, obs, policy.start(3), deterministic=True)
+    for one, other in zip(actions, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_policy_for_other_robots_is_refused(tmp_path):
+    found = find_source(str(policy_file(tmp_path / "goal.npz")))
+    with pytest.raises(UsageError, match=r"P2AT.*4, 2.*has \[\('P2AT', 20, 2\)\]"):
+        found.policy(env_with(AgentGroup("P2AT", ("P2AT0",), 20, 2)))
+
+
+def test_packaged_policies_are_found_by_their_task(tmp_path, monkeypatch):
+    policy_file(tmp_path / "drive-to-goal.npz")
+    monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert find_source("Drive-To-Goal").task == "drive-to-goal"
+    with pytest.raises(UnknownNameError, match=r"chess is no folder .* packaged one: drive-to-goal"):
+        find_source("chess")
+
+
+def test_every_packaged_policy_is_for_the_task_that_it_is_named_after():
+    assert len(POLICIES) == len(list(FOLDER.glob("*.npz")))
+    for name, file in POLICIES:
+        assert name in TASKS
+        assert NumpyPolicy(file).task == name
+        assert file.stat().st_size < 1_000_000
+        env, _, notes = find_source(name).env(engine="c")  # refused if the task is another one now
+        assert (env.name, notes) == (name, [])
+
+
+def test_settings_of_the_training_come_back_and_those_that_cannot_are_told():
+    trained = {"radius": "0.8", "ranges": "Sonar,IR", "vary": "Variation(mass=(0.9, 1.1))"}
+    found, notes = task_settings("drive-to-goal", trained, ["radius=0.4"])
+    assert found == {"radius": 0.4, "ranges": ("Sonar", "IR")}
+    (note,) = notes
+    assert "vary=Variation(mass=(0.9, 1.1)), which is not read back" in note
+    with pytest.raises(UnknownNameError, match="drive-to-goal has no setting 'wheels'"):
+        task_settings("drive-to-goal", {}, ["wheels=3"])
+    with pytest.raises(UnknownNameError, match=r"known: .*drive-to-goal"):
+        baseline("chess")
+
+
+def still(share):
+    return Policy(
+        start=lambda worlds: np.zeros(worlds),
+        act=lambda memory, obs, key: (memory, (jax.numpy.full((*obs[0].shape[:2], 2), share),)),
+    )
+
+
+def test_each_episode_has_a_row_with_its_world_and_turn():
+    """A toy robot that stands still scores the sum of its x over the six steps of an episode.
+
+    World k begins at (k + 1) / 8, a sixteenth farther in the next episode; a seed counts as that many worlds.
+    """
+    env = ToyEnv(worlds=2, team=1, mixed=False)
+    record = as_record(evaluate(env, still(0.0), 4, seeds=(0, 3)))
+    rows = {(row["seed"], row["world"], row["episode"]): row for row in record["episodes"]}
+    assert sorted(rows) == [(seed, world, turn) for seed in (0, 3) for world in (0, 1) for turn in (0, 1)]
+    for (seed, world, turn), row in rows.items():
+        assert row["steps"] == 6
+        assert row["score"] == pytest.approx(6 * ((seed + world + 1) / 8 + turn / 16), rel=1e-5)
+    means = [one["mean"] for one in record["seeds"]]
+    assert record["score"]["mean"] == pytest.approx(np.mean(means))
+    assert json.loads(json.dumps(record)) == record
+
+
+def test_an_interval_of_which_nothing_is_known_is_null():
+    env = ToyEnv(worlds=1, team=1, mixed=False)
+    record = as_record(evaluate(env, still(0.0), 1))
+    assert record["score"]["low"] is None
+    assert record["score"]["high"] is None
+
+
+def test_eval_tells_the_mean_of_its_rows_and_writes_them(tmp_path):
+    """A policy that heads for the goal in sight; 25 actions of 0.2 s take it at most 3.5 m."""
+    file, out = policy_file(tmp_path / "goal.npz", {"ranges": ""}), tmp_path / "eval.json"
+    command = ["eval", str(file), "--episodes", "6", "--worlds", "3", "--engine", "c", "--json", str(out)]
+    done = CliRunner().invoke(app, [*command, "--set", "episode_steps=25", "--set", "pose=GroundTruth"])
+    assert done.exit_code == 0, done.output
+    record = json.loads(out.read_text())
+    scores = [row["score"] for row in record["episodes"]]
+    assert len(scores) == 6
+    assert set(scores) <= {0.0, 1.0}
+    found = interval(np.array(scores))
+    assert record["score"]["mean"] == pytest.approx(found.mean)
+    assert (
+        f"score {found.mean:.3f}, 95 % interval {found.low:.3f} to {found.high:.3f} (6 episodes)"
+        in done.output
+    )
+    late = [row for row in record["episodes"] if row["score"] == 0.0]
+    assert all(row["steps"] == 25 for row in late)
+    assert record["settings"] == ["episode_steps=25", "pose=GroundTruth"]
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ([], "name either"),
+        (["x.npz", "--baseline", "wander"], "name either"),
+        (["nothing-there"], "is no folder of a run"),
+        (["--baseline", "chess"], "unknown baseline"),
+    ],
+)
+def test_eval_of_nothing_is_refused(words, complaint):
+    done = CliRunner().invoke(app, ["eval", *words])
+    assert done.exit_code == 2
+    assert complaint in done.output

@@ -1,0 +1,71 @@
+"""The one registry mechanism: explicit `add`, names matched without case, as USARSim does."""
+
+from collections.abc import Iterator
+from typing import Generic, TypeVar
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """A table of named things that refuses duplicates and lists what it knows.
+
+    Args:
+        kind: What the entries are, for error messages ("robot", "sensor").
+    """
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self._entries: dict[str, tuple[str, T]] = {}
+        self._aliases: dict[str, str] = {}
+
+    def add(self, name: str, entry: T, *, aliases: tuple[str, ...] = ()) -> T:
+        """Register `entry` under `name` and its aliases and return it.
+
+        Raises:
+            UsageError: The name or an alias is taken.
+        """
+        for candidate in (name, *aliases):
+            key = candidate.lower()
+            if key in self._entries or key in self._aliases:
+                raise UsageError(f"{self.kind} {candidate!r} is registered already")
+        self._entries[name.lower()] = (name, entry)
+        self._aliases.update({alias.lower(): name.lower() for alias in aliases})
+        return entry
+
+    def replace(self, name: str, entry: T) -> T:
+        """Register `entry` in place of what has that name or alias, under its name, or anew."""
+        key = self._aliases.get(name.lower(), name.lower())
+        spelt = self._entries[key][0] if key in self._entries else name
+        self._entries[key] = (spelt, entry)
+        return entry
+
+    def get(self, name: str) -> T:
+        """Return the entry of that name or alias, case ignored.
+
+        Raises:
+            UnknownNameError: No such name; the message lists the known ones.
+        """
+        key = name.lower()
+        key = self._aliases.get(key, key)
+        if key not in self._entries:
+            known = ", ".join(self.names()) or "none"
+            raise UnknownNameError(f"unknown {self.kind} {name!r}; known: {known}")
+        return self._entries[key][1]
+
+    def names(self) -> list[str]:
+        """Return the registered names, sorted without case, in the spelling they were added with."""
+        return sorted((name for name, _ in self._entries.values()), key=str.lower)
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether a name or alias is registered, case ignored."""
+        return name.lower() in self._entries or name.lower() in self._aliases
+
+    def __iter__(self) -> Iterator[tuple[str, T]]:
+        """Iterate over (name, entry), sorted by name, case ignored."""
+        return iter(sorted(self._entries.values(), key=lambda pair: pair[0].lower()))
+
+    def __len__(self) -> int:
+        """Return the number of entries, aliases not counted."""
+        return len(self._entries)

@@ -1,0 +1,145 @@
+"""How fast cameras are: pictures of all robots of a batch, as policies would look at them.
+
+Between two rounds of pictures the worlds are not stepped, but every robot's camera is zoomed a little, so
+that no picture is the one before.
+"""
+
+import statistics
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.bench.peer import measure_peer, with_camera
+from usarmjx.bench.tools import append, heading, timed
+from usarmjx.cameras.light import daylight
+from usarmjx.cameras.mounts import cameras_of, find_camera
+from usarmjx.cameras.picture import check_size
+from usarmjx.engines.base import PhysicsState
+from usarmjx.sim.batch import Batch, State
+from usarmjx.sim.scene import Scene, build_scene
+from usarmjx.sim.views import each, look_around, pictures
+from usarmjx.sim.world import World
+
+ZOOM = 0.99
+"""By how much the field of view changes from one picture to the next."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraCase:
+    """What to measure: `steps` pictures of every robot's main camera, `repeats` times.
+
+    With `peer` also those of MuJoCo Warp's own renderer, of the first robot's camera in each world.
+    """
+
+    worlds: int
+    robots: int = 1
+    robot: str = "P2AT"
+    arena: str = "yellow"
+    width: int = 64
+    height: int = 64
+    engine: str = "auto"
+    steps: int = 5
+    repeats: int = 5
+    seed: int = 0
+    peer: bool = False
+
+
+def _loop(case: CameraCase, batch: Batch, state: State) -> Callable[[jax.Array], jax.Array]:
+    """Return a function that takes pictures `steps` times, and sums them up so that all are needed."""
+    place = find_camera(batch.scene.teams[0].robot)
+    eye, size = (0, cameras_of(batch.scene.teams[0].robot)[place], place), (case.width, case.height)
+    check_size(eye[1], *size)
+    worlds, physics = state.worlds, batch.physics(state)
+
+    # Everything is an argument: what a jitted function closes over is compiled in as constants.
+    @jax.jit
+    @jax.default_matmul_precision("highest")
+    def run(total: jax.Array, worlds: World, physics: PhysicsState) -> jax.Array:
+        def body(i: jax.Array, total: jax.Array) -> jax.Array:
+            robots = worlds.teams[0]
+            zoomed = worlds.replace(teams=(robots.replace(fov=robots.fov * ZOOM**i),))
+            picture = each(lambda world, now: pictures(batch.scene, world, now, eye, size), zoomed, physics)
+            depth = jnp.where(jnp.isfinite(picture.depth), picture.depth, 0.0)
+            return total + picture.rgb.sum(dtype=jnp.float32) + depth.sum() + picture.segmentation.sum()
+
+        return jax.lax.fori_loop(0, case.steps, body, total)
+
+    return lambda total: run(total, worlds, physics)
+
+
+def _seen(scene: Scene, batch: Batch, state: State) -> dict[str, Any]:
+    """Return what there is to see in a world."""
+    world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
+    stage, _ = look_around(scene, world, physics)
+    materials: dict[str, int] = {}
+    for material, block in zip(stage.geoms.materials, stage.geoms.blocks, strict=True):
+        materials[material] = materials.get(material, 0) + len(block.owner)
+    lit_by = "the sun" if float(daylight(stage.lamps)) else f"{len(stage.lamps.rgb)} lamps"
+    return {"geoms": sum(materials.values()), "materials": materials, "lit_by": lit_by}
+
+
+def measure_camera(case: CameraCase, file: Path | None = None) -> str:
+    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Raises:
+        UnknownNameError: No such arena or robot, or a robot without a camera.
+        SpecError: More robots than the arena has start poses.
+        UsageError: A picture of that size cannot be taken; a peer is asked for, but warp-lang is missing.
+    """
+    if case.peer and find_spec("warp") is None:
+        raise UsageError("MuJoCo Warp's renderer needs warp-lang: pip install usarmjx[cuda]")
+    scene = build_scene(case.arena, [case.robot] * case.robots)
+    batch = Batch(scene, case.worlds, engine=case.engine, seed=case.seed)
+    state = batch.reset()
+    first, times, _ = timed(_loop(case, batch, state), jnp.zeros(()), case.repeats)
+    work = case.worlds * case.robots * case.steps
+    record = {
+        **heading("camera"),
+        "case": asdict(case),
+        "in_the_picture": "colours with shadows, bricks and checkers, mirrors (once), glass, headlights; "
+        "depth; segmentation",
+        "scene": _seen(scene, batch, state),
+        "frames_per_s": work / statistics.median(times),
+        "pixels_per_s": work * case.width * case.height / statistics.median(times),
+        "times_s": times,
+        "compile_s": first - times[0],
+        "peer": _peer(case, scene, batch, state) if case.peer else None,
+    }
+    append(record, file)
+    return _summary(record)
+
+
+def _peer(case: CameraCase, scene: Scene, batch: Batch, state: State) -> list[dict[str, Any]]:
+    """Return what MuJoCo Warp's renderer takes for the same, with and without shadows."""
+    robot, size = scene.teams[0].robot, (case.width, case.height)
+    model = with_camera(scene, cameras_of(robot)[find_camera(robot)], size)
+    qpos = np.asarray(batch.physics(state).qpos)
+    return [measure_peer(model, qpos, size, case.steps, case.repeats, shadows) for shadows in (True, False)]
+
+
+def _summary(record: dict[str, Any]) -> str:
+    case, scene = record["case"], record["scene"]
+    peers = [
+        f"MuJoCo Warp's {one['frames_per_s']:13,.1f} /s, {one['geoms']} geoms, "
+        + ("with shadows" if one["shadows"] else "no shadows")
+        for one in record["peer"] or ()
+    ]
+    return "\n".join(
+        [
+            f"{case['worlds']} worlds x {case['robots']} {case['robot']} in {case['arena']}, "
+            f"{case['width']} x {case['height']} pixels on {record['device']}",
+            f"pictures      {record['frames_per_s']:15,.1f} /s",
+            f"pixels        {record['pixels_per_s']:15,.0f} /s",
+            f"geoms         {scene['geoms']}, lit by {scene['lit_by']}",
+            f"a picture     {record['in_the_picture']}",
+            f"compile [s]   {record['compile_s']:.1f}",
+            *peers,
+        ]
+    )

@@ -1,0 +1,215 @@
+"""How fast rays are: laser scans of all robots of many worlds, and the same by brute force in one run.
+
+Each world has upright walls of its own and a floor, and robots that move and turn between two scans, whose
+parts are in the way of the others' rays. Brute force tests every ray against every geom.
+"""
+
+import statistics
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.base.errors import UsageError
+from usarmjx.bench.radio import SIDE, random_walls
+from usarmjx.bench.tools import append, heading, timed
+from usarmjx.models.build.body_plan import Bodies, BodyPlan, body_plan, body_poses, geom_poses
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.robots import ROBOTS
+from usarmjx.sensors.ranging import RangeScanner
+from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.rays.raycast import First, distance_to, nearest
+from usarmjx.sensors.rays.targets import Block, Geoms, gather
+from usarmjx.sensors.suite import suite_of
+
+MOVE, TURN = 0.02, 0.05
+"""Robots move [m] and turn [rad] so far at most between two scans."""
+APART = 1e-3
+"""Distances that differ by more count as different [m]."""
+KINDS = mujoco.mjtGeom
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayCase:
+    """What to measure: `steps` scans of every robot, `repeats` times."""
+
+    worlds: int
+    robots: int = 16
+    robot: str = "P2AT"
+    walls: int = 100
+    steps: int = 10
+    repeats: int = 5
+    seed: int = 0
+
+
+class _Team(struct.PyTreeNode, kw_only=True):
+    """Robots of one world: places [m] (n, 3) and headings [rad] (n,), and how they change per scan."""
+
+    pos: jax.Array
+    yaw: jax.Array
+    move: jax.Array
+    turn: jax.Array
+
+    def after(self, scans: jax.Array) -> "_Team":
+        return self.replace(pos=self.pos + scans * self.move, yaw=self.yaw + scans * self.turn)
+
+
+def _team(key: jax.Array, robots: int, height: float) -> _Team:
+    place, yaw, move, turn = jax.random.split(key, 4)
+    flat = jnp.array([1.0, 1.0, 0.0])
+    at = jax.random.uniform(place, (robots, 3), minval=-SIDE / 2, maxval=SIDE / 2)
+    return _Team(
+        pos=at * flat + jnp.array([0.0, 0.0, height]),
+        yaw=jax.random.uniform(yaw, (robots,), maxval=2 * jnp.pi),
+        move=jax.random.uniform(move, (robots, 3), minval=-MOVE, maxval=MOVE) * flat,
+        turn=jax.random.uniform(turn, (robots,), minval=-TURN, maxval=TURN),
+    )
+
+
+def _bodies(plan: BodyPlan, team: _Team) -> Bodies:
+    """Return the robots' bodies; their joints are at zero."""
+    count, joints = len(team.yaw), len(plan.parts) - 1
+    zero = jnp.zeros(count)
+    quat = jnp.stack([jnp.cos(team.yaw / 2), zero, zero, jnp.sin(team.yaw / 2)], -1)
+    still = {"linear": jnp.zeros((count, 3)), "angular": jnp.zeros((count, 3))}
+    at_rest = {"joint_pos": jnp.zeros((count, joints)), "joint_vel": jnp.zeros((count, joints))}
+    return jax.vmap(partial(body_poses, plan))(RobotState(pos=team.pos, quat=quat, **still, **at_rest))
+
+
+def _geoms(plan: BodyPlan, walls: Block, bodies: Bodies) -> Geoms:
+    """Return walls, floor and robots of one world."""
+    count, parts = len(bodies.pos), len(plan.geom_type)
+    pos, mat = jax.vmap(partial(geom_poses, plan))(bodies)
+    floor = (jnp.zeros((1, 3)), jnp.eye(3)[None], jnp.zeros((1, 3)), jnp.full(1, -1))
+    robots = (
+        pos.reshape(-1, 3),
+        mat.reshape(-1, 3, 3),
+        jnp.tile(plan.geom_size, (count, 1)),
+        jnp.repeat(jnp.arange(count), parts),
+    )
+    rows = zip((walls.pos, walls.mat, walls.size, walls.owner), floor, robots, strict=True)
+    pos, mat, size, owner = (jnp.concatenate(parts) for parts in rows)
+    kind = np.concatenate(
+        [np.full(len(walls.pos), KINDS.mjGEOM_BOX), [KINDS.mjGEOM_PLANE], np.tile(plan.geom_type, count)]
+    )
+    parts_of_robots = np.arange(len(kind)) > len(walls.pos)
+    return gather(kind, pos, mat, size, owner, compact=parts_of_robots.tolist())
+
+
+def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
+    """Return the distance of what each ray meets first, by testing all rays against all geoms (rays,)."""
+
+    def one(start: jax.Array, along: jax.Array) -> jax.Array:
+        first = jnp.asarray(jnp.inf)
+        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
+            reach = jnp.where(block.owner == viewer, jnp.inf, distance_to(kind, block, start, along))
+            first = jnp.minimum(first, reach.min())
+        return first
+
+    return jax.vmap(one)(*fans.rays())
+
+
+def _culled(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
+    first: First = nearest(geoms, *fans.rays(), viewer, fans=fans)
+    return first.distance
+
+
+def _scans(caster: Callable[..., jax.Array], plan: BodyPlan, walls: Block, team: _Team) -> jax.Array:
+    """Return one world's scans (robots, beams)."""
+    bodies = _bodies(plan, team)
+    geoms = _geoms(plan, walls, bodies)
+    scanner = _scanner(plan)
+
+    def scan(body: Bodies, slot: jax.Array) -> jax.Array:
+        return caster(geoms, scanner.fans(body), slot)
+
+    return jax.vmap(scan)(bodies, jnp.arange(len(team.yaw)))
+
+
+def _scanner(plan: BodyPlan) -> RangeScanner:
+    sensors = suite_of(plan.robot).sensors
+    found = [sensor for sensor in sensors if isinstance(sensor, RangeScanner)]
+    if not found:
+        have = ", ".join(sensor.kind for sensor in sensors)
+        raise UsageError(f"{plan.robot.name} has no range scanner to measure with; it has: {have}")
+    return found[0]
+
+
+def _loop(
+    case: RayCase, caster: Callable[..., jax.Array], plan: BodyPlan, walls: Block, teams: _Team
+) -> Callable[[jax.Array], jax.Array]:
+    """Return a function that scans `steps` times in all worlds, and returns the last scans."""
+
+    @jax.jit
+    def run(scans: jax.Array, walls: Block, teams: _Team) -> jax.Array:
+        def body(i: jax.Array, scans: jax.Array) -> jax.Array:
+            del scans
+            return jax.vmap(partial(_scans, caster, plan))(walls, teams.after(i))
+
+        return jax.lax.fori_loop(0, case.steps, body, scans)
+
+    return lambda scans: run(scans, walls, teams)
+
+
+def measure_rays(case: RayCase, file: Path | None = None) -> str:
+    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Raises:
+        UnknownNameError: No such robot class.
+        UsageError: One without a range scanner.
+    """
+    key = jax.random.key(case.seed)
+    plan = body_plan(ROBOTS.get(case.robot))
+    walls = jax.vmap(lambda k: random_walls(k, case.walls).blocks[0])(jax.random.split(key, case.worlds))
+    teams = jax.vmap(partial(_team, robots=case.robots, height=plan.clearance))(
+        jax.random.split(jax.random.fold_in(key, 1), case.worlds)
+    )
+    beams = len(_scanner(plan).lines())
+    scans = jnp.zeros((case.worlds, case.robots, beams))
+    first, times, ours = timed(_loop(case, _culled, plan, walls, teams), scans, case.repeats)
+    slow_first, slow, theirs = timed(_loop(case, brute_force, plan, walls, teams), scans, case.repeats)
+    rays = case.worlds * case.robots * beams
+    ours, theirs = np.asarray(ours), np.asarray(theirs)
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    apart = np.abs(ours[both] - theirs[both])
+    record = {
+        **heading("rays"),
+        "case": asdict(case),
+        "geoms_per_world": case.walls + 1 + case.robots * len(plan.geom_type),
+        "geoms_per_robot": len(plan.geom_type),
+        "in_the_step": "poses of all robots' geoms, beams, the distance of what each meets first, the own "
+        "robot left out; walls (boxes) own for each world; no noise, no reports",
+        "rays_per_scan": rays,
+        "rays_per_s": rays * case.steps / statistics.median(times),
+        "brute_force_rays_per_s": rays * case.steps / statistics.median(slow),
+        "times_s": times,
+        "brute_force_times_s": slow,
+        "compile_s": {"rays": first - times[0], "brute_force": slow_first - slow[0]},
+        "hits": float(np.isfinite(ours).mean()),
+        "different": float((np.isfinite(ours) != np.isfinite(theirs)).mean() + (apart > APART).mean()),
+    }
+    append(record, file)
+    return _summary(record)
+
+
+def _summary(record: dict[str, Any]) -> str:
+    case, compiled = record["case"], record["compile_s"]
+    return "\n".join(
+        [
+            f"{case['worlds']} worlds x {case['robots']} {case['robot']} on {record['device']}",
+            f"geoms         {record['geoms_per_world']:15,} in a world",
+            f"rays          {record['rays_per_s']:15,.0f} /s",
+            f"brute force   {record['brute_force_rays_per_s']:15,.0f} /s",
+            f"ratio         {record['rays_per_s'] / record['brute_force_rays_per_s']:15.2f}",
+            f"a ray         {record['in_the_step']}",
+            f"hits          {record['hits']:.3f}; different from brute force {record['different']:.6f}",
+            f"compile [s]   {compiled['rays']:.1f}, brute force {compiled['brute_force']:.1f}",
+        ]
+    )

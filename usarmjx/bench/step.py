@@ -1,0 +1,229 @@
+"""How fast a step is: bare physics and the whole step of the same model, in one run.
+
+Bare is the engine alone under constant inputs (MJX's step mapped over the worlds, or `mj_step`); the
+whole step adds random commands, control, bookkeeping, all sensors that are due, and resets of some worlds.
+Rates count robots times physics steps. The share of the sensors is from the same step without them.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.bench.tools import append, heading, timed
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.engines import Inputs, choose_engine
+from usarmjx.engines.c import c_model
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.generate import generate_many
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.server.worlds.make import parse_roster
+from usarmjx.sim.batch import Batch, State
+from usarmjx.sim.control import Order, idle, steer
+from usarmjx.sim.scene import Scene, Team, build_scene, start_height
+from usarmjx.sim.site import places
+
+RESET_SHARE = 0.01
+"""Share of worlds that start again at each control step of the whole step."""
+BASELINE_STEPS = 400
+SAMPLE = 64
+"""Generated arenas that a shared one is chosen from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
+
+    With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
+    worlds share one: the one with the most loose objects, and then solids, of `SAMPLE`, for a fair
+    comparison, as a batch of many has room for the most of everything.
+    """
+
+    worlds: int
+    roster: str = "P2AT"
+    arena: str = "yellow"
+    generated: int = 0
+    engine: str = "auto"
+    radio: bool = False
+    substeps: int = 10
+    steps: int = 20
+    repeats: int = 5
+    seed: int = 0
+
+
+def _loop(batch: Batch, body: Callable[[jax.Array, Any], Any], steps: int) -> Callable[[Any], Any]:
+    """Repeat `body`, inside one compiled function where the engine allows."""
+    if batch.engine.traceable:
+        return jax.jit(lambda state: jax.lax.fori_loop(0, steps, body, state))
+
+    def run(state: Any) -> Any:  # noqa: ANN401
+        for i in range(steps):
+            state = body(jnp.int32(i), state)
+        return state
+
+    return run
+
+
+def _bare_inputs(batch: Batch, speeds: jax.Array) -> Inputs:
+    scene, worlds = batch.scene, batch.worlds
+    model = scene.model
+    return Inputs(
+        ctrl=speeds,
+        act=jnp.zeros((worlds, model.na)),
+        xfrc_applied=jnp.zeros((worlds, model.nbody, 6)),
+        pinned=jnp.zeros((worlds, model.nq), bool),
+        pinned_dof=jnp.zeros((worlds, model.nv), bool),
+        qpos=jnp.zeros((worlds, model.nq)),
+    )
+
+
+def _random_values(batch: Batch, team: Team, key: jax.Array) -> dict[str, jax.Array]:
+    """Return a random number within its limits for every key of a team's DRIVE (worlds, robots)."""
+    full, shape = team.robot.drive.full, (batch.worlds, len(team.slots))
+    keys = (jax.random.fold_in(key, int(team.slots[0]) * 16 + i) for i in range(len(full)))
+    return {
+        name: jax.random.uniform(k, shape, minval=-top, maxval=top)
+        for k, (name, top) in zip(keys, full.items(), strict=True)
+    }
+
+
+def _bare(batch: Batch, key: jax.Array, state: State) -> Callable[[jax.Array, Any], Any]:
+    """The engine alone: new random wheel speeds each control step, servo targets kept near the joints.
+
+    What of the arenas is data stays as it is at the start.
+    """
+    scene, start = batch.scene, jnp.zeros(())
+    standing = jax.vmap(lambda world: places(scene, world.site, start))(state.worlds)
+
+    def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
+        now = batch.engine.state(physics)
+        ctrl, act = jnp.zeros((batch.worlds, batch.scene.model.nu)), now.act
+        for team in batch.scene.teams:
+            values = _random_values(batch, team, jax.random.fold_in(key, i))
+            shape = (batch.worlds, len(team.slots))
+            still = jax.tree.map(lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle(team.robot))
+            here = team.plan.actuated
+            told = steer(team.robot, still, values)
+            speeds = jnp.where(told.order == Order.VELOCITY, told.target, 0.0)
+            ctrl = ctrl.at[:, team.actuator].set(speeds[..., here]).at[:, team.hold].set(1.0)
+            act = act.at[:, team.activation].set(now.qpos[:, team.qpos[:, here]])
+        return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, places=standing))
+
+    return body
+
+
+def _whole(batch: Batch, key: jax.Array, *, sensing: bool = True) -> Callable[[jax.Array, State], State]:
+    def body(i: jax.Array, state: State) -> State:
+        now = jax.random.fold_in(key, i)
+        for t, team in enumerate(batch.scene.teams):
+            state = batch.drive(state, t, _random_values(batch, team, now))
+        state = batch.step(state)
+        if sensing:
+            state, _ = batch.observe(state)
+        if batch.scene.radio is not None:
+            state, _ = batch.links(state)
+        again = jax.random.uniform(jax.random.fold_in(now, 1), (batch.worlds,)) < RESET_SHARE
+        return batch.reset_where(state, again)
+
+    return body
+
+
+def _baseline(scene: Scene, speeds: np.ndarray) -> float:
+    """Robot-steps per second of plain `mj_step` on one CPU core, one world."""
+    model = c_model(scene.model)
+    data = mujoco.MjData(model)
+    for team in scene.teams:
+        for slot, address in zip(team.slots, team.root_qpos, strict=True):
+            start = scene.arena.starts[slot]
+            data.qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, team.robot))
+    data.ctrl[: speeds.size] = speeds
+    mujoco.mj_step(model, data, nstep=BASELINE_STEPS // 4)
+    began = time.perf_counter()
+    mujoco.mj_step(model, data, nstep=BASELINE_STEPS)
+    return BASELINE_STEPS * scene.robots / (time.perf_counter() - began)
+
+
+def _arena(case: Case) -> str | ArenaSpec | list[ArenaSpec]:
+    """Return the arena of a case, or all its arenas; a single generated one is shared by all worlds."""
+    if not case.generated:
+        return case.arena
+    if case.generated > 1:
+        return generate_many(case.arena, case.generated, seed=case.seed)
+    sample = generate_many(case.arena, SAMPLE, seed=case.seed)
+    return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
+
+
+def measure(case: Case, file: Path | None = None) -> str:
+    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Raises:
+        EngineError: A contact buffer overflowed, so the figures would be wrong.
+    """
+    engine = choose_engine(case.engine, "train")
+    kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
+    scene = build_scene(_arena(case), parse_roster(case.roster), Physics(substeps=case.substeps), **kept)
+    batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
+    key = jax.random.key(case.seed + 1)
+    state = batch.reset()
+    run = partial(timed, repeats=case.repeats)
+    bare_first, bare, _ = run(_loop(batch, _bare(batch, key, state), case.steps), state.physics)
+    whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
+    _, blind, state = run(_loop(batch, _whole(batch, key, sensing=False), case.steps), state)
+    batch.check(state)
+    work = case.worlds * scene.robots * case.substeps * case.steps
+    status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.status))
+    rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.teams)
+    bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
+    record = {
+        **heading("step", host=engine == "c"),
+        "case": {**asdict(case), "engine": engine},
+        "robots_per_world": scene.robots,
+        "arena_geoms": len(scene.fixed_look.kind) + len(scene.moved_look.kind),
+        "loose_objects": len(scene.arena.loose),
+        "timestep": scene.physics.timestep,
+        "in_the_step": "contacts, random commands, control, all sensors of the robots when due, "
+        f"resets of {RESET_SHARE:.0%} of worlds every control step; "
+        + (
+            "all links of the radio every control step, no rendering"
+            if case.radio
+            else "no radio, no rendering"
+        ),
+        "rays_when_all_are_due": rays * case.worlds,
+        "bare_robot_steps_per_s": bare_rate,
+        "robot_steps_per_s": whole_rate,
+        "whole_to_bare": whole_rate / bare_rate,
+        "sensors": {team.robot.name: [sensor.kind for sensor in team.suite.sensors] for team in scene.teams},
+        "sensors_share": 1 - statistics.median(blind) / statistics.median(whole),
+        "bare_times_s": bare,
+        "whole_times_s": whole,
+        "blind_times_s": blind,
+        "compile_s": {"bare": bare_first - bare[0], "whole": whole_first - whole[0]},
+        "cpu_mujoco_robot_steps_per_s": _baseline(scene, np.full(scene.model.nu, 1.0)),
+        "faults": status,
+    }
+    append(record, file)
+    return _summary(record)
+
+
+def _summary(record: dict[str, Any]) -> str:
+    case = record["case"]
+    return "\n".join(
+        [
+            f"{case['worlds']} worlds x {case['roster']}, engine {case['engine']} on {record['device']}",
+            f"bare physics  {record['bare_robot_steps_per_s']:12,.0f} robot-steps/s",
+            f"whole step    {record['robot_steps_per_s']:12,.0f} robot-steps/s  ({record['in_the_step']})",
+            f"ratio         {record['whole_to_bare']:12.2f}",
+            f"sensors       {record['sensors_share']:12.1%} of the whole step",
+            f"mj_step       {record['cpu_mujoco_robot_steps_per_s']:12,.0f} robot-steps/s, bare, one core",
+            f"compile [s]   bare {record['compile_s']['bare']:.1f}, whole {record['compile_s']['whole']:.1f}",
+            f"faults        {record['faults']}",
+        ]
+    )

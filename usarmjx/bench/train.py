@@ -1,0 +1,71 @@
+"""The benchmark of training: what a run was, how fast, and when it was as good as the baseline by hand."""
+
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from usarmjx.bench.tools import append, heading
+from usarmjx.plots.training_plots import Curve, of_run
+from usarmjx.train.learning.config import differences, task_config
+from usarmjx.train.learning.metrics import read_lines
+from usarmjx.train.learning.record import load_record
+
+DIGITS = 4
+"""Decimals of scores in a record; times have one."""
+
+
+def time_to(curve: Curve, score: float) -> float | None:
+    """Return when a run's score first was that high [s]; None: never."""
+    there = np.flatnonzero(curve.score >= score)
+    return float(curve.seconds[there[0]]) if there.size else None
+
+
+def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
+    """Return the record of a run, made on this machine and by this version.
+
+    Args:
+        folder: Of the run.
+        baseline: Score of the policy written by hand.
+
+    Raises:
+        UsageError: The folder is no run, or no episode has ended in it.
+    """
+    run, curve, lines = load_record(folder), of_run(folder), read_lines(folder / "metrics.jsonl")
+    rates = [line["steps_per_s"] for line in lines]
+    changed = differences(task_config(run.task), run.config, but=("steps", "worlds", "seed"))
+    return {
+        **heading("train"),
+        "task": run.task,
+        "engine": run.engine,
+        "worlds": run.config.worlds,
+        "processes": run.processes,
+        "seed": run.config.seed,
+        "settings": {"task": run.overrides, "training": changed},
+        "agent_steps": lines[-1]["agent_steps"],
+        "seconds": round(float(curve.seconds[-1]), 1),
+        "agent_steps_per_s": median(rates[1:] or rates),  # the first iteration compiles
+        "score": float(curve.score[-1]),
+        "bad": float(np.mean([line["bad"] for line in lines])),
+        "baseline": baseline,
+        "baseline_reached_s": None if baseline is None else time_to(curve, baseline),
+        "curve": [
+            [int(steps), round(float(score), DIGITS), round(float(seconds), 1)]
+            for steps, score, seconds in zip(curve.steps, curve.score, curve.seconds, strict=True)
+        ],
+    }
+
+
+def record_run(folder: Path, baseline: float | None, file: Path | None) -> str:
+    """Append the record of a run to a file; return it in a line."""
+    record = train_record(folder, baseline)
+    append(record, file)
+    reached, text = record["baseline_reached_s"], ""
+    if baseline is not None:
+        text = f"; baseline {baseline:g} " + ("not reached" if reached is None else f"after {reached:.0f} s")
+    return (
+        f"{record['task']}, seed {record['seed']}, {record['worlds']} worlds on {record['device']}: "
+        f"{record['agent_steps']:,} agent steps in {record['seconds']:.0f} s "
+        f"({record['agent_steps_per_s']:,.0f} agent steps/s), score {record['score']:.3f}{text}"
+    )

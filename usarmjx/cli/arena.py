@@ -1,0 +1,142 @@
+"""`usarmjx arena`: look at arenas, check them, and make new ones."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from usarmjx.cli.tools import Failure, SeedOption
+
+if TYPE_CHECKING:
+    from usarmjx.models.spec.arena import ArenaSpec
+
+app = typer.Typer(help="List, draw, check and generate arenas.", no_args_is_help=True)
+
+PngOption = Annotated[Path | None, typer.Option(help="Write the floor plan to this PNG file.")]
+ViewOption = Annotated[
+    Path | None, typer.Option("--perspective", help="Write a picture from a corner above to this PNG file.")
+]
+LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, from 0 to 1.")]
+
+
+@app.command("list")
+def list_arenas() -> None:
+    """List the arenas that ship with usarmjx, with what is in them."""
+    with Failure():
+        from usarmjx.cli.arena_tables import arenas_table
+
+        typer.echo(arenas_table())
+
+
+@app.command()
+def draw(
+    arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
+    png: PngOption = None,
+    perspective: ViewOption = None,
+) -> None:
+    """Draw an arena's floor plan, or the arena from a corner above, or both."""
+    with Failure():
+        from usarmjx.base.errors import UsageError
+        from usarmjx.models.files.load import find_arena
+
+        if png is None and perspective is None:
+            raise UsageError("say what to draw: --png for the floor plan, --perspective for a view")
+        _draw(find_arena(arena), png, perspective)
+
+
+@app.command()
+def check(
+    arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
+    robot: Annotated[str, typer.Option(help="Robot class that shall start and drive there.")] = "P2AT",
+    png: PngOption = None,
+    perspective: ViewOption = None,
+) -> None:
+    """Say what is wrong with an arena; exit code 1 if anything is."""
+    with Failure():
+        from usarmjx.models.check.arena import check_arena
+        from usarmjx.models.files.load import find_arena
+
+        found = find_arena(arena)
+        faults = check_arena(found, robot)
+        _draw(found, png, perspective)
+        for fault in faults:
+            typer.echo(fault)
+        if faults:
+            raise typer.Exit(1)
+        typer.echo(f"{found.name}: no faults found for a {robot}")
+
+
+@app.command()
+def generate(
+    kind: Annotated[str, typer.Option(help="maze, building, rubble, steps, ramps or collapsed.")] = "maze",
+    size: Annotated[str, typer.Option(help="Columns and rows of cells of 1.2 m, as 12x8.")] = "8x6",
+    seed: SeedOption = 0,
+    difficulty: Annotated[float, typer.Option(help="How difficult in all, from 0 to 1.")] = 0.5,
+    wall_density: LevelOption = None,
+    roughness: LevelOption = None,
+    clutter: LevelOption = None,
+    dead_ends: LevelOption = None,
+    radio_shadow: LevelOption = None,
+    robot: Annotated[str, typer.Option(help="Robot class that can pass.")] = "P2AT",
+    reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
+    victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
+    png: PngOption = None,
+    perspective: ViewOption = None,
+    yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
+    xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
+) -> None:
+    """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
+    with Failure():
+        from usarmjx.cli.arena_tables import read_size, summary
+        from usarmjx.models.build.compose import Physics, new_spec
+        from usarmjx.models.files.load import save_arena
+        from usarmjx.models.generate import Difficulty
+        from usarmjx.models.generate import generate as make
+
+        levels = {
+            "wall_density": wall_density,
+            "roughness": roughness,
+            "clutter": clutter,
+            "dead_ends": dead_ends,
+            "radio_shadow": radio_shadow,
+        }
+        level = Difficulty(**{name: difficulty if own is None else own for name, own in levels.items()})
+        arena = make(kind, read_size(size), seed, level, robot, reachable, victims)
+        typer.echo(summary(arena))
+        _draw(arena, png, perspective)
+        if yaml is not None:
+            typer.echo(f"wrote {save_arena(arena, yaml)}")
+        if xml is not None:
+            spec = new_spec(arena, Physics())
+            spec.compile()
+            xml.write_text(spec.to_xml(), encoding="utf-8")
+            typer.echo(f"wrote {xml}")
+
+
+@app.command()
+def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")]) -> None:
+    """Draw the pictures of docs/arenas.md: all arenas, and a generated one of each kind."""
+    with Failure():
+        from usarmjx.models.arenas import ARENAS
+        from usarmjx.models.generate import KINDS
+        from usarmjx.models.generate import generate as make
+        from usarmjx.plots.gallery import both_sheet, plan_sheet, view_sheet
+
+        arenas = [arena for _, arena in ARENAS]
+        for write, name, shown in (
+            (plan_sheet, "arenas-plan.png", arenas),
+            (view_sheet, "arenas-view.png", arenas),
+            (both_sheet, "generated.png", [make(kind, seed=7) for kind in KINDS.names()]),
+        ):
+            write(shown, out / name)
+            typer.echo(f"wrote {out / name}")
+
+
+def _draw(arena: "ArenaSpec", png: Path | None, perspective: Path | None) -> None:
+    from usarmjx.plots.floor_plan import plan
+    from usarmjx.plots.gallery import perspective as view
+
+    for write, path in ((plan, png), (view, perspective)):
+        if path is not None:
+            write(arena, path)
+            typer.echo(f"wrote {path}")

@@ -1,0 +1,75 @@
+"""What arenas there are: the text of `usarmjx arena list`."""
+
+from collections.abc import Sequence
+
+from usarmjx.base.errors import UsageError
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import MATERIALS, OPAQUE
+
+ARENA_HEAD = (
+    "| arena | what it is | size [m] | solids | loose | doors | victims | false alarms | tags | starts "
+    "| recommended robots |\n|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def arenas_table() -> str:
+    """Return a Markdown table of the arenas that ship with usarmjx."""
+    return "\n".join([ARENA_HEAD, *(arena_row(arena) for _, arena in ARENAS)])
+
+
+def arena_row(arena: ArenaSpec) -> str:
+    """Return an arena's row of the table: what it is, and how much of everything is in it."""
+    names = arena.name + (f" ({', '.join(arena.aliases)})" if arena.aliases else "")
+    (x0, x1), (y0, y1) = arena.extent
+    counts = [len(things) for things in (arena.loose, arena.doors, arena.victims, arena.false_alarms)]
+    cells = [
+        names,
+        arena.about.replace("|", "/") or "-",
+        f"{x1 - x0:g} x {y1 - y0:g}",
+        _solids(arena),
+        *counts,
+        len(arena.tags),
+        len(arena.starts),
+        ", ".join(arena.robots) or "-",
+    ]
+    return f"| {' | '.join(str(cell) for cell in cells)} |"
+
+
+def _solids(arena: ArenaSpec) -> str:
+    """Return how many solids there are, and how many of them are special: 120 (2 glass, 1 terrain)."""
+    kinds: Sequence[tuple[str, int]] = [
+        *((name, sum(s.material == name for s in arena.shapes)) for name in MATERIALS if name != OPAQUE),
+        ("mesh", sum(shape.mesh is not None for shape in arena.shapes)),
+        ("terrain", sum(shape.heights is not None for shape in arena.shapes)),
+    ]
+    special = ", ".join(f"{count} {name}" for name, count in kinds if count)
+    return f"{len(arena.shapes)}" + (f" ({special})" if special else "")
+
+
+def summary(arena: ArenaSpec) -> str:
+    """Return in a line what is in an arena."""
+    (x0, x1), (y0, y1) = arena.extent
+    counts = ", ".join(
+        f"{len(things)} {name}"
+        for name, things in (
+            ("loose objects", arena.loose),
+            ("doors", arena.doors),
+            ("victims", arena.victims),
+            ("tags", arena.tags),
+            ("start poses", arena.starts),
+        )
+    )
+    return f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m, {_solids(arena)} solids, {counts}"
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a size given as 12x8.
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
+    return int(columns), int(rows)

@@ -1,0 +1,135 @@
+"""`usarmjx bench`: how fast things go on this machine."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from usarmjx.cli.tools import EngineOption, Failure, IniOption, SeedOption, UnitOption, configure_from
+
+app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
+
+
+@app.command("radio")
+def bench_radio(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once.")] = 64,
+    robots: Annotated[int, typer.Option(min=2, help="Robots in each; all pairs are evaluated.")] = 16,
+    walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100,
+    steps: Annotated[int, typer.Option(min=1, help="Evaluations per repeat.")] = 20,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure the links of all pairs of robots, walls counted."""
+    with Failure():
+        from usarmjx.bench.radio import RadioCase, measure_radio
+
+        case = RadioCase(worlds=worlds, robots=robots, walls=walls, steps=steps, repeats=repeats, seed=seed)
+        typer.echo(measure_radio(case, json))
+
+
+@app.command("rays")
+def bench_rays(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once.")] = 4,
+    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them scan.")] = 16,
+    robot: Annotated[str, typer.Option(help="Their class, which needs a range scanner.")] = "P2AT",
+    walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100,
+    steps: Annotated[int, typer.Option(min=1, help="Scans per repeat.")] = 10,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure laser scans of all robots, and the same by brute force."""
+    with Failure():
+        from usarmjx.bench.rays import RayCase, measure_rays
+
+        size = {"worlds": worlds, "robots": robots, "walls": walls, "steps": steps, "repeats": repeats}
+        typer.echo(measure_rays(RayCase(robot=robot, seed=seed, **size), json))
+
+
+@app.command("camera")
+def bench_camera(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 16,
+    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them look.")] = 1,
+    robot: Annotated[str, typer.Option(help="Their class.")] = "P2AT",
+    arena: Annotated[str, typer.Option(help="Arena name, or a file.")] = "yellow",
+    size: Annotated[str, typer.Option(help="Width and height of a picture, as 64x64.")] = "64x64",
+    engine: EngineOption = "auto",
+    steps: Annotated[int, typer.Option(min=1, help="Rounds of pictures per repeat.")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    peer: Annotated[bool, typer.Option("--peer", help="Measure MuJoCo Warp's renderer too.")] = False,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
+    with Failure():
+        from usarmjx.bench.camera import CameraCase, measure_camera
+        from usarmjx.server.protocol.images import parse_size
+
+        width, height = parse_size(size)
+        case = CameraCase(
+            worlds=worlds,
+            robots=robots,
+            robot=robot,
+            arena=arena,
+            width=width,
+            height=height,
+            engine=engine,
+            steps=steps,
+            repeats=repeats,
+            seed=seed,
+            peer=peer,
+        )
+        typer.echo(measure_camera(case, json))
+
+
+@app.command("train")
+def bench_train(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were trained here just now.")],
+    baseline: Annotated[float | None, typer.Option(help="Score of the policy by hand.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Append the records to this file.")] = None,
+) -> None:
+    """Record runs of `usarmjx train`: their speed and curves, and when they were as good as by hand."""
+    with Failure():
+        from usarmjx.bench.train import record_run
+
+        for run in runs:
+            typer.echo(record_run(run, baseline, json))
+
+
+@app.command("step")
+def bench_step(
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
+    roster: Annotated[str, typer.Option(help="Robots of each world, as P2AT:4,Zerg:2.")] = "P2AT:4",
+    arena: Annotated[str, typer.Option(help="Arena name, or with --generated the kind.")] = "yellow",
+    generated: Annotated[
+        int, typer.Option(min=0, help="So many generated arenas, which the worlds have in turn.")
+    ] = 0,
+    engine: EngineOption = "auto",
+    radio: Annotated[bool, typer.Option("--radio", help="Evaluate all radio links too.")] = False,
+    substeps: Annotated[int, typer.Option(min=1, help="Physics steps per control step.")] = 10,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps per repeat.")] = 20,
+    repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
+    seed: SeedOption = 0,
+    ini: IniOption = None,
+    uu_per_metre: UnitOption = 250.0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
+    with Failure():
+        configure_from(ini, uu_per_metre)
+        from usarmjx.bench.step import Case, measure
+
+        case = Case(
+            worlds=worlds,
+            roster=roster,
+            arena=arena,
+            generated=generated,
+            engine=engine,
+            radio=radio,
+            substeps=substeps,
+            steps=steps,
+            repeats=repeats,
+            seed=seed,
+        )
+        typer.echo(measure(case, json))

@@ -1,0 +1,152 @@
+"""`usarmjx eval` and `usarmjx play`: how good policies are, and what they do."""
+
+import json as json_format
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from usarmjx.cli.tools import Failure, SeedOption
+
+if TYPE_CHECKING:
+    from usarmjx.train.policies.sources import Source
+
+app = typer.Typer()
+
+PolicyArgument = Annotated[
+    str | None,
+    typer.Argument(help="Folder of a run, a file of `usarmjx export`, or the task of a packaged policy."),
+]
+BaselineOption = Annotated[
+    str | None, typer.Option(help="Instead of a trained policy the one written by hand for a task.")
+]
+TaskOption = Annotated[
+    str | None, typer.Option(help="Name of the task, if it is not the one that the policy is for.")
+]
+CheckpointOption = Annotated[str, typer.Option(help="Of a run: best, last, or the number of an iteration.")]
+EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for this here.")]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A field of the task as key=value; may be repeated."),
+]
+
+
+def _source(policy: str | None, baseline: str | None, task: str | None, checkpoint: str) -> "Source":
+    """Return the policy that a command line names."""
+    from dataclasses import replace
+
+    from usarmjx.base.errors import UsageError
+    from usarmjx.train.policies.sources import baseline as by_hand
+    from usarmjx.train.policies.sources import find_source
+
+    if (policy is None) == (baseline is None):
+        raise UsageError("name either a run, file or packaged policy, or a --baseline")
+    if baseline is not None:
+        return by_hand(baseline, task)
+    found = find_source(str(policy), checkpoint)
+    same = task is None or task.lower() == found.task.lower()
+    # Another task has other fields than those that were set in training.
+    return found if same else replace(found, task=str(task), overrides={})
+
+
+def _noted(notes: list[str]) -> None:
+    for note in notes:
+        typer.echo(f"usarmjx: note: {note}", err=True)
+
+
+@app.command("eval")
+def evaluate_policy(
+    policy: PolicyArgument = None,
+    baseline: BaselineOption = None,
+    task: TaskOption = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each seed, at least.")] = 100,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds, from --seed on.")] = 1,
+    seed: SeedOption = 0,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once, each with as many episodes.")] = 20,
+    engine: EngineOption = "auto",
+    level: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="How difficult generated arenas are at most.")
+    ] = None,
+    checkpoint: CheckpointOption = "best",
+    settings: SettingsOption = None,
+    json: Annotated[
+        Path | None, typer.Option(help="Write the result with every episode to this file.")
+    ] = None,
+) -> None:
+    """Tell a policy's mean final score and the 95 % interval of that mean."""
+    with Failure():
+        from usarmjx.train.evaluation.evaluate import as_record, evaluate
+
+        found = _source(policy, baseline, task, checkpoint)
+        many = min(worlds, episodes)
+        env, driver, notes = found.env(settings or (), worlds=many, engine=engine, seed=seed)
+        _noted(notes)
+        result = evaluate(env, driver, episodes, range(seed, seed + seeds), level)
+        score, count = result.score, sum(len(run.scores) for run in result.seeds)
+        bad = sum(run.bad for run in result.seeds)
+        over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"
+        interval = f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.low) else "unknown"
+        typer.echo(
+            f"{found.task}, {found.name}: score {score.mean:.3f}, 95 % interval {interval} ({over}"
+            f"{f', {bad} left out: physics failed' if bad else ''})"
+        )
+        if json is not None:
+            what = {"task": found.task, "policy": found.name, "checkpoint": checkpoint, "engine": engine}
+            setup = {"worlds": many, "level": level, "settings": [*settings] if settings else []}
+            json.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")
+
+
+@app.command()
+def play(
+    policy: PolicyArgument = None,
+    baseline: BaselineOption = None,
+    task: TaskOption = None,
+    out: Annotated[Path, typer.Option(help="Picture to write: .png is a strip, .gif moves.")] = Path(
+        "play.png"
+    ),
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Simulated time at most; else until the episode ends.")
+    ] = None,
+    seed: SeedOption = 0,
+    engine: EngineOption = "c",
+    checkpoint: CheckpointOption = "best",
+    settings: SettingsOption = None,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Serve the running world to protocol clients instead.")
+    ] = False,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = 3000,
+    realtime_factor: Annotated[
+        float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
+    ] = 1.0,
+    spectator_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="With --serve: show the world on a page of this port, too."),
+    ] = None,
+) -> None:
+    """Show one world of a policy at work: draw an episode from above, or serve it."""
+    with Failure():
+        from usarmjx.plots.play import check_ending, film, write
+
+        check_ending(out)
+        env, driver, notes = _source(policy, baseline, task, checkpoint).env(
+            settings or (), engine=engine, seed=seed
+        )
+        _noted(notes)
+        if serve:
+            from usarmjx.server.net import Settings
+            from usarmjx.server.net import serve as run
+            from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+            from usarmjx.server.worlds.policy_world import DrivenWorld
+
+            world = DrivenWorld(env, driver, seed=seed)
+            typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
+            page = None if spectator_port is None else SpectatorSettings(host, spectator_port)
+            services = () if page is None else (SpectatorServer(world, page),)
+            run(world, Settings(host=host, port=port, realtime_factor=realtime_factor), services)
+            return
+        shown = film(env, driver, math.inf if seconds is None else seconds, seed)
+        write(shown, out)
+        last = f"{shown.times[-1]:.1f} s, score {shown.scores[-1]:.2f}"
+        typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")

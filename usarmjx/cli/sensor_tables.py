@@ -1,0 +1,179 @@
+"""All sensors in tables: the text of `usarmjx list sensors`."""
+
+import dataclasses
+import inspect
+from dataclasses import replace
+
+import numpy as np
+
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.spec.robot import Mount, Options, options
+from usarmjx.models.spec.settings import field_name
+from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor
+from usarmjx.sensors.quantities import total
+from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.server.messages.generic import key_of
+from usarmjx.server.messages.sensors import sensor_report
+from usarmjx.server.protocol.grammar import format as line_of
+
+HEAD = """# All sensors
+
+This page is the output of `usarmjx list sensors`; a test keeps it so. [sensors.md](sensors.md) tells how to
+use them. Rays are those of one sensor with the options below; "from" is the manual's section, or lines
+captured from a real server. A value has the leading axes worlds and robots.
+"""
+MESSAGES = """What they say over TCP; those of the scanners are with fewer beams:
+"""
+SHOWN = 3
+"""So many robots are named."""
+TIME = 62.01
+"""Of the messages shown [s]."""
+SECTIONS = {
+    "Sonar": "10.2",
+    "IR": "10.2",
+    "RangeScanner": "10.3",
+    "IRScanner": "10.3",
+    "RangeScanner3D": "12.17.2",
+    "Odometry": "10.4",
+    "GPS": "10.5",
+    "INS": "10.6",
+    "Encoder": "10.7",
+    "Touch": "10.8",
+    "RFID": "10.9",
+    "VictSensor": "10.10",
+    "Sound": "10.11",
+    "HumanMotion": "10.12",
+    "GroundTruth": "captured",
+    "CO2Sensor": "captured",
+}
+"""Where each is from: a section of the manual, or messages of real servers."""
+SAMPLES = {
+    "Sonar": [1.7626],
+    "IR": [0.8569],
+    "RangeScanner": [11.3059, 20.0, 0.5],
+    "IRScanner": [11.3059, 20.0],
+    "RangeScanner3D": [[4.0, 4.1], [1.5, 1.6]],
+    "Odometry": [0.6168, 0.0014, 0.0027],
+    "GPS": [12.6, 2.5, 12.0],
+    "INS": [4.5, -1.9, -1.8, 0.0, 0.0, -1.57],
+    "GroundTruth": [4.5, -1.9, -1.8, 0.0, 0.0, -1.57],
+    "Encoder": [211.0],
+    "Touch": [1.0],
+    "RFID": [[1.0, 1001.0, 1.5, -0.5, -0.26]],
+    "VictSensor": [[1.0, 0.0, 1.71, -0.25, -0.02]],
+    "Sound": [1.65, 2.0],
+    "HumanMotion": 0.66,
+    "CO2Sensor": 0.01,
+}
+"""Values in our axes, of one mount."""
+FEW = {
+    "RangeScanner": options(Resolution=1.5707, ScanFov=3.1415),
+    "IRScanner": options(Resolution=1.5707, ScanFov=3.1415),
+    "RangeScanner3D": options(
+        VerticalFOV=0.2, VerticalResolution=0.2, HorizontalFOV=0.5, HorizontalResolution=0.5
+    ),
+}
+"""Options with which the messages shown are short."""
+SPELT = {
+    field_name(key): key
+    for key in (
+        "dBmTXPower",
+        "dBmRXSensibility",
+        "dBObstacleAttenuation",
+        "bTraceRFIDs",
+        "bAlwaysReadRFIDmem",
+        "HorizontalFOV",
+        "VerticalFOV",
+        "FOV",
+        "maxNoise",
+        "minNoise",
+    )
+}
+"""Keys with capitals of their own, by field."""
+BARE = ("hidden_sensor", "drifting")
+"""Flags that the manual writes without a b."""
+
+
+def suite_with(kind: str, given: Options = ()) -> Suite:
+    """Return the sensors of a P2AT that has only one, of that type."""
+    mount = Mount(kind=kind, name=kind, options=given)
+    if kind == "Encoder":
+        mount = replace(mount, parent="LeftFWheel")
+    return suite_of(replace(P2AT, name=f"P2AT with {kind}", sensors=(mount,)))
+
+
+def about(sensor: type[Sensor]) -> tuple[str, str]:
+    """Return what a type of sensor does, and what its value is, as its docstring tells."""
+    first = inspect.cleandoc(sensor.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    what, _, value = first.rstrip(".").partition("; value: ")
+    return what, value
+
+
+def ini_key(field: str, value: object) -> str:
+    """Return the ini key of a setting: `max_range` -> `MaxRange`, `with_time_stamp` -> `bWithTimeStamp`."""
+    flag = "b" if isinstance(value, bool) and field not in BARE else ""
+    return SPELT.get(field, flag + key_of(field))
+
+
+def ini_value(value: object) -> str:
+    """Return a value as an ini file has it; angles and lengths are radians and metres."""
+    if isinstance(value, tuple):
+        return "(" + ",".join(f"{key}={number:g}" for key, number in value) + ")"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def own_options(settings: type) -> str:
+    """Return the options of a type with their defaults, without those that it has as others do."""
+    usual = defaults_of(Measuring if issubclass(settings, Measuring) else Common)
+    own = {name: value for name, value in defaults_of(settings).items() if usual.get(name, ...) != value}
+    return written(own) or "-"
+
+
+def defaults_of(settings: type) -> dict[str, object]:
+    """Return the defaults of settings by field."""
+    return {field.name: field.default for field in dataclasses.fields(settings)}
+
+
+def written(values: dict[str, object]) -> str:
+    """Return settings by field as an ini file has them."""
+    return ", ".join(f"{ini_key(name, value)}={ini_value(value)}" for name, value in values.items())
+
+
+def sample(kind: str) -> str:
+    """Return a message of a type of sensor."""
+    (sensor,) = suite_with(kind, FEW.get(kind, ())).sensors
+    numbers = SAMPLES.get(kind, np.zeros(max(1, total(sensor.tells))))
+    message = sensor_report(sensor, np.array(numbers, np.float32), TIME)
+    return "" if message is None else line_of(message)
+
+
+def carriers(kind: str) -> str:
+    """Return the robots that have sensors of a type."""
+    names = [name for name, robot in ROBOTS if any(mount.kind == kind for mount in robot.sensors)]
+    more = len(names) - SHOWN
+    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "") or "-"
+
+
+def sensors_table() -> str:
+    """Return a Markdown page of all types of sensors: what they do, their options, their messages."""
+    kinds = [kind for kind in SECTIONS if kind in SENSORS]
+    kinds += [kind for kind in SENSORS.names() if kind not in kinds]
+    lines = ["| type | what it does | value in a batch | rays | robots | from |", "|---|---|---|---|---|---|"]
+    for kind in kinds:
+        what, value = about(SENSORS.get(kind))
+        (rays,) = suite_with(kind).ray_counts
+        source = SECTIONS.get(kind, "own")
+        lines.append(f"| {kind} | {what} | {value} | {rays or '-'} | {carriers(kind)} | {source} |")
+    lines += [
+        "",
+        "| type | options, and what they are unless a mount or an ini file says otherwise |",
+        "|---|---|",
+    ]
+    settings = {kind: SENSORS.get(kind).defaults for kind in kinds}
+    noisy = ", ".join(kind for kind, own in settings.items() if issubclass(own, Measuring))
+    common, noise = defaults_of(Common), defaults_of(Measuring)
+    lines.append(f"| all | {written(common)} |")
+    lines.append(f"| {noisy} | {written({name: noise[name] for name in noise if name not in common})} |")
+    lines += [f"| {kind} | {own_options(own)} |" for kind, own in settings.items()]
+    return "\n".join([HEAD, *lines, "", MESSAGES, "```text", *map(sample, kinds), "```"])

@@ -1,0 +1,42 @@
+"""What the commands of all sub-applications share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from usarmjx.base.errors import UsarmjxError
+
+
+class Failure:
+    """Turns our own exceptions into one line and exit code 2; anything else is a bug and shows itself."""
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
+        """End the command if the error is one of ours."""
+        if isinstance(error, UsarmjxError):
+            typer.echo(f"usarmjx: {error}", err=True)
+            raise typer.Exit(2)
+        return False
+
+
+SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
+ArenaOption = Annotated[str, typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.")]
+IniOption = Annotated[
+    list[Path] | None,
+    typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
+]
+UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
+
+
+def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:
+    """Put the robots of ini files in force; what they say in vain goes to the standard error stream."""
+    if not files:
+        return
+    from usarmjx.sim.configure import configure
+
+    for warning in configure(files, uu_per_metre).warnings:
+        typer.echo(f"usarmjx: warning: {warning}", err=True)

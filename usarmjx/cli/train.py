@@ -1,0 +1,130 @@
+"""`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from usarmjx.cli.tools import Failure, SeedOption
+
+app = typer.Typer()
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", help="A setting of the training or a field of the task, key=value; may be repeated."
+    ),
+]
+
+
+@app.command()
+def train(
+    task: Annotated[str, typer.Option(help="Name of the task.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run.")],
+    worlds: Annotated[int | None, typer.Option(min=1, help="Worlds in all.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Agent steps in all.")] = None,
+    seed: SeedOption = 0,
+    engine: Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for this here.")] = "auto",
+    settings: SetOption = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where the run in the folder was left.")
+    ] = False,
+    processes: Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")] = 1,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
+) -> None:
+    """Train a policy for a task. An unknown --set key lists what may be set."""
+    with Failure():
+        if processes > 1:
+            from usarmjx.train.processes.launch import place_of, spawn
+
+            if place_of(os.environ) is None:
+                raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
+        from usarmjx.train.processes.group import together
+
+        with together() as place:
+            told = {"worlds": worlds, "steps": steps, "seed": seed}
+            score = _train(task, told, settings or [], (out, engine, resume, not quiet and not place.index))
+            if place.index == 0:
+                typer.echo(score)
+
+
+def _train(
+    task: str, given: dict[str, int | None], pairs: list[str], how: tuple[Path, str, bool, bool]
+) -> str:
+    """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
+
+    Args:
+        task: Name of the task.
+        given: Settings with options of their own.
+        pairs: Others, as typed.
+        how: Folder, engine, whether to resume, whether to show a bar.
+
+    Returns:
+        What came of it, in a line.
+    """
+    from usarmjx.train.learning.record import Origin
+    from usarmjx.train.learning.trainer import train as run
+    from usarmjx.train.make import make
+
+    out, engine, resume, bar = how
+    told = {key: value for key, value in given.items() if value is not None}
+    config, overrides = _sorted_out(task, pairs, told)
+
+    def worlds_of(count: int, first: int) -> Any:  # noqa: ANN401 - an Env
+        return make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
+
+    typed = dict(pair.split("=", 1) for pair in pairs)
+    origin = Origin(engine, {key: typed[key] for key in overrides})
+    done = run(worlds_of, config, out, resume, origin=origin, progress=bar)
+    score = done.last.get("score")
+    return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+def _sorted_out(task: str, pairs: list[str], given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Return the settings of the training, and the fields of the task that are set otherwise."""
+    from dataclasses import asdict, fields
+
+    from usarmjx.train.learning.config import Config, parse_settings, task_config
+    from usarmjx.train.make import make_task
+
+    chosen = make_task(task)
+    own = {field.name: getattr(chosen, field.name) for field in fields(chosen)}
+    simple = {
+        name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
+    }
+    training = asdict(Config())
+    found = parse_settings(pairs, {**simple, **training}, f"{task} and its training")
+    overrides = {key: value for key, value in found.items() if key not in training}
+    return task_config(task, **{**given, **{k: v for k, v in found.items() if k in training}}), overrides
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of the run.")],
+    out: Annotated[Path, typer.Argument(help="File to write, .npz.")],
+    checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
+    half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
+) -> None:
+    """Write the policy of a run to a file that NumPy alone can run."""
+    with Failure():
+        from usarmjx.train.policies.export import export_run
+
+        export_run(run, out, checkpoint, half)
+        typer.echo(f"wrote {out}, {out.stat().st_size / 1024:.0f} KB")
+
+
+@app.command()
+def curves(
+    sources: Annotated[
+        list[Path], typer.Argument(help="Folders of runs, or files of benchmark records, one a line.")
+    ],
+    out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
+) -> None:
+    """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
+    with Failure():
+        from usarmjx.plots.training_plots import plot_curves
+
+        plot_curves(sources, out)
+        typer.echo(f"wrote {out}")

@@ -1,0 +1,192 @@
+"""The body plan of a robot class: its own little kinematic tree and its shapes, as arrays.
+
+Sensors need to know where a robot's bodies and shapes are. Computing that from the robot's own state
+with its own plan, rather than reading an engine's arrays, makes sensors independent of the engine, of
+the other robots in the model, and of the half step by which an engine's poses trail its state.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.base.rotations import composed, mat_from_quat, turned
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.build.layout import RobotIndex, index_robot
+from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import CHASSIS, RobotSpec
+
+
+class Bodies(struct.PyTreeNode, kw_only=True):
+    """Poses of a robot's bodies: chassis, then its parts.
+
+    Attributes:
+        pos: Origins in the world [m] (bodies, 3).
+        mat: Orientations (bodies, 3, 3).
+    """
+
+    pos: Array
+    mat: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPlan:
+    """A robot class, resolved.
+
+    Attributes:
+        robot: The description.
+        parts: Body names as the wire uses them: HARD, then its parts.
+        parent: Parent body of each body; -1 for the chassis.
+        offset: Body origin in its parent (bodies, 3).
+        turn: Orientation of the body in its parent with its joint at 0 (bodies, 3, 3).
+        axis: Joint axis in the body (bodies, 3); zero for the chassis.
+        slides: Whether the joint is prismatic (bodies,).
+        rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
+        geom_type: MuJoCo geom types (geoms,); meshes come as their triangles, see `pieces`.
+        geom_body: The body each geom belongs to (geoms,).
+        geom_size: MuJoCo sizes (geoms, 3).
+        geom_pos: Geom centres in their body (geoms, 3).
+        geom_mat: Geom orientations in their body (geoms, 3, 3).
+        geom_rgb: Their colours (geoms, 3).
+        actuated: Which joints have a motor, as places in the order of joints (actuators,).
+        mass: Mass of the built model [kg].
+        clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
+    """
+
+    robot: RobotSpec
+    parts: tuple[str, ...]
+    parent: tuple[int, ...]
+    offset: np.ndarray
+    turn: np.ndarray
+    axis: np.ndarray
+    slides: np.ndarray
+    rest_pos: np.ndarray
+    geom_type: np.ndarray
+    geom_body: np.ndarray
+    geom_size: np.ndarray
+    geom_pos: np.ndarray
+    geom_mat: np.ndarray
+    geom_rgb: np.ndarray
+    actuated: np.ndarray
+    mass: float
+    clearance: float
+
+    def joint(self, name: str) -> int | None:
+        """Return the place of a joint by its name, case ignored; None when there is none."""
+        names = [part.lower() for part in self.parts[1:]]
+        return names.index(name.lower()) if name.lower() in names else None
+
+
+@cache
+def body_plan(robot: RobotSpec) -> BodyPlan:
+    """Return the body plan of a robot class, read off its compiled model."""
+    nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
+    spec = new_spec(nowhere, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    index = index_robot(model, robot, "")
+    body = list(index.body)
+    local = {b: i for i, b in enumerate(body)}
+    geoms = np.array([g for g in range(model.ngeom) if model.geom_bodyid[g] in local], int)
+    mats = np.zeros((len(geoms), 9))
+    for mat, g in zip(mats, geoms, strict=True):
+        mujoco.mju_quat2Mat(mat, model.geom_quat[g])
+    pieces = pieces_of(model, geoms)
+    piece_pos, piece_mat = pieces.placed(model.geom_pos[geoms], mats.reshape(-1, 3, 3))
+    turns = np.zeros((len(body), 9))
+    for mat, b in zip(turns, body, strict=True):
+        mujoco.mju_quat2Mat(mat, model.body_quat[b])
+    joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
+    return BodyPlan(
+        robot=robot,
+        parts=(CHASSIS, *joint_names(robot)),
+        parent=tuple(local.get(int(model.body_parentid[b]), -1) for b in body),
+        offset=model.body_pos[body].astype(np.float32),
+        turn=turns.reshape(-1, 3, 3).astype(np.float32),
+        axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
+        slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
+        rest_pos=data.xpos[body].astype(np.float32),
+        geom_type=pieces.kind,
+        geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms[pieces.geom]]),
+        geom_size=pieces.size,
+        geom_pos=piece_pos.astype(np.float32),
+        geom_mat=piece_mat.astype(np.float32),
+        geom_rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
+        actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
+        mass=float(model.body_subtreemass[body[0]]),
+        clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
+    )
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
+    """Return the height of the lowest point of the masked geoms (ngeom,) [m]; kinematics must be current.
+
+    Boxes, spheres, capsules, cylinders and ellipsoids are exact; other types count as their bounding sphere.
+    """
+    up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :])
+    radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
+    kinds = mujoco.mjtGeom
+    reach = np.select(
+        [
+            model.geom_type == kind
+            for kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID)
+        ],
+        [
+            (up * model.geom_size).sum(-1),
+            radius,
+            radius + length * up[:, 2],
+            np.sqrt(((up * model.geom_size) ** 2).sum(-1)),
+        ],
+        np.where(
+            model.geom_type == kinds.mjGEOM_CYLINDER,
+            radius * np.sqrt(np.maximum(0.0, 1 - up[:, 2] ** 2)) + length * up[:, 2],
+            model.geom_rbound,
+        ),
+    )
+    return float((data.geom_xpos[:, 2] - reach)[geoms].min())
+
+
+def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
+    """Pick a robot's state out of its world's qpos (nq,) and qvel (nv,)."""
+    q, v = index.root_qpos, index.root_dof
+    return RobotState(
+        pos=qpos[q : q + 3],
+        quat=qpos[q + 3 : q + 7],
+        linear=qvel[v : v + 3],
+        angular=qvel[v + 3 : v + 6],
+        joint_pos=qpos[np.array(index.qpos, int)],
+        joint_vel=qvel[np.array(index.dof, int)],
+    )
+
+
+def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
+    """Forward kinematics of one robot."""
+    pos, mat = [state.pos], [mat_from_quat(state.quat)]
+    for body in range(1, len(plan.parent)):
+        parent, axis, q = plan.parent[body], jnp.asarray(plan.axis[body]), state.joint_pos[body - 1]
+        slide = axis * q * float(plan.slides[body])
+        turn = q * (1.0 - float(plan.slides[body]))
+        half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
+        rest = plan.turn[body]
+        straight = np.array_equal(rest, np.eye(3))
+        away = plan.offset[body] + (slide if straight else turned(rest, slide))
+        pos.append(pos[parent] + turned(mat[parent], away))
+        frame = mat[parent] if straight else composed(mat[parent], rest)
+        mat.append(composed(frame, mat_from_quat(half)))
+    return Bodies(pos=jnp.stack(pos), mat=jnp.stack(mat))
+
+
+def geom_poses(plan: BodyPlan, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    """Return the world poses of a robot's geoms: centres (geoms, 3) and orientations (geoms, 3, 3)."""
+    mat = bodies.mat[plan.geom_body]
+    return bodies.pos[plan.geom_body] + turned(mat, plan.geom_pos), composed(mat, plan.geom_mat)

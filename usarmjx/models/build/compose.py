@@ -1,0 +1,172 @@
+"""Descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
+
+Every robot is a free body with the name prefix that the caller gives ("r0/"); within it, `chassis`, one
+body per part (wheels, flippers, legs, mission package links, fingers), each with one joint of the same name
+and, if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
+from usarmjx.models.build.compose_arena import add_arena
+from usarmjx.models.build.geoms import add_geom
+from usarmjx.models.build.parts import chassis_shapes, parts_of
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import CHASSIS, HOLD, SURFACES, Motor, Part, RobotSpec, Shape
+
+USUAL_GEOMS = 7
+"""Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Solver and time settings of a scene.
+
+    The elliptic cone with friction impedance ratio 2 lets robots turn in place as rigid wheels do and
+    hold slopes; CG is as fast as Newton for few robots, far faster for many, and free of the batched
+    Cholesky factorisation. docs/design.md tables the measurements.
+
+    Attributes:
+        timestep: Physics step [s].
+        substeps: Physics steps per control step.
+        iterations: Cap on solver iterations.
+        ls_iterations: Cap on line-search iterations.
+        contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
+            robots; robots with more (or fewer) touching geoms count for more (or fewer).
+        pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
+            bounding spheres.
+    """
+
+    timestep: float = 0.005
+    substeps: int = 4
+    impratio: float = 2.0
+    iterations: int = 10
+    ls_iterations: int = 10
+    contacts_per_robot: int = 16
+    pairs_per_robot: int = 32
+
+    @property
+    def period(self) -> float:
+        """The control step [s]."""
+        return self.timestep * self.substeps
+
+
+def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
+    """Return a model description with the arena, its floor and no robots."""
+    spec = mujoco.MjSpec()
+    spec.modelname = arena.name
+    spec.compiler.degree = False  # joint limits are radians, as everything here
+    option = spec.option
+    option.timestep = physics.timestep
+    # MJX-JAX's implicitfast goes on damping a servo that is at its force limit, C and Warp do not; with
+    # Euler all three agree, and the servos' gains are low enough for it.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_CG
+    option.impratio = physics.impratio
+    # One contact per pair of convex geoms: with several, wheels stick at the edge of a 4 cm board.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    option.iterations = physics.iterations
+    option.ls_iterations = physics.ls_iterations
+    add_arena(spec, arena)
+    return spec
+
+
+def cap_contacts(
+    spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]
+) -> None:
+    """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
+    geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
+    geoms += sum(_touching(loose.shapes) for loose in arena.loose)
+    room = max(1.0, geoms / USUAL_GEOMS)
+    for name, each in (
+        ("max_contact_points", physics.contacts_per_robot),
+        ("max_geom_pairs", physics.pairs_per_robot),
+    ):
+        spec.add_numeric(name=name, size=1, data=[int(np.ceil(room * each))])
+
+
+def _solids(robot: RobotSpec) -> list[tuple[Shape, ...]]:
+    return [chassis_shapes(robot), *(part.shapes for part in parts_of(robot))]
+
+
+def _touching(shapes: tuple[Shape, ...]) -> int:
+    return sum(bool(SURFACES[shape.surface].contype) for shape in shapes)
+
+
+def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:
+    """Add a robot of that class whose chassis origin starts at `pos`, with names starting with `prefix`."""
+    chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
+    chassis.add_freejoint(name=f"{prefix}root")
+    for i, shape in enumerate(chassis_shapes(robot)):
+        add_geom(spec, chassis, f"{prefix}chassis/{i}", _flip(shape))
+    bodies = {CHASSIS: chassis}
+    for part in parts_of(robot):
+        bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
+        if part.geared is not None:
+            gear = spec.add_equality(name=prefix + part.name, type=mujoco.mjtEq.mjEQ_JOINT)
+            gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
+            gear.data[:2] = 0.0, 1.0
+    names = [body.name for body in bodies.values()]
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
+
+
+def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
+    """Remove the robot with that prefix, with its joints, gears, actuators and exclusions."""
+    for exclude in list(spec.excludes):
+        if exclude.bodyname1.startswith(prefix):
+            spec.delete(exclude)
+    for gear in list(spec.equalities):
+        if gear.name.startswith(prefix):
+            spec.delete(gear)
+    for actuator in list(spec.actuators):
+        if actuator.name.startswith(prefix):
+            spec.delete(actuator)
+    spec.delete(spec.body(f"{prefix}chassis"))
+
+
+def _flip(shape: Shape) -> Shape:
+    """Return a robot's shape in MuJoCo's axes."""
+    return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
+
+
+def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: str) -> mujoco.MjsBody:
+    name = prefix + part.name
+    turn = quat_from_angles(*flip_angles(part.rotation))
+    body = parent.add_body(name=name, pos=flip_vector(part.at), quat=turn)
+    kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
+    joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
+    for i, shape in enumerate(part.shapes):
+        add_geom(spec, body, f"{name}/{i}", _flip(shape))
+    if part.motor is not None:
+        joint.armature = part.motor.armature
+        _add_servo(spec, joint, part.motor)
+    elif part.limits is not None:
+        joint.limited, joint.range = True, part.limits
+    if part.spring is not None:
+        spring = part.spring
+        joint.stiffness, joint.damping = [spring.stiffness, 0, 0], [spring.damping, 0, 0]
+        joint.springref = -spring.load / spring.stiffness
+    return body
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
+    """Add a servo of limited torque in two actuators: one pulls towards its target, one holds back.
+
+    Together they are MuJoCo's integrated-velocity servo, kp (target - position) - kv velocity. Without the
+    second, whose input is 1 or 0, the first is a motor that exerts exactly kp times its target.
+    """
+    pull = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    pull.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    pull.gainprm[0] = motor.stiffness
+    hold = spec.add_actuator(name=joint.name + HOLD, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
+    hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
+    joint.actfrclimited = True
+    joint.actfrcrange = [-motor.torque, motor.torque]

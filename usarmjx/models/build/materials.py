@@ -1,0 +1,19 @@
+"""What the geoms of a compiled model are made of (manual 14.1.2)."""
+
+import mujoco
+
+from usarmjx.models.build.compose_arena import ARENA, LOOSE
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import OPAQUE
+
+
+def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
+    """Return the material of every geom of a model of that arena, as `spec.MATERIALS` calls them.
+
+    The arena's fixed solids and loose objects have their own; its floor, doors and victims, and all robots
+    are opaque.
+    """
+    known = {f"{ARENA}{i}": shape.material for i, shape in enumerate(arena.shapes)}
+    for loose in arena.loose:
+        known |= {f"{LOOSE}{loose.name}/{i}": shape.material for i, shape in enumerate(loose.shapes)}
+    return [known.get(model.geom(i).name, OPAQUE) for i in range(model.ngeom)]

@@ -1,0 +1,101 @@
+"""What is wrong with an arena, in words: its plan, where robots start, what they reach, what lies in what."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.build.compose_arena import ARENA
+from usarmjx.models.build.reach import reach_map, size_of, victims_reached
+from usarmjx.models.build.tags import RELEASED
+from usarmjx.models.check.probe import Site, in_water, said, solid_name
+from usarmjx.models.files.content import corners_of
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import AUTOMATIC, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import RobotSpec
+
+STICKS_OUT = 0.5
+"""How far a solid may reach over the extent, as an outer wall does [m]."""
+ARM = 1.0
+"""How near a robot must get to a victim [m]."""
+BESIDE = 0.3
+"""How near to another start pose [m]."""
+
+
+def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
+    """Return what is wrong with an arena, a sentence each; empty: nothing was found.
+
+    Looked at: the plan (extent, names and IDs, what lies outside), each start pose for a robot of that
+    class (ground under it, at the height of manual 5.3.5; no solid in the robot), what it can reach from the
+    first start pose on ground (the others, the victims), loose objects that lie in something, and water.
+
+    Raises:
+        UnknownNameError: No such robot class.
+    """
+    spec = ROBOTS.get(robot)
+    found = [*_plan(arena), *_names(arena), *_tags(arena)]
+    try:
+        site = Site(arena, spec)
+    except (SpecError, ValueError) as error:
+        return [*found, f"it cannot be built: {error}"]
+    found += [*site.starts(), *site.loose(), *site.waters()]
+    dry = [start for start in arena.starts if not in_water(arena, start)]
+    if not dry or any(fault.startswith(f"start {dry[0].tag!r}") for fault in found):
+        return found  # from there nobody gets anywhere
+    return [*found, *_reach(arena, spec, dry)]
+
+
+def _plan(arena: ArenaSpec) -> Iterator[str]:
+    """Yield what is wrong with the extent, and what lies outside."""
+    (x0, x1), (y0, y1) = arena.extent
+    for i, shape in enumerate(arena.shapes):
+        low, high = corners_of(shape)
+        over = max(x0 - low[0], high[0] - x1, y0 - low[1], high[1] - y1)
+        if over > STICKS_OUT:
+            yield f"{solid_name(arena, f'{ARENA}{i}')} reaches {over:.2f} m over the extent; widen it"
+    places = [(f"start {s.tag!r}", s.at) for s in arena.starts]
+    places += [(f"victim {v.name!r}", v.at) for v in arena.victims]
+    places += [(f"false alarm {i} ({a.part})", a.at) for i, a in enumerate(arena.false_alarms)]
+    places += [(f"tag {i} (ID {tag.id})", tag.at) for i, tag in enumerate(arena.tags)]
+    for name, (x, y, _) in places:
+        if not (x0 <= x <= x1 and y0 <= y <= y1):
+            yield f"{name} at {said(x, y)} is outside the extent"
+
+
+def _names(arena: ArenaSpec) -> Iterator[str]:
+    """Yield what is wrong with names."""
+    if not arena.starts:
+        yield "it has no start pose"
+    for tag, count in Counter(start.tag for start in arena.starts).items():
+        if count > 1:
+            yield f"{count} start poses are called {tag!r}"
+        if not tag or any(c.isspace() or c in "{}" for c in tag):
+            yield f"start {tag!r}: a tag is one word without braces; GETSTARTPOSES separates them by blanks"
+    for robot in arena.robots:
+        if robot not in ROBOTS:
+            yield f"recommended robot {robot!r} is unknown; `usarmjx list robots` shows them all"
+
+
+def _tags(arena: ArenaSpec) -> Iterator[str]:
+    given = Counter(tag.id for tag in arena.tags if tag.id != AUTOMATIC)
+    for number, count in given.items():
+        if count > 1:
+            yield f"{count} tags have the ID {number}"
+        if number <= RELEASED:
+            yield f"a tag has the ID {number}; up to {RELEASED} they belong to releasers"
+
+
+def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator[str]:
+    """Yield what a robot cannot reach from the first of the start poses that are not in water."""
+    size = size_of(robot)
+    found = reach_map(arena, size.radius, size.step, height=size.height, start=dry[0])
+    if found.home < 0:
+        yield f"start {dry[0].tag!r}: a {robot.name} has no room to turn there"
+        return
+    near = [found.near(*start.at, distance=BESIDE) for start in dry[1:]]
+    far = [
+        (f"start {s.tag!r}", s.at, BESIDE) for s, reached in zip(dry[1:], near, strict=True) if not reached
+    ]
+    touched = victims_reached(arena, found, ARM)
+    far += [(f"victim {v.name!r}", v.at, ARM) for v, ok in zip(arena.victims, touched, strict=True) if not ok]
+    for name, (x, y, _), least in far:
+        yield f"{name} at {said(x, y)}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"

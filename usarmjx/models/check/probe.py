@@ -1,0 +1,160 @@
+"""An arena on C MuJoCo with one robot: what is under its start poses, and what lies in what."""
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.build.compose_arena import ARENA, BONE, DOOR, LOOSE
+from usarmjx.models.build.victim_table import box_names
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import RobotSpec
+
+ELEVATION_OFF = 0.02
+"""How far a start pose may be from its height above the ground [m]; the wire rounds to 1 cm."""
+DEEP, DEEP_IN_GROUND = 0.02, 0.08
+"""How deep a robot may start in a solid, and in what it drives on: robots are put level on slopes [m]."""
+LAPPED = 0.005
+"""How deep a loose object may lie in another solid [m]."""
+SHALLOW = 0.1
+"""How far above the ground a volume of water may end [m]."""
+AWAY = 1000.0
+"""Where the robot waits while the arena is looked at without it [m]."""
+HAIR = 1e-4
+"""What a ray moves on below something that is seen but never touched [m]."""
+
+
+def said(*at: float) -> str:
+    """Return a place as messages show it."""
+    return ", ".join(f"{v:.4g}" for v in at)
+
+
+def solid_name(arena: ArenaSpec, geom: str) -> str:
+    """Return how people call the solid that a geom is of: its place in the arena, or its name."""
+    if geom.startswith(ARENA):
+        number = geom.removeprefix(ARENA).split("/")[0]
+        shape = arena.shapes[int(number)]
+        return f"shapes[{number}] ({shape.kind} at {said(*shape.at)})"
+    if geom.startswith(LOOSE):
+        return f"loose object {geom.removeprefix(LOOSE).rpartition('/')[0]!r}"
+    if geom.startswith(DOOR):
+        return f"door {geom.removeprefix(DOOR)!r}"
+    if geom.startswith(BONE):
+        names = box_names(arena.victims, arena.false_alarms)
+        return f"victim {names[int(geom.removeprefix(BONE))].rpartition('/')[0]!r}"
+    return f"the {geom}"
+
+
+def in_water(arena: ArenaSpec, start: StartPose) -> bool:
+    """Return whether a start pose is in water."""
+    return any(
+        all(low <= v <= high for low, v, high in zip(water.low, start.at, water.high, strict=True))
+        for water in arena.waters
+    )
+
+
+class Site:
+    """The arena on C MuJoCo with one robot, which is put where it is needed.
+
+    Args:
+        arena: The arena.
+        robot: The robot's class.
+
+    Raises:
+        SpecError: The arena cannot be built.
+    """
+
+    def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
+        self._arena, self._robot = arena, robot
+        spec = new_spec(arena, Physics())
+        add_robot(spec, robot, "robot/", (0.0, 0.0, AWAY))
+        self._model = spec.compile()
+        self._root = int(self._model.joint("robot/root").qposadr[0])
+        self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+
+    def starts(self) -> Iterator[str]:
+        """Yield what is wrong with start poses."""
+        for start in self._arena.starts:
+            name = f"start {start.tag!r}"
+            ground = self._ground(start.at)
+            if not in_water(self._arena, start):
+                if ground is None:
+                    yield f"{name}: there is no ground under it"
+                    continue
+                if abs(start.at[2] - ground - START_ELEVATION) > ELEVATION_OFF:
+                    yield (
+                        f"{name} is {start.at[2] - ground:.3f} m above the ground under it, not "
+                        f"{START_ELEVATION} (manual 5.3.5): its z should be {ground + START_ELEVATION:.3f}"
+                    )
+            for solid, depth in self._inside(start).items():
+                yield f"{name}: a {self._robot.name} stands {depth:.2f} m deep in {solid}"
+
+    def loose(self) -> Iterator[str]:
+        """Yield what loose objects lie in."""
+        self._place((0.0, 0.0, AWAY), 0.0)
+        for (one, other), depth in self._contacts().items():
+            if depth > LAPPED and LOOSE in (one[: len(LOOSE)], other[: len(LOOSE)]):
+                pair = sorted((one, other), key=lambda name: not name.startswith(LOOSE))
+                first, second = (solid_name(self._arena, name) for name in pair)
+                yield f"{first} lies {depth:.3f} m deep in {second}"
+
+    def waters(self) -> Iterator[str]:
+        """Yield what is wrong with water."""
+        for i, water in enumerate(self._arena.waters):
+            x, y = ((a + b) / 2 for a, b in zip(water.low[:2], water.high[:2], strict=True))
+            ground = self._ground((x, y, water.low[2] + HAIR))
+            if ground is None:
+                yield f"waters[{i}] has no ground under its middle: what sinks, sinks forever"
+            elif water.low[2] - ground > SHALLOW:
+                yield f"waters[{i}] ends {water.low[2] - ground:.2f} m above the ground"
+
+    def _place(self, at: tuple[float, float, float], yaw: float) -> None:
+        self._data.qpos[self._root : self._root + 7] = (*at, *quat_from_angles(0.0, 0.0, yaw))
+        mujoco.mj_forward(self._model, self._data)
+
+    def _ground(self, at: tuple[float, float, float]) -> float | None:
+        """Return the height of the first solid below a place that can be touched, in the arena's axes."""
+        self._place((0.0, 0.0, AWAY), 0.0)
+        point = np.array([*at[:2], at[2] + self._arena.floor])
+        down = np.array([0.0, 0.0, -1.0])
+        geom = np.zeros((1, 1), np.int32)
+        while (distance := mujoco.mj_ray(self._model, self._data, point, down, None, 1, -1, geom)) >= 0:
+            point = point + down * distance
+            hit = int(geom[0, 0])
+            if self._model.geom_contype[hit] or self._model.geom_conaffinity[hit]:
+                return float(point[2] - self._arena.floor)
+            point = point + down * HAIR
+        return None
+
+    def _inside(self, start: StartPose) -> dict[str, float]:
+        """Return the solids that the robot is in when it starts there, and how deep."""
+        x, y, z = start.at
+        height = self._arena.floor + z - START_ELEVATION + body_plan(self._robot).clearance
+        self._place((x, y, height), start.yaw)
+        found: dict[str, float] = {}
+        for pair, depth in self._contacts().items():
+            others = [name for name in pair if not name.startswith("robot/")]
+            if len(others) == 1 and depth > self._bearable(others[0]):
+                solid = solid_name(self._arena, others[0])
+                found[solid] = max(depth, found.get(solid, 0.0))
+        return found
+
+    def _bearable(self, geom: str) -> float:
+        """Return how deep in a solid a robot may start."""
+        if geom.startswith(ARENA):
+            shape = self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])]
+            return DEEP_IN_GROUND if shape.surface == "ground" else DEEP
+        return DEEP
+
+    def _contacts(self) -> dict[tuple[str, str], float]:
+        """Return the pairs of geoms that touch, and how deep."""
+        found: dict[tuple[str, str], float] = {}
+        for contact in self._data.contact:
+            one, other = (self._names[geom] for geom in contact.geom)
+            found[one, other] = max(-float(contact.dist), found.get((one, other), 0.0))
+        return found

@@ -1,0 +1,155 @@
+"""What files add to an arena, and what of it nobody said: surfaces, extent, a place to start from."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usarmjx.base.transforms import Vec3, mat_from_angles
+from usarmjx.models.build.raster import half_lengths
+from usarmjx.models.build.reach import placed, reach_map
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Door, Loose, StartPose
+from usarmjx.models.spec.robot import Shape
+
+Rectangle = tuple[tuple[float, float], tuple[float, float]]
+UPRIGHT = 0.3
+"""What is at least this high, and thinner than high, is a wall unless told otherwise [m]."""
+TILT = 1e-3
+"""A solid whose z axis leans by less stands upright [rad]."""
+MARGIN = 1.0
+"""Of an extent round the solids [m]."""
+EMPTY: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
+"""Extent of an arena without solids."""
+ROOM = (0.45, 0.05)
+"""Radius of the circle that a start pose wants free, and the highest step in it [m]."""
+LEVEL, STEEPEST = math.radians(2), math.radians(20)
+"""Slope that it wants, and what it takes where there is no such place [rad]."""
+TAG = "PlayerStart"
+"""Of the start pose that nobody gave, as the Unreal editor calls them (manual 5.3.2)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """What a file has for an arena, in the arena's axes.
+
+    Attributes:
+        shapes: Fixed solids.
+        loose: Loose objects.
+        doors: Doors.
+        floor: Whether it has an unbounded floor at height zero; None: it says nothing of floors.
+        extent: Its floor plan; None: as its solids have it.
+        place: x and y of a place that is free; None: to be found.
+        warnings: What of the file is not taken, in words.
+    """
+
+    shapes: tuple[Shape, ...] = ()
+    loose: tuple[Loose, ...] = ()
+    doors: tuple[Door, ...] = ()
+    floor: bool | None = None
+    extent: Rectangle | None = None
+    place: tuple[float, float] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def joined(parts: Sequence[Content]) -> Content:
+    """Return the content of several files as one."""
+    floors = [part.floor for part in parts if part.floor is not None]
+    extents = [part.extent for part in parts if part.extent is not None]
+    return Content(
+        shapes=tuple(shape for part in parts for shape in part.shapes),
+        loose=tuple(loose for part in parts for loose in part.loose),
+        doors=tuple(door for part in parts for door in part.doors),
+        floor=any(floors) if floors else None,
+        extent=_around(np.array(extents).swapaxes(1, 2).reshape(-1, 2)) if extents else None,
+        place=next((part.place for part in parts if part.place is not None), None),
+        warnings=tuple(warning for part in parts for warning in part.warnings),
+    )
+
+
+def corners_of(shape: Shape) -> np.ndarray:
+    """Return lowest and highest corner of the box around a solid, in the axes that hold it (2, 3) [m]."""
+    if shape.mesh is not None:
+        points = np.asarray(shape.mesh.vertices, float)
+    elif shape.heights is not None:
+        x, y, base = shape.size
+        high = float(np.max(shape.heights.heights))
+        points = np.array([[a * x, b * y, c] for a in (-1, 1) for b in (-1, 1) for c in (-base, high)])
+    else:
+        signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), -1).reshape(-1, 3)
+        points = signs * half_lengths(shape)
+    turned = points @ mat_from_angles(*np.array(shape.rotation)).T + shape.at
+    return np.stack([turned.min(0), turned.max(0)])
+
+
+def surface_of(shape: Shape) -> str:
+    """Return what a solid of a file is that does not say: "wall" if it stands upright, else "ground"."""
+    low, high = corners_of(shape)
+    length, width, height = high - low
+    upright = mat_from_angles(*np.array(shape.rotation))[2, 2] > np.cos(TILT)
+    return "wall" if upright and height >= UPRIGHT and min(length, width) < height else "ground"
+
+
+def moved(content: Content, at: Vec3, yaw: float) -> Content:
+    """Return content turned about the vertical through the origin, and then moved."""
+    if at == (0.0, 0.0, 0.0) and yaw == 0.0:
+        return content
+    mat = mat_from_angles(0.0, 0.0, np.float64(yaw))
+
+    def there(point: Vec3) -> Vec3:
+        x, y, z = (mat @ point + at).tolist()
+        return (x, y, z)
+
+    def turned(angles: Vec3) -> Vec3:  # the yaw of ZYX angles comes last
+        return (angles[0], angles[1], angles[2] + yaw)
+
+    return replace(
+        content,
+        shapes=tuple(replace(s, at=there(s.at), rotation=turned(s.rotation)) for s in content.shapes),
+        loose=tuple(replace(o, at=there(o.at), rotation=turned(o.rotation)) for o in content.loose),
+        doors=tuple(replace(door, at=there(door.at), yaw=door.yaw + yaw) for door in content.doors),
+        extent=None,
+        place=None if content.place is None else there((*content.place, 0.0))[:2],
+    )
+
+
+def extent_of(shapes: Sequence[Shape], loose: Sequence[Loose] = ()) -> Rectangle:
+    """Return x and y limits of solids with a margin round them."""
+    solids = [*shapes, *(shape for one in loose for shape in placed(one))]
+    if not solids:
+        return EMPTY
+    points = np.concatenate([corners_of(shape) for shape in solids])[:, :2]
+    return _around(np.concatenate([points - MARGIN, points + MARGIN]))
+
+
+def _around(points: np.ndarray) -> Rectangle:
+    (x0, y0), (x1, y1) = points.min(0).round(6).tolist(), points.max(0).round(6).tolist()
+    return ((x0, x1), (y0, y1))
+
+
+def free_place(arena: ArenaSpec, wish: tuple[float, float] | None = None) -> StartPose | None:
+    """Return a start pose on level ground with room round it: in the largest free area, near its middle.
+
+    Args:
+        arena: The arena; it needs no start poses yet.
+        wish: x and y of where it should be; taken if there is room.
+    """
+    nowhere = StartPose(tag=TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
+    found = reach_map(replace(arena, starts=(nowhere,)), *ROOM, slope=LEVEL)
+    if found.area.max() < 0:
+        found = reach_map(replace(arena, starts=(nowhere,)), *ROOM, slope=STEEPEST)
+    layers, i, j = np.nonzero(found.area >= 0)
+    if not len(layers):
+        return None
+    areas = found.area[layers, i, j]
+    x = found.grid.low[0] + (i + 0.5) * found.grid.cell
+    y = found.grid.low[1] + (j + 0.5) * found.grid.cell
+    ground = found.ground[layers, i, j]
+    largest = np.bincount(areas)[areas] == np.bincount(areas).max()
+    aim = wish if wish is not None else (x[largest].mean(), y[largest].mean())
+    away = np.hypot(x - aim[0], y - aim[1])
+    if wish is None or away.min() > found.grid.cell:
+        away = np.where(largest, away, np.inf)
+    best = int(np.lexsort((ground, away))[0])
+    at = (round(float(x[best]), 3), round(float(y[best]), 3), round(float(ground[best]) + START_ELEVATION, 6))
+    return StartPose(tag=TAG, at=at)

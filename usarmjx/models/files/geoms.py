@@ -1,0 +1,78 @@
+"""Geoms of a compiled model to shapes."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.transforms import flip_angles, flip_vector
+from usarmjx.models.files.meshes import pieces
+from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Placed, usarsim_angles, usarsim_vector, volume
+from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+
+GeomType = mujoco.mjtGeom
+
+
+def geom_shapes(model: mujoco.MjModel, geom: int, place: Placed, surface: str, name: str) -> list[Shape]:
+    """Return a geom as shapes without mass; a mesh gives one for each of its pieces.
+
+    Args:
+        model: The compiled model.
+        geom: The geom's id.
+        place: Where it is, in the axes that the shapes shall be in.
+        surface: Their surface.
+        name: What errors call it.
+
+    Raises:
+        ArenaFileError: A geom of a kind that arenas do not have, or a mesh that is not convex.
+    """
+    kind, material = GeomType(model.geom_type[geom]), int(model.geom_matid[geom])
+    colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    red, green, blue, alpha = colour.tolist()
+    like = Shape(
+        kind="box",
+        at=flip_vector(usarsim_vector(place.pos)),
+        rotation=flip_angles(usarsim_angles(place.mat)),
+        surface=surface,
+        rgba=(red, green, blue, alpha),
+    )
+    if kind in KINDS:
+        form = KINDS[kind]
+        size = tuple(model.geom_size[geom][: SIZES[form]].tolist())
+        return [replace(like, kind=form, size=size)]
+    if kind == GeomType.mjGEOM_HFIELD:
+        return [_terrain(model, int(model.geom_dataid[geom]), like)]
+    if kind != GeomType.mjGEOM_MESH:
+        raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
+    return [
+        replace(like, kind="mesh", mesh=Mesh(piece.corners)) for piece in pieces(*_mesh(model, geom), name)
+    ]
+
+
+def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom) -> float:
+    """Return the mass that a geom would give its body [kg]."""
+    if np.isfinite(described.mass):
+        return float(described.mass)
+    if GeomType(model.geom_type[geom]) in KINDS:
+        return described.density * volume(model, geom)
+    found = pieces(*_mesh(model, geom), described.name, hull=True)
+    return described.density * sum(piece.volume for piece in found)
+
+
+def _terrain(model: mujoco.MjModel, number: int, like: Shape) -> Shape:
+    rows, columns, start = (
+        int(values[number]) for values in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
+    )
+    x, y, top, base = model.hfield_size[number].tolist()
+    shares = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+    heights = HeightField(shares.astype(float) * top)
+    return replace(like, kind="hfield", size=(x, y, base), heights=heights)
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of a geom's mesh, in the geom's axes."""
+    number = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
+    start, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
+    return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]

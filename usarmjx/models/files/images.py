@@ -1,0 +1,88 @@
+"""Images of an arena: terrain from grey values, and the maps that ROS' map_server keeps."""
+
+from pathlib import Path
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.values import read_bytes
+
+MOST_PIXELS = 16_000_000
+"""Of a map."""
+MOST_HEIGHTS = 1_000_000
+"""Of a terrain."""
+DEEP = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}
+"""Modes of Pillow with one grey value, and white in each."""
+
+
+def read_heights(path: Path, height: float) -> np.ndarray:
+    """Return the terrain in a grey image of 8 or 16 bits [m] (rows, columns), the lowest row of y first.
+
+    Black is 0 and white is `height`; the first line of the image is far, at the largest y.
+
+    Raises:
+        ArenaFileError: A file that does not read, has colours, or is too small or too large.
+    """
+    mode, pixels = _pixels(path, MOST_HEIGHTS)
+    if mode not in DEEP or pixels.ndim != 2:
+        raise ArenaFileError(
+            f"{path}: is an image of mode {mode}; heights are grey values of 8 or 16 bits, nothing else"
+        )
+    if min(pixels.shape) < 2:
+        raise ArenaFileError(f"{path}: a terrain has at least 2 x 2 heights")
+    return pixels[::-1].astype(float) / DEEP[mode] * height
+
+
+def write_heights(path: Path, heights: np.ndarray) -> float:
+    """Write a terrain (rows, columns) as a PNG file of 16 bits, and return the height that white is [m].
+
+    Heights are rounded to a 65535th of that.
+    """
+    from PIL import Image
+
+    top = float(np.max(heights))
+    steps = np.rint(np.asarray(heights, float) / (top or 1.0) * 65535).astype(np.uint16)
+    Image.fromarray(np.ascontiguousarray(steps[::-1])).save(path)
+    return top
+
+
+def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of an image's channels, 0 to 255, and where it is opaque, both (rows, columns).
+
+    The lowest row of y comes first.
+
+    Raises:
+        ArenaFileError: A file that does not read or is too large.
+    """
+    mode, pixels = _pixels(path, MOST_PIXELS)
+    pixels = pixels[::-1].astype(float) * (255 / DEEP.get(mode, 255))
+    if pixels.ndim == 2:
+        return pixels, np.ones(pixels.shape, bool)
+    clear = mode in ("LA", "RGBA")
+    grey = pixels[..., :-1].mean(-1) if clear else pixels.mean(-1)
+    return grey, pixels[..., -1] == 255 if clear else np.ones(grey.shape, bool)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return an image's width and height in pixels."""
+    _, pixels = _pixels(path, MOST_HEIGHTS)
+    return pixels.shape[1], pixels.shape[0]
+
+
+def _pixels(path: Path, most: int) -> tuple[str, np.ndarray]:
+    """Return an image's mode and its pixels (rows, columns[, channels]); palettes become colours."""
+    from PIL import Image
+
+    read_bytes(path, most=8 * most)
+    try:
+        with Image.open(path) as image:
+            width, height = image.size
+            if width * height > most:
+                raise ArenaFileError(f"{path}: {width} x {height} pixels; at most {most} in all")
+            if image.mode in ("1", "P"):
+                image = image.convert("L" if image.mode == "1" else "RGB")
+            return image.mode, np.array(image)
+    except ArenaFileError:
+        raise
+    except Exception as error:  # Pillow raises whatever its decoders run into
+        raise ArenaFileError(f"{path}: does not read as an image: {error}") from error

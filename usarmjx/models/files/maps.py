@@ -1,0 +1,180 @@
+"""Maps of ROS' map_server to walls: a picture of what is occupied, and a YAML file about it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from usarmjx.base.transforms import Vec3, mat_from_angles
+from usarmjx.models.files.content import Content, Rectangle
+from usarmjx.models.files.fields import check_keys, option, read, required
+from usarmjx.models.files.images import read_grey
+from usarmjx.models.files.values import Value
+from usarmjx.models.spec.robot import Shape
+
+KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
+HEIGHT = 1.2
+"""Of walls if none is given [m]: the NIST arenas'."""
+MOST_BOXES = 2000
+WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
+HALF = 50
+"""From which of the values 0 to 100 between free and occupied a cell of a graded map is a wall."""
+LAST_RAW = 100
+"""Raw values above are unknown, as map_server's -1."""
+Unknown = Literal["free", "occupied"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A map.
+
+    Attributes:
+        wall: Whether each cell is a wall (rows, columns), the lowest row of y first.
+        free: Whether each cell is known to be free (rows, columns).
+        resolution: Side of a cell [m].
+        origin: x, y and yaw of the outer corner of the first cell.
+    """
+
+    wall: np.ndarray
+    free: np.ndarray
+    resolution: float
+    origin: Vec3
+
+
+def is_map(value: Value) -> bool:
+    """Return whether a YAML file is one of map_server's."""
+    return isinstance(value.data, dict) and {"image", "resolution"} <= set(value.data)
+
+
+def read_plan(value: Value, unknown: Unknown = "free") -> Plan:
+    """Return the map that a YAML file of map_server describes.
+
+    The modes are map_server's: `trinary` and `scale` compare the mean m of a pixel's channels as
+    (255 - m) / 255, or m / 255 if `negate`, with the thresholds: above occupied_thresh is occupied, below
+    free_thresh is free; in between it is unknown, or with `scale`, unless transparent, in proportion. There
+    a cell is a wall from the middle on. In `raw` maps it is one from 100 times occupied_thresh on, and
+    unknown above 100.
+
+    Args:
+        value: The file.
+        unknown: What becomes of unknown cells.
+
+    Raises:
+        ArenaFileError: A wrong key or value, or an image that does not read.
+    """
+    check_keys(value, KEYS)
+    image = value.path.parent / read(str, required(value, "image"), {})
+    resolution = read(float, required(value, "resolution"), {})
+    if resolution <= 0:
+        raise required(value, "resolution").error("is not above zero [m]")
+    high = option(float, value, "occupied_thresh", 0.65)
+    low = option(float, value, "free_thresh", 0.196)
+    if low > high:
+        raise value.error(f"free_thresh {low} is above occupied_thresh {high}")
+    mode = option(Literal["trinary", "scale", "raw"], value, "mode", "trinary")
+    negate = _truth(value)
+    mean, opaque = read_grey(image)
+    if negate:
+        mean = 255 - mean
+    if mode == "raw":
+        wall, free = (mean >= 100 * high) & (mean <= LAST_RAW), mean < 100 * low
+        lost = mean > LAST_RAW
+    else:
+        share = (255 - mean) / 255
+        wall, free = share > high, share < low
+        lost = ~wall & ~free
+        if mode == "scale":
+            lost &= ~opaque
+            graded = 1 + 98 * (share - low) / max(high - low, 1e-9)
+            wall |= ~wall & ~free & ~lost & (graded >= HALF)
+    if unknown == "occupied":
+        wall = wall | lost
+    return Plan(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)))
+
+
+def _truth(value: Value) -> bool:
+    """Return `negate`, which map_server's files have as 0 or 1."""
+    given = value.mapping().get("negate")
+    if given is None:
+        return False
+    if given.data in (0, 1):
+        return bool(given.data)
+    raise given.error(f"{given.shown} is not 0 or 1")
+
+
+def map_content(value: Value, height: float = HEIGHT, unknown: Unknown = "free") -> Content:
+    """Return a map as walls: as few boxes as are found quickly, `height` metres high.
+
+    Raises:
+        ArenaFileError: See `read_plan`; or the map has too many walls.
+    """
+    plan = read_plan(value, unknown)
+    boxes = min(rectangles(plan.wall), _turned(rectangles(plan.wall.T)), key=len)
+    if len(boxes) > MOST_BOXES:
+        raise value.error(
+            f"the map makes {len(boxes)} boxes, at most {MOST_BOXES} are allowed: clear it of specks, or "
+            "halve its size and double its resolution"
+        )
+    return Content(
+        shapes=tuple(_box(plan, box, height) for box in boxes), extent=_extent(plan), place=_place(plan)
+    )
+
+
+Cells = tuple[int, int, int, int]
+"""First row, row after the last, first column, column after the last."""
+
+
+def rectangles(filled: np.ndarray) -> list[Cells]:
+    """Cover the true cells (rows, columns) with rectangles, each as long as it goes and then as wide."""
+    left, found = filled.copy(), []
+    for row in range(left.shape[0]):
+        edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            below = np.asarray(left[row:, start:stop].all(axis=1))
+            end = row + (len(below) if below.all() else int(below.argmin()))
+            left[row:end, start:stop] = False
+            found.append((row, end, start, stop))
+    return found
+
+
+def _turned(found: list[Cells]) -> list[Cells]:
+    return [(c0, c1, r0, r1) for r0, r1, c0, c1 in found]
+
+
+def _there(plan: Plan, column: float, row: float) -> tuple[float, float]:
+    """Return x and y of a place on a map, in cells from its first corner."""
+    x, y, yaw = plan.origin
+    local = np.array([column * plan.resolution, row * plan.resolution, 0.0])
+    dx, dy, _ = (mat_from_angles(0.0, 0.0, np.float64(yaw)) @ local).tolist()
+    return (round(x + dx, 9), round(y + dy, 9))
+
+
+def _box(plan: Plan, cells: Cells, height: float) -> Shape:
+    r0, r1, c0, c1 = cells
+    half = plan.resolution / 2
+    return Shape(
+        kind="box",
+        size=(round((c1 - c0) * half, 9), round((r1 - r0) * half, 9), height / 2),
+        at=(*_there(plan, (c0 + c1) / 2, (r0 + r1) / 2), height / 2),
+        rotation=(0.0, 0.0, plan.origin[2]),
+        surface="wall",
+        rgba=WALL_RGBA,
+    )
+
+
+def _extent(plan: Plan) -> Rectangle:
+    rows, columns = plan.wall.shape
+    corners = np.array([_there(plan, c, r) for c in (0, columns) for r in (0, rows)])
+    (x0, y0), (x1, y1) = corners.min(0).tolist(), corners.max(0).tolist()
+    return ((x0, x1), (y0, y1))
+
+
+def _place(plan: Plan) -> tuple[float, float] | None:
+    """Return the known free place that is farthest from all others."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not plan.free.any():
+        return None
+    away = np.asarray(distance_transform_edt(np.pad(plan.free, 1)))[1:-1, 1:-1]
+    row, column = np.unravel_index(int(away.argmax()), away.shape)
+    return _there(plan, float(column) + 0.5, float(row) + 0.5)

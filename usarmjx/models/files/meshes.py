@@ -1,0 +1,183 @@
+"""Mesh files (OBJ, STL) to convex solids, one for each connected piece.
+
+Contacts, rays and the radio take a solid of kind mesh as the convex hull of its corners. A piece that is not
+convex is therefore refused rather than filled in, unless its hull is asked for.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.content import surface_of
+from usarmjx.models.spec.robot import Mesh, Shape
+
+MOST_VERTICES = 200
+"""Corners of one solid's hull: MJX looks at all of them in every contact."""
+MOST_PIECES = 500
+"""Pieces of one file."""
+CONVEX = 1.01
+"""A hull with less than this times the piece's volume is that of a convex piece."""
+THINNEST = 1e-12
+"""Least volume of a solid [m3]."""
+NO_MESH = Mesh(np.zeros((0, 3)))
+"""Of a shape whose solid is still to come."""
+LOADING: dict[str, dict[str, Any]] = {
+    "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
+    "stl": {"process": False},
+}
+"""Kinds of files, and how trimesh shall read them: as they are."""
+SUFFIXES = tuple(f".{kind}" for kind in LOADING)
+ADVICE = (
+    "cut it into convex pieces (with a tool as CoACD or V-HACD) and name their files under "
+    "`decomposition`, or give `hull: true` to fill it in"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A connected piece of a mesh.
+
+    Attributes:
+        name: What errors call it.
+        corners: Corners of its convex hull [m] (n, 3).
+        volume: Volume of the hull [m3].
+    """
+
+    name: str
+    corners: np.ndarray
+    volume: float
+
+
+def pieces_of_file(
+    path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0), *, hull: bool = False
+) -> list[Piece]:
+    """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
+
+    Args:
+        path: OBJ or STL file; its axes are taken as they are, z up.
+        scale: What its x, y and z are multiplied with.
+        hull: Whether to take the hulls of pieces that are not convex.
+
+    Raises:
+        ArenaFileError: A file that does not read; a piece that is not closed or not convex, flat, or that has
+            too many corners; names it.
+    """
+    found: list[Piece] = []
+    for name, vertices, faces in _objects(path):
+        found += pieces(vertices * np.asarray(scale), faces, f"{path}: {name}".rstrip(": "), hull=hull)
+        if len(found) > MOST_PIECES:
+            raise ArenaFileError(f"{path}: more than {MOST_PIECES} pieces; give it in several files")
+    return found
+
+
+def vertices_of_file(path: Path) -> np.ndarray:
+    """Return all vertices of a mesh file in its order [m] (n, 3): the corners of one convex solid.
+
+    Raises:
+        ArenaFileError: A file that does not read, or has too many vertices.
+    """
+    vertices = np.concatenate([vertices for _, vertices, _ in _objects(path)])
+    return checked_corners(vertices, str(path))
+
+
+def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
+    """Return the corners of a solid (n, 3) if they make one.
+
+    Raises:
+        ArenaFileError: They lie in a plane, or are too many.
+    """
+    if len(vertices) > MOST_VERTICES:
+        raise ArenaFileError(f"{name}: {len(vertices)} vertices; a solid has at most {MOST_VERTICES}")
+    _hull(vertices, name)
+    return vertices
+
+
+def pieces(vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = False) -> list[Piece]:
+    """Return the connected pieces of a mesh (n, 3), (m, 3) as convex solids; see `pieces_of_file`."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices()
+    every = np.arange(len(mesh.faces))
+    groups = trimesh.graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
+    parts: Any = mesh.submesh(groups, append=False, repair=False)
+    if len(parts) > MOST_PIECES:
+        raise ArenaFileError(f"{name}: {len(parts)} pieces; at most {MOST_PIECES}")
+    names = (
+        [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
+    )
+    return [_piece(part, called, hull) for part, called in zip(parts, names, strict=True)]
+
+
+def _piece(part: Any, name: str, hull: bool) -> Piece:  # noqa: ANN401 - trimesh.Trimesh
+    corners, volume = _hull(np.asarray(part.vertices), name)
+    if not hull:
+        if not part.is_watertight:
+            raise ArenaFileError(
+                f"{name} is not closed, so nobody knows what is inside: close it; or {ADVICE}"
+            )
+        if not part.is_winding_consistent:
+            raise ArenaFileError(f"{name} has faces that turn either way round: recalculate its normals")
+        own = abs(float(part.volume))
+        if volume > CONVEX * own:
+            filled = f"its hull has {volume:.4g} m3, itself {own:.4g}"
+            raise ArenaFileError(f"{name} is not convex ({filled}): {ADVICE}")
+    if len(corners) > MOST_VERTICES:
+        raise ArenaFileError(
+            f"{name} has a hull with {len(corners)} vertices, at most {MOST_VERTICES} are allowed: "
+            "simplify it (Blender's Decimate, MeshLab's quadric edge collapse)"
+        )
+    return Piece(name, corners, volume)
+
+
+def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
+    """Return the corners of the convex hull, in their order, and its volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError):
+        raise ArenaFileError(f"{name} is flat or has fewer than four corners: it is no solid") from None
+    if hull.volume < THINNEST:
+        raise ArenaFileError(f"{name} has a volume of {hull.volume:.2g} m3: it is no solid; mind `scale`")
+    return vertices[np.sort(hull.vertices)], float(hull.volume)
+
+
+def _objects(path: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield name, vertices and faces of a file's objects."""
+    import trimesh
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise ArenaFileError(f"{path}: meshes are {' or '.join(SUFFIXES)} files")
+    if not path.is_file():
+        raise ArenaFileError(f"{path}: there is no such mesh file")
+    try:
+        with path.open("rb") as file:
+            kind = path.suffix[1:].lower()
+            scene: Any = trimesh.load_scene(file, file_type=kind, **LOADING[kind])
+        meshes = {name: scene.geometry[name] for name in sorted(scene.geometry)}
+        found = [(str(name), np.array(m.vertices, float), np.array(m.faces)) for name, m in meshes.items()]
+    except Exception as error:  # trimesh raises whatever its parsers run into
+        raise ArenaFileError(f"{path}: does not read as a mesh: {error}") from error
+    found = [one for one in found if len(one[2])]
+    if not found:
+        raise ArenaFileError(f"{path}: does not read as a mesh: it has no faces")
+    if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
+        raise ArenaFileError(f"{path}: does not read as a mesh: vertices are three finite numbers each")
+    for name, vertices, faces in found:
+        used, places = np.unique(faces, return_inverse=True)
+        yield (name if len(found) > 1 else ""), vertices[used], places.reshape(faces.shape)
+
+
+def shapes_of(found: Sequence[Piece], like: Shape, mass: float = 0.0) -> tuple[Shape, ...]:
+    """Return pieces as shapes, all where `like` is, sharing a mass by volume.
+
+    A piece gets the surface that its form suggests if `like` has none ("").
+    """
+    whole = sum(piece.volume for piece in found)
+    shapes = [replace(like, mesh=Mesh(piece.corners), mass=mass * piece.volume / whole) for piece in found]
+    return tuple(replace(s, surface=s.surface or surface_of(s)) for s in shapes)

@@ -1,0 +1,170 @@
+"""Solids and masses of a body that was read from an MJCF or URDF file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
+from usarmjx.models.spec.robot import Shape, Vec3
+
+KINDS = {
+    mujoco.mjtGeom.mjGEOM_BOX: "box",
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
+}
+SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+THIN = 1e-5
+"""Least half edge of a box that stands for an inertia [m]: MuJoCo takes none of 0."""
+SAME = 1e-6
+"""Relative difference of masses and inertias that counts as none."""
+STEEP = 1e-7
+"""Cosine of a pitch so near to 90 degrees that roll and yaw are one rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A frame in another: position (3,) and orientation (3, 3), MuJoCo's axes."""
+
+    pos: np.ndarray
+    mat: np.ndarray
+
+    def of(self, pos: np.ndarray, quat: np.ndarray) -> "Placed":
+        """Return a frame that is given in this one, by position (3,) and quaternion (4,)."""
+        return Placed(self.pos + self.mat @ pos, self.mat @ mat_of(quat))
+
+
+def mat_of(quat: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a w-first quaternion (4,)."""
+    mat = np.zeros(9)
+    mujoco.mju_quat2Mat(mat, quat)
+    return mat.reshape(3, 3)
+
+
+def usarsim_vector(vector: np.ndarray) -> Vec3:
+    """Return a vector (3,) of MuJoCo's axes in USARSim's."""
+    x, y, z = (np.array(flip_vector(vector.tolist())) + 0.0).tolist()
+    return (x, y, z)
+
+
+def usarsim_angles(mat: np.ndarray) -> Vec3:
+    """Return roll, pitch, yaw in USARSim's axes of an orientation (3, 3) in MuJoCo's."""
+    angles = angles_from_mat(mat)
+    if np.hypot(mat[0, 0], mat[1, 0]) < STEEP:
+        angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
+    roll, pitch, yaw = (np.array(flip_angles(angles.tolist())) + 0.0).tolist()
+    return (roll, pitch, yaw)
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Mass [kg], its centre [m] (3,), and inertia about that centre [kg m2] (3, 3)."""
+
+    mass: float
+    centre: np.ndarray
+    tensor: np.ndarray
+
+
+def joined(parts: Sequence[Inertia]) -> Inertia:
+    """Return the inertia of several bodies that are one."""
+    mass = sum(part.mass for part in parts)
+    if mass <= 0:
+        return Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
+    centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
+    tensor = np.zeros((3, 3))
+    for part in parts:
+        arm = part.centre - centre
+        tensor += part.tensor + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return Inertia(mass, centre, tensor)
+
+
+def inertia_box(inertia: Inertia) -> Shape:
+    """Return a box that is seen but never touched, with that mass and inertia."""
+    moments, axes = np.linalg.eigh(inertia.tensor)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    squares = 6 * (moments.sum() - 2 * moments) / inertia.mass
+    x, y, z = np.maximum(np.sqrt(np.maximum(squares, 0.0)) / 2, THIN).tolist()
+    return Shape(
+        kind="box",
+        size=(x, y, z),
+        at=usarsim_vector(inertia.centre),
+        rotation=usarsim_angles(axes),
+        mass=inertia.mass,
+        surface="fixture",
+    )
+
+
+def shape_of(model: mujoco.MjModel, geom: int, frame: Placed, surface: str, mass: float) -> Shape:
+    """Return a geom as a shape of the part in whose axes `frame`, that of its body, is given.
+
+    Raises:
+        SpecError: A geom of a kind that robots cannot have.
+    """
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    if kind not in KINDS:
+        name = model.geom(geom).name or f"number {geom}"
+        raise SpecError(f"geom {name} is a {kind.name[7:].lower()}; robots have {', '.join(KINDS.values())}")
+    placed = frame.of(model.geom_pos[geom], model.geom_quat[geom])
+    touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+    red, green, blue, alpha = model.geom_rgba[geom].tolist()
+    return Shape(
+        kind=KINDS[kind],  # type: ignore[arg-type]
+        size=tuple(model.geom_size[geom][: SIZES[KINDS[kind]]].tolist()),
+        at=usarsim_vector(placed.pos),
+        rotation=usarsim_angles(placed.mat),
+        mass=mass,
+        surface=surface if touches else "fixture",
+        rgba=(red, green, blue, alpha),
+    )
+
+
+def geom_inertia(model: mujoco.MjModel, geom: int, frame: Placed, mass: float) -> Inertia:
+    """Return the inertia of a solid, even geom of that mass, in the axes in which `frame` is given."""
+    x, y, z = model.geom_size[geom]
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 3
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 5
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        moments = np.full(3, 2 * x * x / 5)
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        side = x * x / 4 + y * y / 3
+        moments = np.array([side, side, x * x / 2])
+    else:  # a capsule: a cylinder and two half balls, whose centres of mass are 3/8 r beyond its ends
+        rod, ball = _capsule_shares(x, y)
+        side = rod * (x * x / 4 + y * y / 3) + ball * (2 * x * x / 5 + y * y + 3 * x * y / 4)
+        moments = np.array([side, side, rod * x * x / 2 + ball * 2 * x * x / 5])
+    placed = frame.of(model.geom_pos[geom], model.geom_quat[geom])
+    return Inertia(mass, placed.pos, placed.mat @ np.diag(mass * moments) @ placed.mat.T)
+
+
+def _capsule_shares(radius: float, half: float) -> tuple[float, float]:
+    rod, ball = 2 * half, 4 * radius / 3
+    return rod / (rod + ball), ball / (rod + ball)
+
+
+def volume(model: mujoco.MjModel, geom: int) -> float:
+    """Return the volume of a geom [m3]."""
+    x, y, z = model.geom_size[geom].tolist()
+    volumes = {
+        "box": 8 * x * y * z,
+        "sphere": 4 / 3 * np.pi * x**3,
+        "capsule": np.pi * x * x * (2 * y + 4 / 3 * x),
+        "cylinder": 2 * np.pi * x * x * y,
+        "ellipsoid": 4 / 3 * np.pi * x * y * z,
+    }
+    return volumes[KINDS[mujoco.mjtGeom(model.geom_type[geom])]]
+
+
+def agrees(one: Inertia, other: Inertia) -> bool:
+    """Return whether two inertias are the same, as to their sizes."""
+    if abs(one.mass - other.mass) > SAME * other.mass:
+        return False
+    reach = np.sqrt(np.trace(other.tensor) / other.mass)
+    near = np.abs(one.centre - other.centre).max() <= SAME * reach
+    return bool(near and np.abs(one.tensor - other.tensor).max() <= SAME * np.trace(other.tensor))

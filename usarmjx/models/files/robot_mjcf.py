@@ -1,0 +1,262 @@
+"""Robots from MJCF and URDF files (14.4.1 in our days: a geometric model made with other tools)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.build.measure import measured
+from usarmjx.models.drives import Drive
+from usarmjx.models.files.mjcf_motors import motors_of
+from usarmjx.models.files.mjcf_solids import (
+    Inertia,
+    Placed,
+    agrees,
+    geom_inertia,
+    inertia_box,
+    joined,
+    mat_of,
+    shape_of,
+    usarsim_angles,
+    usarsim_vector,
+    volume,
+)
+from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec, Shape, Spring
+
+USUAL_SPEED = 6.2832
+"""Highest speed of a joint whose actuator sets none [rad/s or m/s]: the wheel joint's in the UDK version."""
+NO_STIFFNESS = 1e-9
+"""Of a joint that has a damper alone: our springs need some [N m/rad]."""
+VELOCITY = 1
+"""Order of a joint that DRIVE gives a speed (`Aim`)."""
+TAKEN = ("chassis", "root")
+"""Names that the composed model has itself."""
+MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX
+
+
+def robot_from_mjcf(
+    path: str | Path,
+    *,
+    name: str,
+    drive: Drive,
+    motors: Mapping[str, Motor] | None = None,
+    max_speed: float = USUAL_SPEED,
+    **fields: Any,  # noqa: ANN401 - those of RobotSpec
+) -> RobotSpec:
+    """Return a robot class from an MJCF or URDF file, whose x axis points to the head and z up.
+
+    The first body under the world is the chassis; its free joint is dropped, other bodies under the world
+    and fixed geoms are left out. Every body with one hinge or slide is a part with that joint's name, at the
+    joint; bodies without joints belong to what carries them. Positions count from the pose the file shows.
+
+    Boxes, spheres, capsules, cylinders and ellipsoids stay; of a mesh remains the box with its inertia. What
+    touched nothing touches nothing; all else gets our surfaces, with our friction: joints that the drive
+    gives a velocity are wheels. Only boxes may touch what another robot rolls on, on the engine `jax`.
+    Mass, centre and inertia are the file's: on the geoms where these account for them, else on an added box,
+    seen by sensors but never touched, that has them.
+
+    Actuators (position, velocity, intvelocity, motor) become servos with their gains and limits; a joint
+    gets armature where its gains need it at our step of 5 ms. Springs and dampers of joints stay; friction
+    losses, passive armature, sensors, sites and cameras of the file do not.
+
+    Args:
+        path: The file.
+        name: Class name.
+        drive: How DRIVE moves it, by the file's joint names.
+        motors: Motors of joints that have no actuator (none in URDF), or instead of theirs, by joint.
+        max_speed: Of motors whose actuator does not limit it [rad/s or m/s].
+        fields: Other fields of RobotSpec: sensors, cameras, packages, payload, ...; `dimensions`, `mass` and
+            wheel figures are measured unless given.
+
+    Raises:
+        SpecError: A file that does not read, or something in it that a robot cannot have; names it.
+    """
+    spec, root = _open(Path(path))
+    model = _compile(spec, path)
+    boxes = spec.copy()
+    for geom in boxes.geoms:
+        if geom.type == MESH:
+            geom.type = BOX
+    fitted = _compile(boxes, path)
+    tree = _Tree(model, fitted, spec, model.body(root).id)
+    rolling = {aim.joint for aim in drive.aims if aim.order == VELOCITY}
+    servos = motors_of(model, motors or {}, max_speed)
+    parts = tuple(
+        tree.part(owner, servos.get(int(model.body_jntadr[owner])), rolling) for owner in tree.owners[1:]
+    )
+    taken = [part.name for part in parts if part.name in (*TAKEN, CHASSIS)]
+    if taken:
+        raise SpecError(f"{path}: a joint is called {', '.join(taken)}: rename it, that name is taken")
+    robot = measured(
+        RobotSpec(
+            name=name,
+            dimensions=(0.0, 0.0, 0.0),
+            mass=0.0,
+            origin_height=0.0,
+            chassis=tree.shapes(tree.owners[0], "hull"),
+            parts=parts,
+            drive=drive,
+            sources=(("all", "chosen"),),
+        )
+    )
+    return replace(robot, **fields)
+
+
+def _open(path: Path) -> tuple[mujoco.MjSpec, str]:
+    """Return the file's description with a free chassis, and the chassis' name."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as error:
+        raise SpecError(f"{path}: does not read: {error}") from error
+    for kind, found in (("equality constraint", spec.equalities), ("tendon", spec.tendons)):
+        if found:
+            raise SpecError(f"{path}: {kind} {found[0].name!r}: robots have parts with one joint each only")
+    root = spec.worldbody.first_body()
+    if root is None:
+        raise SpecError(f"{path}: no body under the world: nothing can be the chassis")
+    held = [joint for joint in root.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    if held:
+        names = ", ".join(joint.name for joint in held)
+        raise SpecError(f"{path}: body {root.name!r}, the chassis, hangs on {names}; it must be free")
+    if not root.joints:
+        root.add_freejoint()
+    root.name = root.name or "chassis of the file"
+    return spec, root.name
+
+
+def _compile(spec: mujoco.MjSpec, path: str | Path) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise SpecError(f"{path}: does not compile: {error}") from error
+
+
+class _Tree:
+    """A compiled file, its bodies sorted by the part that they belong to.
+
+    Args:
+        model: The file.
+        fitted: The same with boxes in place of meshes.
+        spec: Its description, for densities.
+        root: The chassis' body id.
+
+    Attributes:
+        owners: Bodies that are chassis and parts, parents first.
+    """
+
+    def __init__(self, model: mujoco.MjModel, fitted: mujoco.MjModel, spec: mujoco.MjSpec, root: int) -> None:
+        self._model, self._fitted = model, fitted
+        self._described = {geom.id: geom for geom in spec.geoms}
+        self._owner = {root: root}
+        self._frame = {root: Placed(np.zeros(3), np.eye(3))}  # of a body in the axes of its part
+        for body in range(root + 1, model.nbody):
+            self._enter(body)
+        self.owners = [body for body, owner in self._owner.items() if body == owner]
+
+    def _enter(self, body: int) -> None:
+        model, parent = self._model, int(self._model.body_parentid[body])
+        if parent not in self._owner:
+            return  # under the world beside the chassis
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        allowed = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        if len(joints) > 1 or any(model.jnt_type[joint] not in allowed for joint in joints):
+            names = ", ".join(model.joint(joint).name or f"number {joint}" for joint in joints)
+            raise SpecError(
+                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide"
+            )
+        if joints:
+            self._owner[body] = body
+            self._frame[body] = Placed(-model.jnt_pos[joints[0]], np.eye(3))
+        else:
+            self._owner[body] = self._owner[parent]
+            self._frame[body] = self._frame[parent].of(model.body_pos[body], model.body_quat[body])
+
+    def _members(self, owner: int) -> list[int]:
+        return [body for body, mine in self._owner.items() if mine == owner]
+
+    def name(self, owner: int) -> str:
+        """Return the name of a part: its joint's, else its body's."""
+        model = self._model
+        if self.owners[0] == owner:
+            return CHASSIS
+        name = model.joint(model.body_jntadr[owner]).name or model.body(owner).name
+        if not name:
+            raise SpecError(f"body number {owner} and its joint have no name: give the joint one")
+        return name
+
+    def part(self, owner: int, motor: Motor | None, rolling: set[str]) -> Part:
+        """Return the part of a body that has a joint."""
+        model, joint = self._model, int(self._model.body_jntadr[owner])
+        parent, name = int(model.body_parentid[owner]), self.name(owner)
+        quat = model.body_quat[owner]
+        at = self._frame[parent].of(model.body_pos[owner] + mat_of(quat) @ model.jnt_pos[joint], quat)
+        limits = None
+        if model.jnt_limited[joint]:
+            low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
+            limits = (low, high)
+        hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        return Part(
+            name=name,
+            parent=self.name(self._owner[parent]),
+            at=usarsim_vector(at.pos),
+            rotation=usarsim_angles(at.mat),
+            axis=usarsim_vector(model.jnt_axis[joint]),
+            joint="hinge" if hinge else "slide",
+            motor=motor,
+            limits=limits,
+            spring=self._spring(joint, driven=motor is not None),
+            shapes=self.shapes(owner, "wheel" if name in rolling else "hull"),
+            rolls=name in rolling,
+        )
+
+    def _spring(self, joint: int, *, driven: bool) -> Spring | None:
+        """Return a joint's spring and damper; a motor has the damper of a joint without a spring."""
+        model, place = self._model, self._model.jnt_qposadr[joint]
+        stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
+        damping = float(np.ravel(model.dof_damping[model.jnt_dofadr[joint]])[0])
+        if stiffness == 0 and (damping == 0 or driven):
+            return None
+        rest = float(model.qpos_spring[place] - model.qpos0[place])
+        return Spring(
+            stiffness=stiffness or NO_STIFFNESS, damping=damping, load=-rest * (stiffness or NO_STIFFNESS)
+        )
+
+    def shapes(self, owner: int, surface: str) -> tuple[Shape, ...]:
+        """Return the solids of a part; masses on them, or all on one box more."""
+        model, fitted = self._model, self._fitted
+        whole = joined([self._inertia(body) for body in self._members(owner)])
+        if whole.mass <= 0:
+            raise SpecError(
+                f"{self.name(owner)} has no mass: give its body an inertial or its geoms a density"
+            )
+        geoms = [
+            (geom, self._frame[body])
+            for body in self._members(owner)
+            for geom in range(
+                fitted.body_geomadr[body], fitted.body_geomadr[body] + fitted.body_geomnum[body]
+            )
+        ]
+        light = [shape_of(fitted, geom, frame, surface, 0.0) for geom, frame in geoms]
+        masses = [self._mass(geom) for geom, _ in geoms]
+        solids = [geom_inertia(fitted, *geom, mass) for geom, mass in zip(geoms, masses, strict=True)]
+        meshes = any(model.geom_type[geom] == MESH for geom, _ in geoms)
+        if solids and not meshes and agrees(joined(solids), whole):
+            return tuple(replace(shape, mass=mass) for shape, mass in zip(light, masses, strict=True))
+        return (*light, inertia_box(whole))
+
+    def _mass(self, geom: int) -> float:
+        """Return the mass that a geom would give its body."""
+        described = self._described[geom]
+        if np.isfinite(described.mass):
+            return float(described.mass)
+        return described.density * volume(self._fitted, geom)
+
+    def _inertia(self, body: int) -> Inertia:
+        model, frame = self._model, self._frame[body]
+        placed = frame.of(model.body_ipos[body], model.body_iquat[body])
+        tensor = placed.mat @ np.diag(model.body_inertia[body]) @ placed.mat.T
+        return Inertia(float(model.body_mass[body]), placed.pos, tensor)

@@ -1,0 +1,172 @@
+"""Files that an arena's YAML file takes solids from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.files.content import Content, moved
+from usarmjx.models.files.images import read_heights
+from usarmjx.models.files.maps import HEIGHT, Unknown, map_content
+from usarmjx.models.files.meshes import NO_MESH, pieces_of_file, shapes_of
+from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.urdf import urdf_content
+from usarmjx.models.files.values import read_yaml
+from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.robot import OPAQUE, ZERO, HeightField, Shape
+
+Rgba = tuple[float, float, float, float]
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+LOOSE_SURFACE = "loose"
+
+
+class Scale(tuple[float, float, float]):
+    """What x, y and z of a mesh are multiplied with; a file may give one number for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """An MJCF or URDF file: see `arena_mjcf` and `arena_urdf`.
+
+    Attributes:
+        file: The file, from the YAML file's folder.
+        at: Where its origin is in the arena.
+        yaw: How far it is turned about the vertical.
+        surface: Surface of its fixed solids; empty: as their form suggests.
+    """
+
+    file: Path
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+    surface: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshFile:
+    """A mesh file: see `arena_meshes`.
+
+    Attributes:
+        file: OBJ or STL file.
+        at: Where its origin is.
+        rotation: Roll, pitch, yaw.
+        scale: What its numbers are multiplied with to be metres.
+        surface: Surface; empty: as the form of each piece suggests, or "loose".
+        material: Material.
+        rgba: Colour.
+        mass: Above zero it is one loose object of that mass [kg], else fixed.
+        name: Name of the loose object; empty: the file's.
+        hull: Whether pieces that are not convex are filled in.
+        decomposition: Files with convex pieces to take instead.
+    """
+
+    file: Path
+    at: Vec3 = ZERO
+    rotation: Vec3 = ZERO
+    scale: Scale = Scale((1.0, 1.0, 1.0))  # noqa: RUF009 - a tuple
+    surface: str = ""
+    material: str = OPAQUE
+    rgba: Rgba = GREY
+    mass: float = 0.0
+    name: str = ""
+    hull: bool = False
+    decomposition: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terrain:
+    """Terrain from a grey image.
+
+    Attributes:
+        file: PNG file of 8 or 16 bits.
+        size: Lengths along x and y [m].
+        height: Height of white above black [m].
+        at: Where the middle is, at the height of black.
+        yaw: How far it is turned about the vertical.
+        base: Thickness of the ground below black [m].
+        surface: Surface.
+        rgba: Colour.
+    """
+
+    file: Path
+    size: tuple[float, float]
+    height: float
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+    base: float = 0.1
+    surface: str = "ground"
+    rgba: Rgba = (0.45, 0.5, 0.35, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Map:
+    """A map of ROS' map_server: see `arena_maps`.
+
+    Attributes:
+        file: Its YAML file.
+        height: Height of the walls [m].
+        unknown: What becomes of unknown cells.
+        at: Where the map's origin is.
+        yaw: How far it is turned about the vertical.
+    """
+
+    file: Path
+    height: float = HEIGHT
+    unknown: Unknown = "free"
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+
+
+def mesh_content(mesh: MeshFile) -> Content:
+    """Return a mesh file as fixed solids or a loose object."""
+    files = mesh.decomposition or (mesh.file,)
+    found = [piece for file in files for piece in pieces_of_file(file, mesh.scale, hull=mesh.hull)]
+    like = Shape(kind="mesh", mesh=NO_MESH, material=mesh.material, rgba=mesh.rgba)
+    if mesh.mass <= 0:
+        like = replace(like, at=mesh.at, rotation=mesh.rotation, surface=mesh.surface)
+        return Content(shapes=shapes_of(found, like))
+    like = replace(like, surface=mesh.surface or LOOSE_SURFACE)
+    solids = shapes_of(found, like, mesh.mass)
+    name = mesh.name or mesh.file.stem
+    return Content(loose=(Loose(name=name, at=mesh.at, rotation=mesh.rotation, shapes=solids),))
+
+
+def terrain_content(terrain: Terrain) -> Content:
+    """Return a grey image as terrain."""
+    if min(*terrain.size, terrain.height, terrain.base) <= 0:
+        raise ArenaFileError(f"{terrain.file}: size, height and base of a terrain are above zero [m]")
+    x, y = terrain.size
+    shape = Shape(
+        kind="hfield",
+        size=(x / 2, y / 2, terrain.base),
+        at=terrain.at,
+        rotation=(0.0, 0.0, terrain.yaw),
+        surface=terrain.surface,
+        rgba=terrain.rgba,
+        heights=HeightField(read_heights(terrain.file, terrain.height)),
+    )
+    return Content(shapes=(shape,))
+
+
+def plan_content(plan: Map) -> Content:
+    """Return a map as walls."""
+    if plan.height <= 0:
+        raise ArenaFileError(f"{plan.file}: the height of its walls is above zero [m]")
+    return moved(map_content(read_yaml(plan.file), plan.height, plan.unknown), plan.at, plan.yaw)
+
+
+def model_content(reader: Callable[[Path, str], Content], model: Model) -> Content:
+    """Return an MJCF or URDF file's content where it is wanted."""
+    return moved(reader(model.file, model.surface), model.at, model.yaw)
+
+
+SOURCES: dict[str, tuple[type, Callable[[Any], Content]]] = {
+    "mjcf": (Model, partial(model_content, mjcf_content)),
+    "urdf": (Model, partial(model_content, urdf_content)),
+    "meshes": (MeshFile, mesh_content),
+    "heightfield": (Terrain, terrain_content),
+    "map": (Map, plan_content),
+}
+"""Keys of other files, what they take, and how that becomes content."""

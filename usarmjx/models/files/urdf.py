@@ -1,0 +1,200 @@
+"""URDF files to fixed solids: a building as a tree of links, its joints at zero."""
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
+from usarmjx.models.files.content import Content, surface_of
+from usarmjx.models.files.meshes import NO_MESH, pieces_of_file, shapes_of
+from usarmjx.models.files.mjcf_solids import Placed, usarsim_angles, usarsim_vector
+from usarmjx.models.files.values import read_bytes
+from usarmjx.models.spec.robot import Shape
+
+GREY = (0.7, 0.7, 0.7, 1.0)
+PACKAGE = "package://"
+KINDS = ("box", "sphere", "cylinder", "mesh")
+
+
+def urdf_content(path: Path, surface: str = "") -> Content:
+    """Return the links of a URDF file as fixed solids, with the root link at the origin.
+
+    What a link collides with is touched; of a link without collision geometry the visual one is seen, but
+    never touched. Masses, limits, transmissions and plugins are left out.
+
+    Args:
+        path: The file; names of meshes count from its folder, those of packages from the nearest folder
+            above that has a folder of that name.
+        surface: Surface of the solids; empty: as their form suggests.
+
+    Raises:
+        ArenaFileError: A file that does not read, or something that an arena cannot have; names it.
+    """
+    root = _parse(path)
+    frames = _frames(path, root)
+    colours = _colours(path, root)
+    shapes: list[Shape] = []
+    for link in root.findall("link"):
+        name = f"{path}: link {link.get('name')!r}"
+        solids = link.findall("collision")
+        rgba = next((c for visual in link.findall("visual") if (c := _colour(visual, colours, name))), GREY)
+        for solid in solids or link.findall("visual"):
+            given = surface if solids else "fixture"
+            shapes += _solid(path, solid, _Where(name, frames[link.get("name", "")], given, rgba))
+    moving = [j.get("name") for j in root.findall("joint") if j.get("type") != "fixed"]
+    said = f"{path}: {len(moving)} joints are held at zero: {', '.join(map(str, moving[:5]))}"
+    return Content(shapes=tuple(shapes), warnings=(said,) if moving else ())
+
+
+@dataclass(frozen=True, eq=False)
+class _Where:
+    """What the solids of a link have in common: its name for errors, its place, surface and colour."""
+
+    name: str
+    frame: Placed
+    surface: str
+    rgba: tuple[float, float, float, float]
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    text = read_bytes(path)
+    if b"<!ENTITY" in text:
+        raise ArenaFileError(f"{path}: defines entities; URDF files have none")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ArenaFileError(f"{path}:{error.position[0]}: is no XML: {error}") from error
+    if root.tag != "robot":
+        raise ArenaFileError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
+    return root
+
+
+def _frames(path: Path, root: ElementTree.Element) -> dict[str, Placed]:
+    """Return where each link is, all joints at zero."""
+    above: dict[str, tuple[str, Placed]] = {}
+    names = [link.get("name", "") for link in root.findall("link")]
+    for joint in root.findall("joint"):
+        where = f"{path}: joint {joint.get('name')!r}"
+        ends = [getattr(joint.find(end), "attrib", {}).get("link") for end in ("parent", "child")]
+        for end, link in zip(("parent", "child"), ends, strict=True):
+            if link not in names:
+                raise ArenaFileError(f"{where}: its {end} {link!r} is no link; there is: {', '.join(names)}")
+        parent, child = (str(end) for end in ends)
+        if child in above:
+            raise ArenaFileError(f"{where}: link {child!r} hangs on two joints")
+        above[child] = (parent, _origin(joint, where))
+    frames: dict[str, Placed] = {}
+
+    def frame(name: str, depth: int) -> Placed:
+        if depth > len(names):
+            raise ArenaFileError(f"{path}: link {name!r} hangs on itself")
+        if name not in frames:
+            parent, offset = above.get(name, ("", Placed(np.zeros(3), np.eye(3))))
+            frames[name] = _then(frame(parent, depth + 1), offset) if parent else offset
+        return frames[name]
+
+    return {name: frame(name, 0) for name in names}
+
+
+def _then(frame: Placed, offset: Placed) -> Placed:
+    return Placed(frame.pos + frame.mat @ offset.pos, frame.mat @ offset.mat)
+
+
+def _origin(element: ElementTree.Element, where: str) -> Placed:
+    origin = element.find("origin")
+    if origin is None:
+        return Placed(np.zeros(3), np.eye(3))
+    xyz, rpy = (_numbers(origin, key, 3, where, "0 0 0") for key in ("xyz", "rpy"))
+    return Placed(xyz, mat_from_angles(*rpy))
+
+
+def _numbers(
+    element: ElementTree.Element, key: str, count: int, where: str, default: str | None = None
+) -> np.ndarray:
+    """Return an attribute's numbers (count,)."""
+    text = element.get(key, default)
+    try:
+        numbers = [float(word) for word in (text or "").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ArenaFileError(f"{where}: <{element.tag} {key}={text!r}> is not {count} numbers")
+    return np.array(numbers)
+
+
+def _solid(path: Path, element: ElementTree.Element, where: _Where) -> Iterator[Shape]:
+    """Yield the solids of a collision or visual element."""
+    geometry = element.find("geometry")
+    form = next(iter(geometry), None) if geometry is not None else None
+    if form is None or form.tag not in KINDS:
+        found = "no geometry" if form is None else f"the geometry <{form.tag}>"
+        raise ArenaFileError(f"{where.name}: has {found}; allowed: {', '.join(KINDS)}")
+    place = _then(where.frame, _origin(element, where.name))
+    like = Shape(
+        kind="box",
+        at=flip_vector(usarsim_vector(place.pos)),
+        rotation=flip_angles(usarsim_angles(place.mat)),
+        surface=where.surface,
+        rgba=where.rgba,
+    )
+    if form.tag == "mesh":
+        file = _mesh_file(path, form.get("filename", ""), where.name)
+        scale = _numbers(form, "scale", 3, where.name, "1 1 1")
+        found = pieces_of_file(file, scale.tolist())
+        yield from shapes_of(found, replace(like, kind="mesh", mesh=NO_MESH))
+        return
+    if form.tag == "box":
+        sizes = (_numbers(form, "size", 3, where.name) / 2).tolist()
+    elif form.tag == "sphere":
+        sizes = _numbers(form, "radius", 1, where.name).tolist()
+    else:
+        radius, length = (_numbers(form, key, 1, where.name)[0] for key in ("radius", "length"))
+        sizes = [float(radius), float(length) / 2]
+    if min(sizes) <= 0:
+        raise ArenaFileError(f"{where.name}: a <{form.tag}> wants lengths above zero [m]")
+    shape = replace(like, kind=form.tag, size=tuple(sizes))
+    yield replace(shape, surface=shape.surface or surface_of(shape))
+
+
+def _mesh_file(path: Path, name: str, where: str) -> Path:
+    """Return the file that a mesh's name means."""
+    if not name:
+        raise ArenaFileError(f"{where}: a mesh has no filename")
+    if not name.startswith(PACKAGE):
+        return path.parent / name.removeprefix("file://")
+    package, _, inside = name.removeprefix(PACKAGE).partition("/")
+    for folder in path.resolve().parents:
+        for home in (folder / package, folder if folder.name == package else None):
+            if home is not None and (home / inside).is_file():
+                return home / inside
+    raise ArenaFileError(f"{where}: {name} is not there: no folder {package!r} with it is above {path.name}")
+
+
+def _colours(path: Path, root: ElementTree.Element) -> dict[str, tuple[float, float, float, float]]:
+    """Return the named colours of a file."""
+    found = {}
+    for material in root.findall("material"):
+        color = material.find("color")
+        if color is not None:
+            found[material.get("name", "")] = _rgba(color, f"{path}: material {material.get('name')!r}")
+    return found
+
+
+def _colour(
+    visual: ElementTree.Element, colours: dict[str, tuple[float, float, float, float]], where: str
+) -> tuple[float, float, float, float] | None:
+    material = visual.find("material")
+    if material is None:
+        return None
+    color = material.find("color")
+    return colours.get(material.get("name", "")) if color is None else _rgba(color, where)
+
+
+def _rgba(color: ElementTree.Element, where: str) -> tuple[float, float, float, float]:
+    red, green, blue, alpha = np.clip(_numbers(color, "rgba", 4, where), 0.0, 1.0).tolist()
+    return (red, green, blue, alpha)

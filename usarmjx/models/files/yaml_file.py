@@ -1,0 +1,122 @@
+"""An arena's YAML file: the fields of `ArenaSpec`, and other files to take solids from."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.files.content import EMPTY, Content, extent_of, free_place, joined
+from usarmjx.models.files.fields import check_keys, hints_of, read, read_record, required
+from usarmjx.models.files.images import read_heights
+from usarmjx.models.files.meshes import checked_corners, vertices_of_file
+from usarmjx.models.files.rules import problem
+from usarmjx.models.files.sources import SOURCES, Scale
+from usarmjx.models.files.values import Value
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import HeightField, Mesh
+
+
+def arena_of_yaml(value: Value) -> tuple[ArenaSpec, tuple[str, ...]]:
+    """Return the arena that a YAML file describes, and what of its other files is left out.
+
+    Raises:
+        ArenaFileError: Something unknown, missing, of a wrong type or not allowed; names file and line.
+    """
+    given = value.mapping()
+    check_keys(value, [*hints_of(ArenaSpec), *SOURCES])
+    content = joined([part for key in SOURCES if key in given for part in _contents(key, given[key])])
+    own = replace(value, data={key: item for key, item in given.items() if key not in SOURCES})
+    usual = {"name": value.path.stem, "starts": (), "extent": EMPTY}
+    arena = read_record(ArenaSpec, own, SPECIAL, **usual)
+    return finished(arena, content, value, set(given)), content.warnings
+
+
+def finished(arena: ArenaSpec, content: Content, value: Value, given: set[str]) -> ArenaSpec:
+    """Return an arena with the content of other files, and with what nobody gave found.
+
+    Args:
+        arena: The arena.
+        content: What other files have.
+        value: Where it was read, for errors.
+        given: Fields that are settled.
+    """
+    shapes, loose = (*arena.shapes, *content.shapes), (*arena.loose, *content.loose)
+    arena = replace(arena, shapes=shapes, loose=loose, doors=(*arena.doors, *content.doors))
+    if "has_floor" not in given and content.floor is not None:
+        arena = replace(arena, has_floor=content.floor)
+    if "extent" not in given:
+        arena = replace(arena, extent=content.extent or extent_of(shapes, loose))
+    if "starts" not in given:
+        start = free_place(arena, content.place)
+        if start is None:
+            raise value.error("there is no free place for a robot to start from: give `starts`, or a floor")
+        arena = replace(arena, starts=(start,))
+    if wrong := problem(arena):
+        raise value.error(wrong)
+    return arena
+
+
+def _contents(key: str, value: Value) -> list[Content]:
+    """Return the content of the files under a key: one, or a list of them."""
+    kind, action = SOURCES[key]
+    contents = []
+    for item in value.data if isinstance(value.data, list) else [value]:
+        plain = replace(item, data={"file": item}) if isinstance(item.data, str) else item
+        content = action(read_record(kind, plain, SPECIAL))
+        for shape in (*content.shapes, *(s for loose in content.loose for s in loose.shapes)):
+            if wrong := problem(shape):
+                raise item.error(wrong)
+        contents.append(content)
+    return contents
+
+
+def _file(value: Value) -> Path:
+    path = value.path.parent / read(str, value, {})
+    if not path.is_file():
+        raise value.error(f"there is no file {path}")
+    return path
+
+
+def _scale(value: Value) -> Scale:
+    if isinstance(value.data, list):
+        scale = Scale(read(Vec3, value, {}))
+    else:
+        scale = Scale([read(float, value, {})] * 3)
+    if 0.0 in scale:
+        raise value.error("a scale is not zero")
+    return scale
+
+
+def _mesh(value: Value) -> Mesh:
+    """Read a solid's corners: the name of a file, or a list of them."""
+    if isinstance(value.data, str):
+        return Mesh(vertices_of_file(_file(value)))
+    corners = np.array(read(tuple[Vec3, ...], value, {})).reshape(-1, 3)
+    return Mesh(checked_corners(corners, f"{value.path}:{value.line}: {value.name}"))
+
+
+def _heights(value: Value) -> HeightField:
+    """Read a terrain: a file and its height, or a list of rows."""
+    if isinstance(value.data, dict):
+        check_keys(value, ["file", "height"])
+        height = read(float, required(value, "height"), {})
+        if height < 0:
+            raise required(value, "height").error("is below zero [m]")
+        return HeightField(read_heights(_file(required(value, "file")), height))
+    rows = read(tuple[tuple[float, ...], ...], value, {})
+    if len(rows) < 2 or len(rows[0]) < 2 or len({len(row) for row in rows}) > 1:
+        raise value.error("is not a table of at least 2 x 2 heights, all rows of one length")
+    if min(map(min, rows)) < 0:
+        raise value.error("heights are not below zero [m]")
+    return HeightField(np.array(rows))
+
+
+SPECIAL: Mapping[type, Callable[[Value], Any]] = {
+    Path: _file,
+    Scale: _scale,
+    Mesh: _mesh,
+    HeightField: _heights,
+}

@@ -1,0 +1,227 @@
+"""Figures of a robot's section of an ini file: single numbers, and how each changes the robot (14.4.2.3)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.ini.items import Notes
+from usarmjx.models.ini.parse import Line
+from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_number, as_vector
+from usarmjx.models.spec.robot import STEER, SUSPENSION, UP, Part, RobotSpec, Shape
+
+MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
+"""The original's defaults (manual 14.4.2.3): what our robots' own figures stand for."""
+KARMA_SCALE = 50.0
+"""Unreal units in one of Karma's (manual 14.4.2.3)."""
+
+TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
+"""What the original lets a suspension move that says nothing of it [m]."""
+
+Figures = Mapping[str, Line]
+"""Last line of each key, by the key in lower case."""
+
+
+def set_weight(robot: RobotSpec, value: float) -> RobotSpec:
+    """Weight: what CONF reports; a description that moves nothing (manual 12.1.2)."""
+    return replace(robot, mass=value)
+
+
+def set_chassis_mass(robot: RobotSpec, value: float) -> RobotSpec:
+    """ChassisMass: Karma's unit has no kilograms; 1, its default, is the chassis as it is described."""
+    solids = tuple(replace(shape, mass=shape.mass * value) for shape in robot.chassis)
+    return replace(robot, chassis=solids)
+
+
+def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
+    """MaxTorque: what CONF reports; wheels get stronger or weaker in proportion, MotorTorque is cut to it."""
+    share = value / robot.max_torque
+    cut = min(value, MOTOR_TORQUE) / min(robot.max_torque, MOTOR_TORQUE)
+    robot = _motors(_motors(robot, _is_wheel, torque=share), _is_hinge, torque=cut)
+    return replace(robot, max_torque=value)
+
+
+def set_spin_speed(robot: RobotSpec, value: float) -> RobotSpec:
+    """Carry out maxSpinSpeed (KRobot.uc): highest speed of the wheels [rad/s]."""
+    drive = robot.drive
+    if "max_spin" not in {field.name for field in fields(drive)}:  # type: ignore[arg-type]
+        return robot
+    share = value / drive.max_spin  # type: ignore[attr-defined]
+    return replace(_motors(robot, _is_wheel, speed=share), drive=replace(drive, max_spin=value))  # type: ignore[type-var]
+
+
+def set_motor_torque(robot: RobotSpec, value: float) -> RobotSpec:
+    """MotorTorque: joints of the robot itself that are no wheels, in proportion; at most MaxTorque counts."""
+    limit = robot.max_torque
+    return _motors(robot, _is_hinge, torque=min(value, limit) / min(MOTOR_TORQUE, limit))
+
+
+def set_motor_speed(robot: RobotSpec, value: float) -> RobotSpec:
+    """MotorSpeed: highest speed of those joints [rad/s]."""
+    return _each_part(
+        robot,
+        lambda part: _is_hinge(part) and part.joint == "hinge",
+        lambda part: replace(part, motor=part.motor and replace(part.motor, max_speed=value)),
+    )
+
+
+def set_steer_torque(robot: RobotSpec, value: float) -> RobotSpec:
+    """SteerTorque: joints that steer, in proportion."""
+    return _motors(robot, _is_steering, torque=value / STEER_TORQUE)
+
+
+def set_steer_speed(robot: RobotSpec, value: float) -> RobotSpec:
+    """SteerSpeed: highest speed of those joints, in Unreal's angles a second."""
+    return _each_part(
+        robot,
+        _is_steering,
+        lambda part: replace(part, motor=part.motor and replace(part.motor, max_speed=value / UU_PER_RADIAN)),
+    )
+
+
+def set_stiffness(robot: RobotSpec, value: float) -> RobotSpec:
+    """SuspStiffness: springs of suspensions, in proportion; at rest they carry what they did."""
+    return _springs(robot, stiffness=value / SUSP_STIFFNESS)
+
+
+def set_susp_damping(robot: RobotSpec, value: float) -> RobotSpec:
+    """SuspDamping: dampers of suspensions, in proportion."""
+    return _springs(robot, damping=value / SUSP_DAMPING)
+
+
+def set_high(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
+    """SuspHighLimit: how far a suspension lets its wheel up."""
+    return _travel(robot, value * KARMA_SCALE / uu_per_metre, upper=True)
+
+
+def set_low(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
+    """SuspLowLimit: how far it lets it down, negative."""
+    return _travel(robot, value * KARMA_SCALE / uu_per_metre, upper=False)
+
+
+def set_centre(robot: RobotSpec, at: Vec3) -> RobotSpec:
+    """CenterOfMass (ours): gathers the chassis' mass in a box of half the robot's size around that point."""
+    mass = sum(shape.mass for shape in robot.chassis)
+    x, y, z = (edge / 4 for edge in robot.dimensions)
+    ballast = Shape(kind="box", size=(x, y, z), at=at, mass=mass, surface="fixture", rgba=(0, 0, 0, 0))
+    light = tuple(replace(shape, mass=0.0) for shape in robot.chassis)
+    return replace(robot, chassis=(*light, ballast), cog=at)
+
+
+SETTERS: dict[str, tuple[float, Callable[[RobotSpec, float], RobotSpec]]] = {
+    "msgTimer": (0.0, lambda robot, value: replace(robot, msg_timer=value)),
+    "batteryLife": (0.0, lambda robot, value: replace(robot, battery_life=value)),
+    "Payload": (-1e-9, lambda robot, value: replace(robot, payload=value)),
+    "Weight": (0.0, set_weight),
+    "ChassisMass": (0.0, set_chassis_mass),
+    "MaxTorque": (0.0, set_max_torque),
+    "MotorTorque": (0.0, set_motor_torque),
+    "MotorSpeed": (0.0, set_motor_speed),
+    "maxSpinSpeed": (0.0, set_spin_speed),
+    "SteerTorque": (0.0, set_steer_torque),
+    "SteerSpeed": (0.0, set_steer_speed),
+    "SuspStiffness": (0.0, set_stiffness),
+    "SuspDamping": (0.0, set_susp_damping),
+}
+"""Keys of one number: what it must be above, and what it does; in the order in which they are carried out."""
+LENGTHS: dict[str, Callable[[RobotSpec, float, float], RobotSpec]] = {
+    "SuspHighLimit": set_high,
+    "SuspLowLimit": set_low,
+}
+"""Keys of one number in Karma's scale."""
+
+
+def apply_figures(
+    robot: RobotSpec, figures: Figures, units: Units, notes: Notes, skip: set[str]
+) -> RobotSpec:
+    """Return a robot with the figures of its section; one that changes nothing about it becomes a warning.
+
+    Args:
+        robot: The robot.
+        figures: Its section's keys.
+        units: What its positions are in.
+        notes: Takes the warnings.
+        skip: Keys, in lower case, that have been used otherwise.
+
+    Raises:
+        SpecError: A value that is no number, or too small; names file and line.
+    """
+    steps = [(key, low, set_to) for key, (low, set_to) in SETTERS.items()]
+    scale = units.uu_per_metre
+    steps += [(key, -np.inf, lambda r, v, set_to=to: set_to(r, v, scale)) for key, to in LENGTHS.items()]
+    for key, low, set_to in steps:
+        line = figures.get(key.lower())
+        if line is None or key.lower() in skip:
+            continue
+        value = as_number(line, line.value, key, above=low)
+        before, robot = robot, set_to(robot, value)
+        if robot == before and not _is_set(before, key, value):
+            notes.add(line, f"{key} changes nothing: {robot.name} has no joint that it is about")
+    if (line := figures.get("centerofmass")) is not None:
+        robot = set_centre(robot, units.place(as_vector(line, line.value, "CenterOfMass")))
+    return robot
+
+
+def _is_set(robot: RobotSpec, key: str, value: float) -> bool:
+    """Return whether a key has its value already: a robot it changes has nothing for other values either."""
+    other = SETTERS[key][1](robot, value * 1.5) if key in SETTERS else LENGTHS[key](robot, value + 1.0, 1.0)
+    return other != robot
+
+
+def _is_wheel(part: Part) -> bool:
+    return part.rolls and part.motor is not None
+
+
+def _is_steering(part: Part) -> bool:
+    return part.name.endswith(STEER)
+
+
+def _is_hinge(part: Part) -> bool:
+    return part.motor is not None and not part.rolls and not _is_steering(part)
+
+
+def _each_part(robot: RobotSpec, pick: Callable[[Part], bool], change: Callable[[Part], Part]) -> RobotSpec:
+    return replace(robot, parts=tuple(change(part) if pick(part) else part for part in robot.parts))
+
+
+def _motors(
+    robot: RobotSpec, pick: Callable[[Part], bool], torque: float = 1.0, speed: float = 1.0
+) -> RobotSpec:
+    """Return a robot with some motors' torques and speeds multiplied."""
+
+    def changed(part: Part) -> Part:
+        motor = part.motor
+        if motor is None:
+            return part
+        motor = replace(motor, torque=motor.torque * torque, max_speed=motor.max_speed * speed)
+        return replace(part, motor=motor)
+
+    return _each_part(robot, pick, changed)
+
+
+def _springs(robot: RobotSpec, stiffness: float = 1.0, damping: float = 1.0) -> RobotSpec:
+    def changed(part: Part) -> Part:
+        spring = part.spring
+        if spring is None:
+            return part
+        spring = replace(spring, stiffness=spring.stiffness * stiffness, damping=spring.damping * damping)
+        return replace(part, spring=spring)
+
+    return _each_part(robot, _is_suspension, changed)
+
+
+def _is_suspension(part: Part) -> bool:
+    return part.name.endswith(SUSPENSION)
+
+
+def _travel(robot: RobotSpec, limit: float, *, upper: bool) -> RobotSpec:
+    """Return a robot whose suspensions have one limit of their travel changed [m], up positive."""
+
+    def changed(part: Part) -> Part:
+        low, high = part.limits or TRAVEL
+        if np.dot(part.axis, UP) > 0:
+            return replace(part, limits=(low, limit) if upper else (limit, high))
+        return replace(part, limits=(-limit, high) if upper else (low, -limit))
+
+    return _each_part(robot, _is_suspension, changed)

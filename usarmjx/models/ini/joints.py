@@ -1,0 +1,148 @@
+"""Parts of a robot from the part-joint pairs of an ini file (manual 14.4.2.4).
+
+A car-wheel joint is up to three of our joints: `<wheel>_Suspension` slides, `<wheel>_Steer` on it turns,
+and the wheel on that one spins; a locked one is left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from usarmjx.base.registry import Registry
+from usarmjx.base.transforms import GRAVITY
+from usarmjx.models.ini.figures import TRAVEL
+from usarmjx.models.ini.pairs import Pair, spin_axis, steering_axis, turn_of, unit_of
+from usarmjx.models.ini.read import as_class, fail, number_of, shown, vector_of
+from usarmjx.models.robots.kit import BLACK, car_wheel, wheel
+from usarmjx.models.spec.robot import STEER, Motor, Part, RobotSpec, Shape, Spring
+
+# All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
+# a P2AT's (667 and 33 times the inertia), and torque for a friction coefficient of 1.
+MIN_ARMATURE = 0.03
+STIFFNESS, DAMPING = 667.0, 33.0
+WHEEL_SPEED = 6.2832  # rad/s: the wheel joint's default in the UDK version
+HINGE_SPEED, HINGE_TORQUE = 0.1745, 20.0  # MotorSpeed, MotorTorque (manual 14.4.2.3), taken as N m
+STEER_SPEED = 15000 * np.pi / 32768  # SteerSpeed (manual 14.4.2.3)
+SUSPENSION_RATE, SUSPENSION_SHARE = 2 * np.pi * 2.0, 0.4  # rad/s, of critical damping
+WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
+
+
+def build_parts(pairs: Sequence[Pair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:
+    """Return the parts of a robot that weighs so much; every wheel has a motor."""
+    wheels = sum(pair.joint == "wheel" for pair in pairs)
+    parts: list[Part] = []
+    for pair in pairs:
+        if pair.joint == "wheel":
+            parts += _wheel_parts(pair, weight, wheels, robots)
+        else:
+            parts.append(_hinge_part(pair))
+    return tuple(parts)
+
+
+def _wheel_parts(pair: Pair, weight: float, wheels: int, robots: Registry[RobotSpec]) -> list[Part]:
+    """Return suspension, steering and wheel, as far as they are free."""
+    line, struct = pair.line, pair.struct
+    model = _model_of(pair, robots)
+    known = model.shapes[0] if model else None
+    radius = number_of(line, struct, "Radius", known and known.size[0], above=0.0)
+    width = number_of(line, struct, "Width", known and 2 * known.size[1], above=0.0)
+    usual = known.mass if known else weight * min(WHEEL_SHARE, 0.5 / wheels)
+    mass = number_of(line, struct, "Mass", usual, above=0.0)
+    load = weight / wheels
+    motor = (model.motor if model else None) or _wheel_motor(load, radius)
+    motor = replace(
+        motor,
+        max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
+        torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
+    )
+    spring = Spring(
+        stiffness=load * SUSPENSION_RATE**2,
+        damping=2 * SUSPENSION_SHARE * load * SUSPENSION_RATE,
+        load=load * GRAVITY,
+    )
+    spin_axis(pair)  # is lateral, or this says that it must be
+    tyre = wheel(pair.name, at=pair.at, size=(radius, width), mass=mass, motor=motor, parent=pair.parent)
+    tyre = replace(tyre, shapes=tuple(replace(shape, at=pair.middle) for shape in tyre.shapes))
+    parts = car_wheel(
+        tyre,
+        hub=mass * HUB_SHARE,
+        spring=spring if pair.sprung else None,
+        travel=TRAVEL[1],
+        steer=_servo(motor.armature, STEER_SPEED, load * GRAVITY * radius) if pair.steers else None,
+        lock=np.pi,
+    )
+    axis = steering_axis(pair)
+    return [replace(part, axis=axis) if part.name.endswith(STEER) else part for part in parts]
+
+
+def _model_of(pair: Pair, robots: Registry[RobotSpec]) -> Part | None:
+    """Return the wheel that a PartClass stands for: P2ATTire is a P2AT's."""
+    written = pair.struct.get("PartClass")
+    name = as_class(pair.line, written, "PartClass") if written is not None else ""
+    owner = name.lower().removesuffix("tire")
+    if owner != name.lower() and owner in robots:
+        wheels = [part for part in robots.get(owner).wheels if part.shapes[0].kind == "cylinder"]
+        if wheels:
+            return wheels[0]
+    given = [pair.struct.get(field) is not None for field in ("Radius", "Width")]
+    if not all(given):
+        tires = [f"{known}Tire" for known, robot in robots if robot.wheels]
+        fail(
+            pair.line,
+            f"the size of wheel {pair.name} (PartClass {name or 'not given'}) is not known",
+            f"Radius= and Width=, or a PartClass of {', '.join(tires)}",
+        )
+    return None
+
+
+def _wheel_motor(load: float, radius: float) -> Motor:
+    return _servo(max(MIN_ARMATURE, load * radius**2), WHEEL_SPEED, load * GRAVITY * radius)
+
+
+def _servo(armature: float, speed: float, torque: float) -> Motor:
+    """Return a motor whose gains suit its inertia."""
+    return Motor(
+        max_speed=speed,
+        torque=torque,
+        stiffness=STIFFNESS * armature,
+        damping=DAMPING * armature,
+        armature=armature,
+    )
+
+
+def _hinge_part(pair: Pair) -> Part:
+    """Return a part on a hinge or a slider: a box of the given Size around its own middle."""
+    line, struct = pair.line, pair.struct
+    if struct.get("Size") is None:
+        fail(line, f"{shown(line)} has no Size", "Size=(X=length,Y=width,Z=height) of the part's box")
+    x, y, z = (abs(edge) / 2 for edge in pair.units.place(vector_of(line, struct, "Size")))
+    mass = number_of(line, struct, "Mass", PART_MASS, above=0.0)
+    if min(x, y, z) == 0:
+        fail(line, "Size has an edge of no length", "three lengths")
+    # The inertia of its box about its joint, as the gains are of a servo that moves nothing else.
+    arm = float(np.linalg.norm(pair.middle)) + max(x, y, z)
+    motor = _servo(max(0.1, mass * arm**2), HINGE_SPEED, HINGE_TORQUE)
+    motor = replace(
+        motor,
+        max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
+        torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
+    )
+    limits = None
+    if struct.get("MinRange") is not None or struct.get("MaxRange") is not None:
+        low, high = (number_of(line, struct, name) for name in ("MinRange", "MaxRange"))
+        limits = None if low > high else (low, high)
+    turn = turn_of(pair)
+    axis = unit_of(pair, "SelfAxis" if struct.get("SelfAxis") is not None else "ParentAxis")
+    a, b, c = (axis + 0.0).tolist()
+    return Part(
+        name=pair.name,
+        parent=pair.parent,
+        at=pair.at,
+        rotation=turn,
+        axis=(a, b, c),
+        joint="hinge" if pair.joint == "hinge" else "slide",
+        motor=motor,
+        limits=limits,
+        shapes=(Shape(kind="box", size=(x, y, z), at=pair.middle, mass=mass, rgba=BLACK),),
+    )

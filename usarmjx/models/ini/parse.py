@@ -1,0 +1,191 @@
+"""Unreal's ini files, as USARSim is configured by: text in, frozen values out; no knowledge of robots.
+
+The files are USARBot.ini and USARMisPkg.ini (manual 10.x, 11.x, 12.1.2), BotAPI.ini (9.1) and Pyro's world
+files (13.2.1). A line is `[Section]`, `key=value`, a comment (`;` or `//` in front) or blank; `;` also starts
+a comment after a value, but not within quotes or brackets. There are no continuation lines. Names are
+matched without case and keys may repeat, in order. A value is one of:
+
+    `true`, `False`                 bool, in any case
+    `1`, `-32768`                   int
+    `0.2`, `.5`, `-3e2`, `0.2f`     float
+    `0,4`                           float, but not within brackets: the slip of manual 11.2.2
+    `class'USARBot.SonarSensor'`    `Reference`
+    `(X=1, Y=-2)`, `()`             `Struct`
+    `((X=1), (X=2))`, `(1, 2)`      tuple
+    `"F 1"`, `'F 1'`                str without the quotes; a backslash is a character as any other
+    anything else                   str without the spaces around it; "" if nothing is there
+
+Unreal's array prefixes act within one section of one file: `+key=` and `.key=` add as a bare `key=` does,
+`-key=` removes every earlier line with that key, index and value (of the same type: 1 is not 1.0), and
+`!key=` every earlier line with that key and, if it has an index, with that index.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.ini.values import Cursor, Reference, Struct, Value, clip
+
+__all__ = ["IniFile", "Line", "Reference", "Section", "Struct", "Value", "parse_ini", "read_ini"]
+
+_HEADER = re.compile(r"\[([^\[\]]*)\]")
+_KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s*([0-9]{1,9})\s*\])?")
+_LINE_END = re.compile(r"\r\n|\r|\n")
+_REMOVES = ("-", "!")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One `key=value`, and where it stands.
+
+    Attributes:
+        key: As written, without prefix and index.
+        value: What is behind the `=`.
+        file: The file, for messages.
+        line: The line number in the file, from 1.
+        index: 2 for `Wheels(2)=...` or `Wheels[2]=...`, None for `Wheels=...`.
+    """
+
+    key: str
+    value: Value
+    file: str
+    line: int
+    index: int | None
+
+
+@dataclass(frozen=True)
+class Section:
+    """The lines under one `[name]`."""
+
+    name: str
+    lines: tuple[Line, ...]
+
+    def get_all(self, key: str) -> tuple[Line, ...]:
+        """Return the lines with that key in order, whatever their index, case ignored."""
+        wanted = key.lower()
+        return tuple(line for line in self.lines if line.key.lower() == wanted)
+
+    def last(self, key: str) -> Line | None:
+        """Return the last line with that key, which is the one that counts, or None; case ignored."""
+        return next(reversed(self.get_all(key)), None)
+
+
+@dataclass(frozen=True)
+class IniFile:
+    """A file that was read whole.
+
+    Attributes:
+        path: Where it came from, for messages.
+        sections: In order, a repeated one as often as it stands there.
+    """
+
+    path: str
+    sections: tuple[Section, ...]
+
+    def section(self, name: str) -> Section:
+        """Return all lines under that name in order, case ignored; no lines if there is no such section."""
+        parts = [part for part in self.sections if part.name.lower() == name.lower()]
+        written = parts[0].name if parts else name
+        return Section(written, tuple(line for part in parts for line in part.lines))
+
+
+def read_ini(path: Path) -> IniFile:
+    """Read a file in UTF-8, in UTF-16 with a byte order mark, as Unreal writes, or else in latin-1.
+
+    Raises:
+        SpecError: The file cannot be read, is not what its byte order mark says, or see `parse_ini`.
+    """
+    try:
+        text = _decode(path.read_bytes())
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise SpecError(f"{path}: is marked as {error.encoding} but is not: {error.reason}") from error
+    return parse_ini(text, str(path))
+
+
+def _decode(data: bytes) -> str:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16")
+    if data.startswith(b"\xef\xbb\xbf"):
+        return data.decode("utf-8-sig")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def parse_ini(text: str, path: str = "<text>") -> IniFile:
+    """Parse the text of an ini file.
+
+    Args:
+        text: The whole file, with any line ends.
+        path: Where it came from, for messages and for `Line.file`.
+
+    Raises:
+        SpecError: A line has none of the module's forms; the message names the file, the line's number,
+            what was wrong and what was expected.
+    """
+    blocks: list[tuple[str, list[Line]]] = []
+    for number, text_line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
+        bare = text_line.strip()
+        if not bare or bare.startswith((";", "//")):
+            continue
+        cursor = Cursor(text_line, f"{path}:{number}")
+        if bare.startswith("["):
+            blocks.append((_header(cursor), []))
+            continue
+        if not blocks:
+            cursor.fail(f"{clip(bare)} stands before the first section", "a [Section] above it")
+        prefix, key, index = _key(cursor)
+        line = Line(key, cursor.value(), path, number, index)
+        if prefix in _REMOVES:
+            _remove(blocks, line, everything=prefix == "!")
+        else:
+            blocks[-1][1].append(line)
+    return IniFile(path, tuple(Section(name, tuple(lines)) for name, lines in blocks))
+
+
+def _header(cursor: Cursor) -> str:
+    """Take a whole `[Section]` line and return the name."""
+    text = cursor.text.lstrip()
+    found = _HEADER.match(text)
+    if not found or not found.group(1).strip():
+        cursor.fail(f"{clip(text)} is no section header", "[Name]")
+    cursor.pos = len(cursor.text) - len(text) + found.end()
+    cursor.end("the section header", "each key=value on a line of its own")
+    return found.group(1).strip()
+
+
+def _key(cursor: Cursor) -> tuple[str, str, int | None]:
+    """Take `+key(index)=` and return prefix, key and index."""
+    left, equals, _ = cursor.text.partition("=")
+    if not equals:
+        cursor.fail(f"{clip(left.strip())} has no '='", "key=value, [Section] or a ; comment")
+    found = _KEY.fullmatch(left.strip())
+    if not found:
+        cursor.fail(
+            f"{clip(left.strip())} is no key", "one word before the '=', as in +Sensors= or Wheels(0)="
+        )
+    cursor.pos = len(left) + 1
+    prefix, key, round_index, square_index = found.groups()
+    index = round_index or square_index
+    return prefix, key, int(index) if index else None
+
+
+def _remove(blocks: list[tuple[str, list[Line]]], order: Line, *, everything: bool) -> None:
+    """Take out what a `-` or a `!` line names, from every block of its section."""
+
+    def is_meant(line: Line) -> bool:
+        if line.key.lower() != order.key.lower():
+            return False
+        if everything:
+            return order.index in (None, line.index)
+        # To Python True == 1 == 1.0; how the values are written tells them apart.
+        return line.index == order.index and repr(line.value) == repr(order.value)
+
+    section = blocks[-1][0].lower()
+    for name, lines in blocks:
+        if name.lower() == section:
+            lines[:] = [line for line in lines if not is_meant(line)]

@@ -1,0 +1,142 @@
+"""Typed reading of what an ini file holds: numbers, vectors and names, with the place of every mistake."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NoReturn
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.ini.parse import Line, Reference, Struct, Value
+from usarmjx.models.ini.values import clip
+
+UU_PER_METRE = 250.0
+UU_PER_RADIAN = 32768 / math.pi
+"""Unreal units (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5 to the metre."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """How a robot's section writes positions and angles.
+
+    Attributes:
+        by_uu: bMountByUU: in Unreal units and Unreal's axes, z up; else in metres, radians and z down.
+        uu_per_metre: Length of a metre in Unreal units.
+    """
+
+    by_uu: bool = False
+    uu_per_metre: float = UU_PER_METRE
+
+    def place(self, vector: Vec3) -> Vec3:
+        """Return a position in metres, z down."""
+        if not self.by_uu:
+            return vector
+        x, y, z = (value / self.uu_per_metre for value in vector)
+        return (x, y, 0.0 - z)
+
+    def angles(self, vector: Vec3) -> Vec3:
+        """Return rotations about x, y, z in radians: roll, pitch, yaw, whose signs are Unreal's too."""
+        if not self.by_uu:
+            return vector
+        x, y, z = (value / UU_PER_RADIAN for value in vector)
+        return (x, y, z)
+
+
+def fail(line: Line, problem: str, expected: str) -> NoReturn:
+    """Raise SpecError that names file and line, what was wrong and what is allowed."""
+    raise SpecError(f"{line.file}:{line.line}: {problem}; expected {expected}")
+
+
+def shown(line: Line) -> str:
+    """Return how a key is written: `Wheels(2)`."""
+    return line.key if line.index is None else f"{line.key}({line.index})"
+
+
+def as_number(line: Line, value: Value | None, name: str, *, above: float = -math.inf) -> float:
+    """Return a finite number, which must be greater than `above`."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        fail(line, f"{name} is {_say(value)}", "a number")
+    if not (math.isfinite(value) and value > above):
+        fail(line, f"{name} is {value}", f"a number above {above:g}")
+    return float(value)
+
+
+def as_whole(line: Line, least: int, most: int) -> int:
+    """Return the whole number that a line says, within limits."""
+    value = as_number(line, line.value, line.key)
+    if value != int(value) or not least <= value <= most:
+        fail(line, f"{line.key} is {line.value}", f"a whole number from {least} to {most}")
+    return int(value)
+
+
+def as_bool(line: Line, value: Value | None, name: str) -> bool:
+    """Return a truth value; 1 and 0 will do."""
+    if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):
+        return bool(value)
+    return fail(line, f"{name} is {_say(value)}", "True or False")
+
+
+def as_name(line: Line, value: Value | None, name: str) -> str:
+    """Return a word: an item's or a part's name."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return str(value)
+    if not isinstance(value, str) or not value.strip():
+        fail(line, f"{name} is {_say(value)}", "a name")
+    return value.strip()
+
+
+def as_class(line: Line, value: Value | None, name: str) -> str:
+    """Return the name of a class without its package: SonarSensor of class'USARBot.SonarSensor'."""
+    text = value.name if isinstance(value, Reference) else value
+    if not isinstance(text, str) or not text.strip():
+        fail(line, f"{name} is {_say(value)}", "a class, as in class'USARBot.SonarSensor'")
+    return text.strip().rpartition(".")[2]
+
+
+def as_struct(line: Line) -> Struct:
+    """Return the value of a line that lists something."""
+    if not isinstance(line.value, Struct) or not line.value.fields:
+        fail(line, f"{shown(line)} is {_say(line.value)}", "(Name=value,Name=value,...)")
+    return line.value
+
+
+def as_vector(line: Line, value: Value | None, name: str) -> Vec3:
+    """Return (X, Y, Z); an axis that is left out is 0."""
+    if not isinstance(value, Struct):
+        fail(line, f"{name} is {_say(value)}", "(X=number,Y=number,Z=number)")
+    axes = {key.lower(): as_number(line, part, f"{key} of {name}") for key, part in value.fields}
+    if not axes.keys() <= {"x", "y", "z"}:
+        fail(line, f"{name} has {', '.join(key for key, _ in value.fields)}", "X, Y and Z")
+    return (axes.get("x", 0.0), axes.get("y", 0.0), axes.get("z", 0.0))
+
+
+def vector_of(line: Line, struct: Struct, name: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
+    """Return a vector of a struct, or the default where the struct does not name it."""
+    value = struct.get(name)
+    return default if value is None else as_vector(line, value, name)
+
+
+def number_of(
+    line: Line, struct: Struct, name: str, default: float | None = None, *, above: float = -math.inf
+) -> float:
+    """Return a number of a struct, or the default as it is; without a default it must be there."""
+    value = struct.get(name)
+    if value is None and default is not None:
+        return default
+    if value is None:
+        fail(line, f"{shown(line)} has no {name}", f"{name}=number")
+    return as_number(line, value, name, above=above)
+
+
+def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
+    """Raise SpecError for a name within brackets that means nothing."""
+    known = list(allowed)
+    lowered = {name.lower() for name in known}
+    unknown = [key for key, _ in struct.fields if key.lower() not in lowered]
+    if unknown:
+        fail(line, f"{shown(line)} has no {', '.join(unknown)}", f"some of {', '.join(known)}")
+
+
+def _say(value: Value | None) -> str:
+    """Return a value fit for a message."""
+    return "not given" if value is None else clip(str(value))

@@ -1,0 +1,210 @@
+"""One robot class as an ini section orders it."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.registry import Registry
+from usarmjx.models.build.measure import measured
+from usarmjx.models.build.parts import parts_of
+from usarmjx.models.ini.classes import ItemClasses
+from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
+from usarmjx.models.ini.figures import apply_figures
+from usarmjx.models.ini.items import ITEM_LISTS, Notes, Settings, read_mount, settle_parent
+from usarmjx.models.ini.joints import build_parts
+from usarmjx.models.ini.packages import Definitions, read_package, templates
+from usarmjx.models.ini.pairs import Pair, read_pairs
+from usarmjx.models.ini.parse import Line
+from usarmjx.models.ini.read import Units, as_number, as_vector, fail
+from usarmjx.models.ini.stereo import with_stereo
+from usarmjx.models.robots.track_kit import mass_of
+from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Mount, RobotSpec, Shape
+
+PLACED = re.compile(r".+:\d+: ")
+"""How a message begins that names file and line."""
+PAINT = (0.2, 0.35, 0.6, 1.0)
+
+
+@dataclass
+class Orders:
+    """What the sections of all files say of one robot class.
+
+    Attributes:
+        name: Its name.
+        first: The first line about it, for messages.
+        units: What positions of the file that was read last are in.
+        figures: Keys of one value, by their names in lower case.
+        lists: Lines of the keys that list something, with their units.
+        joints: Part-joint pairs by number.
+    """
+
+    name: str
+    first: Line
+    units: Units = field(default_factory=Units)
+    figures: dict[str, Line] = field(default_factory=dict)
+    lists: dict[str, list[tuple[Line, Units]]] = field(default_factory=dict)
+    joints: dict[int, tuple[Line, Units]] = field(default_factory=dict)
+
+    @property
+    def where(self) -> str:
+        """File and line of the section, for messages."""
+        return f"{self.first.file}:{self.first.line}"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What robots are built from, and where warnings go.
+
+    Attributes:
+        robots: The classes there are.
+        definitions: Mission packages of the ini files.
+        packages: All mission packages, with those definitions.
+        settings: Settings of each type of item.
+        notes: Takes the warnings.
+        classes: Item classes of the ini files.
+    """
+
+    robots: Registry[RobotSpec]
+    definitions: Definitions
+    packages: Mapping[str, MissionPackage]
+    settings: Settings | None
+    notes: Notes
+    classes: ItemClasses
+
+
+def build_robot(orders: Orders, base: RobotSpec | None, sources: Sources) -> RobotSpec:
+    """Return the class that a section orders.
+
+    Args:
+        orders: The section.
+        base: The class as it was, or the one that a new class is based on; None: there is none.
+        sources: What to build from.
+
+    Raises:
+        SpecError: A value that is wrong, or a robot that cannot be built; names file and line.
+    """
+    pairs = read_pairs(orders.joints, sources.notes)
+    if base is None:
+        robot = _new_robot(orders, pairs, sources)
+    else:
+        name = base.name if orders.name in sources.robots else orders.name
+        robot = _changed_robot(orders, replace(base, name=name), pairs, sources)
+    used = {"weight"} if base is None else set[str]()
+    robot = apply_figures(robot, orders.figures, orders.units, sources.notes, used)
+    robot = _with_packages(orders, robot, sources)
+    try:
+        robot = _with_items(orders, robot, {pair.name: pair for pair in pairs}, sources)
+        robot = with_stereo(robot, orders.figures, orders.units, sources.notes)
+        parts_of(robot)
+        return replace(measured(robot), mass=robot.mass) if pairs else robot
+    except UsageError as error:
+        if PLACED.match(str(error)):
+            raise
+        raise SpecError(f"{orders.where}: {error}") from error
+
+
+def _changed_robot(orders: Orders, base: RobotSpec, pairs: Sequence[Pair], sources: Sources) -> RobotSpec:
+    """Return a class that exists with the parts, if any are given, on its own chassis."""
+    if (line := orders.figures.get("dimensions")) is not None:
+        sources.notes.add(line, "Dimensions are ignored: they are for a new class, whose chassis they are of")
+    roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
+    if not pairs:
+        return change_wheels(base, roles)
+    parts = build_parts(pairs, base.mass, sources.robots)
+    parts, drive = drive_of(pairs, parts, roles, sources.notes)
+    return replace(base, parts=parts, drive=drive, reported=())
+
+
+def _new_robot(orders: Orders, pairs: Sequence[Pair], sources: Sources) -> RobotSpec:
+    """Return a robot of parts on a box of the given Dimensions; the parts leave it the rest of Weight."""
+    line, weight_line = _required(orders, "Dimensions"), _required(orders, "Weight")
+    weight = as_number(weight_line, weight_line.value, "Weight", above=0.0)
+    size = orders.units.place(as_vector(line, line.value, "Dimensions"))
+    x, y, z = (abs(edge) / 2 for edge in size)
+    if min(x, y, z) == 0:
+        fail(line, "Dimensions have an edge of no length", "length, width and height of the chassis")
+    parts = build_parts(pairs, weight, sources.robots)
+    roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
+    parts, drive = drive_of(pairs, parts, roles, sources.notes)
+    rest = weight - mass_of(parts)
+    if rest <= 0:
+        fail(weight_line, f"Weight is {weight:g}, the parts alone have {mass_of(parts):g}", "more than that")
+    return RobotSpec(
+        name=orders.name,
+        dimensions=(2 * x, 2 * y, 2 * z),
+        mass=weight,
+        origin_height=0.0,
+        chassis=(Shape(kind="box", size=(x, y, z), mass=rest, rgba=PAINT),),
+        parts=parts,
+        drive=drive,
+        sources=(("all", "chosen"),),
+    )
+
+
+def _required(orders: Orders, key: str) -> Line:
+    if key.lower() not in orders.figures:
+        expected = {
+            "Dimensions": "Dimensions=(X=,Y=,Z=) of its chassis",
+            "Weight": "Weight= of all of it [kg]",
+        }
+        fail(orders.first, f"new robot {orders.name} has no {key}", expected[key])
+    return orders.figures[key.lower()]
+
+
+def _with_packages(orders: Orders, robot: RobotSpec, sources: Sources) -> RobotSpec:
+    listed, added = orders.lists.get("MisPkgs"), orders.lists.get("AddMisPkgs", [])
+    if not listed and not added:
+        return robot
+    own = sources.robots.get(robot.name).packages if robot.name in sources.robots else robot.packages
+    known = {**sources.packages, **templates(own, sources.definitions)}
+    packages = {} if listed else {package.name: package for package in robot.packages}
+    for line, _ in (*(listed or ()), *added):
+        package = read_package(line, known)
+        if package.name in packages:
+            fail(line, f"there is a package {package.name} already", "another PkgName")
+        packages[package.name] = package
+    return replace(robot, packages=tuple(packages.values()))
+
+
+def _mounts(orders: Orders, key: str, sources: Sources) -> list[tuple[Line, Mount]]:
+    """Return what a key lists, with the lines; without what is not built."""
+    read = [
+        (line, read_mount(line, units, sources.settings, sources.notes, sources.classes))
+        for line, units in (*orders.lists.get(key, ()), *orders.lists.get(f"Add{key}", ()))
+    ]
+    return [(line, mount) for line, mount in read if mount is not None]
+
+
+def _with_items(orders: Orders, robot: RobotSpec, places: Mapping[str, Pair], sources: Sources) -> RobotSpec:
+    """Return a robot with its items: effecters first, for they bring parts that others sit on."""
+    read = {key: _mounts(orders, key, sources) for key in ITEM_LISTS}
+    for key in ("Effecters", "Sensors", "Cameras"):
+        items = () if key in orders.lists else getattr(robot, ITEM_LISTS[key])
+        others = replace(robot, effecters=()) if key == "Effecters" else robot
+        names = [CHASSIS, *(part.name for part in parts_of(others))]
+        for item in items:
+            if item.parent not in names:
+                raise SpecError(
+                    f"robot {robot.name}: {item.kind} {item.name} sits on {item.parent}, which is gone; list "
+                    f"its {key} anew, on: {', '.join(names)}"
+                )
+        mounts = {(item.kind.lower(), item.name.lower()): item for item in items}
+        fresh: set[tuple[str, str]] = set()
+        for line, mount in read[key]:
+            item = (mount.kind.lower(), mount.name.lower())
+            if item in fresh:
+                fail(line, f"there is a {mount.kind} {mount.name} already", "another ItemName")
+            fresh.add(item)
+            settled = settle_parent(mount, line, names, sources.notes)
+            mounts[item] = _shifted(settled, places)
+        robot = replace(robot, **{ITEM_LISTS[key]: tuple(mounts.values())})
+    return robot
+
+
+def _shifted(mount: Mount, places: Mapping[str, Pair]) -> Mount:
+    """Return a mount relative to its part's joint, where the ini counts from the part's middle (14.4.2.5)."""
+    if mount.parent not in places:
+        return mount
+    x, y, z = (a + b for a, b in zip(mount.at, places[mount.parent].middle, strict=True))
+    return replace(mount, at=(x, y, z))

@@ -1,0 +1,195 @@
+"""Lines of keywords and numbers, as DARPA's RNDF and MDF files have them, with the place of every mistake."""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.network import Fault, point_name
+
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+NUMBERED = re.compile(r"\d+(\.\d+)*")
+"""The first word of a line without a keyword: 1.2.3, or a plain number."""
+
+
+class RoadLines:
+    """The lines of a file that are not blank, without their comments, read one after the other.
+
+    Args:
+        source: A path, or the text itself: a string with a line break.
+
+    Attributes:
+        places: The line of each thing that a check of the whole may find wrong, by the first of `Fault`.
+
+    Raises:
+        SpecError: The file cannot be read, or a comment has no end.
+    """
+
+    def __init__(self, source: str | Path) -> None:
+        self.file, text = "text", str(source)
+        if isinstance(source, Path) or "\n" not in source:
+            self.file = text
+            try:
+                text = Path(source).read_text(encoding="utf-8-sig", errors="replace")
+            except OSError as error:
+                raise SpecError(f"{source}: {error.strerror or error}") from error
+        self.places: dict[tuple[object, ...], int] = {}
+        text = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n") or " ", text)
+        lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
+        self._lines = [(number, words) for number, words in lines if words]
+        self._end = self._lines[-1][0] if self._lines else 1
+        self._next = 0
+        for number, words in self._lines:
+            if any("/*" in word for word in words):
+                raise self.fault("a comment without its end; expected */", number)
+
+    @property
+    def line(self) -> int:
+        """Number of the next line; of the last one at the end."""
+        return self._lines[self._next][0] if self._next < len(self._lines) else self._end
+
+    @property
+    def word(self) -> str:
+        """First word of the next line, as keywords are spelt; empty at the end."""
+        return self._lines[self._next][1][0].lower() if self._next < len(self._lines) else ""
+
+    @property
+    def numbered(self) -> bool:
+        """Whether the next line begins with numbers instead of a keyword."""
+        return bool(NUMBERED.fullmatch(self.word))
+
+    def fault(self, text: str, line: int | None = None) -> SpecError:
+        """Return an error at a line, by default the next one."""
+        return SpecError(f"{self.file}:{self.line if line is None else line}: {text}")
+
+    def expect(self, *allowed: str) -> SpecError:
+        """Return the error that the next line is none of those."""
+        found = f"found {self._lines[self._next][1][0]!r}" if self.word else "the file ends"
+        return self.fault(f"{found}; allowed here: {', '.join(allowed)}")
+
+    def words(self, count: int | None = None, meaning: str = "") -> list[str]:
+        """Return what follows the first word of the next line, and go on to the one after it.
+
+        Args:
+            count: How many words must follow; None: any number but none.
+            meaning: What they are, for the error.
+        """
+        first, *rest = self._lines[self._next][1]
+        if (not rest) if count is None else (len(rest) != count):
+            raise self.fault(f"{first} {' '.join(rest)}".rstrip() + f"; expected: {first} {meaning}".rstrip())
+        self._next += 1
+        return rest
+
+    def take(self, keyword: str) -> None:
+        """Go past a line that has only that keyword.
+
+        Raises:
+            SpecError: The next line is another one.
+        """
+        if self.word != keyword.lower():
+            raise self.expect(keyword)
+        self.words(0)
+
+    def text(self, keyword: str) -> str:
+        """Return the text that follows a keyword which must be next."""
+        if self.word != keyword.lower():
+            raise self.expect(keyword)
+        return " ".join(self.words(meaning="name"))
+
+    def numbers(self, keyword: str, count: int = 1) -> tuple[int, ...]:
+        """Return the numbers `1.2` that follow a keyword which must be next; `count` of them."""
+        if self.word != keyword.lower():
+            raise self.expect(keyword)
+        line, (word,) = self.line, self.words(1, ".".join("MNP"[:count]))
+        return self.parsed(word, count, line)
+
+    def parsed(self, word: str, count: int, line: int) -> tuple[int, ...]:
+        """Return the numbers of a word with dots; `count` of them."""
+        numbers = tuple(int(part) for part in word.split(".")) if NUMBERED.fullmatch(word) else ()
+        if len(numbers) != count:
+            raise self.fault(f"{word!r}; expected {count} whole numbers, as {point_name((1,) * count)}", line)
+        return numbers
+
+    def named(self, keyword: str, *numbers: int) -> None:
+        """Go past `segment 1`, where numbering goes on with exactly those numbers."""
+        line, found = self.line, self.numbers(keyword, len(numbers))
+        if found != numbers:
+            raise self.fault(
+                f"{keyword} {point_name(found)}; expected {keyword} {point_name(numbers)}: "
+                "numbers go up one by one",
+                line,
+            )
+
+    def real(self, word: str, what: str, low: float, high: float, line: int) -> float:
+        """Return a number of that range."""
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise self.fault(f"{what} {word!r}; expected a number from {low:g} to {high:g}", line)
+        return value
+
+    def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[Place, ...]:
+        """Return latitudes and longitudes of the lines `1.2.3 34.5 -117.3` that follow.
+
+        Raises:
+            SpecError: Their numbers do not go up from 1, or there are not as many as expected.
+        """
+        points: list[Place] = []
+        while self.numbered:
+            self.word_is((*owner, len(points) + 1))
+            line, (north, east) = self.line, self.words(2, "latitude longitude")
+            latitude = self.real(north, "latitude", -90.0, 90.0, line)
+            points.append((latitude, self.real(east, "longitude", -180.0, 180.0, line)))
+        self.count(len(points), expected, f"{what} of {point_name(owner)}")
+        return tuple(points)
+
+    def word_is(self, numbers: tuple[int, ...]) -> None:
+        """Check that the next line begins with those numbers."""
+        if self.parsed(self.word, len(numbers), self.line) != numbers:
+            raise self.fault(f"{self.word}; expected {point_name(numbers)}: numbers go up one by one")
+
+    def count(self, found: int, expected: int, what: str) -> None:
+        """Check that there were as many of something as its count had said."""
+        if found != expected:
+            raise self.fault(f"{found} {what}, but {expected} were announced")
+
+    def header(self, keywords: Mapping[str, Callable[[], None]]) -> None:
+        """Read lines with those keywords, in any order, as long as there are any."""
+        while read := keywords.get(self.word):
+            read()
+
+    def refuse(self, faults: list[Fault]) -> None:
+        """Raise the first fault that a check of the whole has found, at its line."""
+        for where, text in faults:
+            raise self.fault(text, self.places.get(where, self._end))
+
+
+Row = tuple[str | int | float | tuple[int, ...] | None, ...]
+"""A line to write; without a value (None, or an empty text) it is left out."""
+
+
+def written(rows: list[Row]) -> str:
+    """Return the text of lines, with tabs between words.
+
+    Raises:
+        SpecError: A text that would be read as another one: with line breaks, comment marks or white space
+            other than single spaces.
+    """
+    shown = [row for row in rows if None not in row and "" not in row]
+    return "".join("\t".join(map(_word, row)) + "\n" for row in shown)
+
+
+def _word(value: str | int | float | tuple[int, ...] | None) -> str:
+    if isinstance(value, tuple):
+        return point_name(value)
+    if isinstance(value, str):
+        if " ".join(value.split()) != value or "/*" in value or "*/" in value:
+            raise SpecError(f"the name {value!r}: a file holds words with single spaces, without /* or */")
+        return value
+    if isinstance(value, float):
+        return str(int(value)) if value.is_integer() else repr(value)
+    return str(value)

@@ -1,0 +1,264 @@
+"""Route networks and missions of the DARPA Urban Challenge (manual 3.2.1.2), and what is wrong with them.
+
+Segments have numbers from 1, zones the numbers after the last segment's; lanes, spots and waypoints have
+numbers from 1 within what holds them. Places are latitude and longitude in floating-point degrees, as before
+DARPA's revision of December 2006 (manual 10.13). Widths are feet and speeds miles per hour, as in the files.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from usarmjx.models.roads.geodesy import Place
+
+FOOT = 0.3048
+"""Metres."""
+WIDEST = 1e3
+"""Widest lane or spot that is taken for one [feet]."""
+FASTEST = 1e3
+"""Highest speed that is taken for one [miles per hour]."""
+BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
+"""What lane boundaries can be."""
+
+PointId = tuple[int, int, int]
+"""M.N.P: segment, lane and waypoint; zone, 0 and perimeter point; zone, spot and waypoint."""
+Fault = tuple[tuple[object, ...], str]
+"""Which thing is wrong (as `exit`, from, to), and what is wrong with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lane:
+    """A lane, driven from its first waypoint to its last.
+
+    Attributes:
+        waypoints: Its waypoints.
+        width: Width [feet]; None: not given.
+        left: Left boundary, one of `BOUNDARIES`; empty: not given.
+        right: Right boundary, likewise.
+        checkpoints: Waypoint and checkpoint of each checkpoint.
+        stops: Waypoints with a stop sign.
+        exits: Waypoint of each exit, and the waypoint or perimeter point elsewhere to which it leads.
+    """
+
+    waypoints: tuple[Place, ...]
+    width: float | None = None
+    left: str = ""
+    right: str = ""
+    checkpoints: tuple[tuple[int, int], ...] = ()
+    stops: tuple[int, ...] = ()
+    exits: tuple[tuple[int, PointId], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """A road, with its lanes in both directions."""
+
+    lanes: tuple[Lane, ...]
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spot:
+    """A parking spot: its mouth, and where to park.
+
+    Attributes:
+        waypoints: Two of them.
+        width: Width [feet]; None: not given.
+        checkpoints: Waypoint and checkpoint of each checkpoint.
+    """
+
+    waypoints: tuple[Place, ...]
+    width: float | None = None
+    checkpoints: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zone:
+    """An area without lanes, as a car park.
+
+    Attributes:
+        perimeter: Corners, and the points where cars come in and go out.
+        exits: Perimeter point of each exit, and the waypoint or perimeter point to which it leads.
+        spots: Parking spots.
+        name: Name; empty: none.
+    """
+
+    perimeter: tuple[Place, ...]
+    exits: tuple[tuple[int, PointId], ...] = ()
+    spots: tuple[Spot, ...] = ()
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RouteNetwork:
+    """What a route network definition file (RNDF) says."""
+
+    name: str
+    segments: tuple[Segment, ...]
+    zones: tuple[Zone, ...] = ()
+    format_version: str = ""
+    creation_date: str = ""
+
+    def points(self) -> dict[PointId, Place]:
+        """Return all waypoints and perimeter points by their numbers."""
+        return {(*owner, i): at for owner, part in self.parts() for i, at in enumerate(_points(part), 1)}
+
+    def checkpoints(self) -> dict[int, PointId]:
+        """Return where each checkpoint is."""
+        return {
+            checkpoint: (*owner, point)
+            for owner, part in self.parts()
+            if not isinstance(part, Zone)
+            for point, checkpoint in part.checkpoints
+        }
+
+    def lane(self, segment: int, lane: int) -> Lane:
+        """Return a lane by its numbers."""
+        return self.segments[segment - 1].lanes[lane - 1]
+
+    def parts(self) -> Iterator[tuple[tuple[int, int], Lane | Zone | Spot]]:
+        """Iterate over what has points, with the first two of their numbers: lanes, perimeters, spots."""
+        for m, segment in enumerate(self.segments, 1):
+            for n, lane in enumerate(segment.lanes, 1):
+                yield (m, n), lane
+        for m, zone in enumerate(self.zones, 1 + len(self.segments)):
+            yield (m, 0), zone
+            for n, spot in enumerate(zone.spots, 1):
+                yield (m, n), spot
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedLimit:
+    """Lowest and highest speed [miles per hour] on a segment or in a zone, by its number."""
+
+    id: int
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mission:
+    """What a mission data file (MDF) says: checkpoints to visit in order, and speed limits.
+
+    Attributes:
+        name: Name of the mission.
+        rndf: Name of its route network.
+        checkpoints: Checkpoints in their order; one may come more than once.
+        speed_limits: Speed limits.
+        format_version: Version of the format.
+        creation_date: When it was made.
+    """
+
+    name: str
+    rndf: str
+    checkpoints: tuple[int, ...] = ()
+    speed_limits: tuple[SpeedLimit, ...] = ()
+    format_version: str = ""
+    creation_date: str = ""
+
+
+def _points(part: Lane | Zone | Spot) -> tuple[Place, ...]:
+    return part.perimeter if isinstance(part, Zone) else part.waypoints
+
+
+def point_name(numbers: tuple[int, ...]) -> str:
+    """Return numbers as the files have them: 1.2.3."""
+    return ".".join(map(str, numbers))
+
+
+def network_faults(network: RouteNetwork) -> list[Fault]:
+    """Return what is wrong with a route network; nothing if it is sound.
+
+    Checkpoints, stop signs and exits are at points that their lane, zone or spot has; exits lead to points
+    that there are; no two checkpoints have one number; figures are in their ranges.
+    """
+    known = network.points()
+    faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
+    taken: set[int] = set()
+    for owner, part in network.parts():
+        faults += _wrong_figures(owner, part)
+        for kind, point, other in _marks(part):
+            where = (kind, (*owner, point), other)
+            if (*owner, point) not in known:
+                there = f"{point_name(owner)} has points 1 to {len(_points(part))}"
+                faults.append((where, f"{kind} at {point_name((*owner, point))}: {there}"))
+            if isinstance(other, tuple) and other not in known:
+                there = f"{point_name(other[:2])} has {_extent(known, other)}"
+                faults.append((where, f"exit to {point_name(other)}: {there}"))
+            if isinstance(other, int):
+                if other in taken or other < 1:
+                    text = f"checkpoint {other}: numbers begin with 1, and each can be given once"
+                    faults.append((where, text))
+                taken.add(other)
+    return faults
+
+
+def _wrong_figures(owner: tuple[int, int], part: Lane | Zone | Spot) -> Iterator[Fault]:
+    points, fewest = _points(part), 2 if isinstance(part, Spot) else 1
+    if len(points) < fewest or (isinstance(part, Spot) and len(points) > fewest):
+        yield ("points", owner), f"{point_name(owner)} has {len(points)} points; expected {fewest}"
+    for i, (latitude, longitude) in enumerate(points, 1):
+        if not (-90 <= latitude <= 90 and -180 <= longitude <= 180):
+            text = (
+                f"{point_name((*owner, i))} lies at {latitude}, {longitude}; expected -90 to 90, -180 to 180"
+            )
+            yield ("points", owner), text
+    if not isinstance(part, Zone) and part.width is not None and not 0 <= part.width <= WIDEST:
+        yield ("width", owner), f"{point_name(owner)} is {part.width:g} feet wide; expected 0 to {WIDEST:g}"
+    if isinstance(part, Lane):
+        for side, boundary in (("left", part.left), ("right", part.right)):
+            if boundary not in ("", *BOUNDARIES):
+                text = f"{side}_boundary {boundary!r}; allowed: {', '.join(BOUNDARIES)}"
+                yield (f"{side}_boundary", owner), text
+
+
+def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId | None]]:
+    """Iterate over checkpoints, stops and exits: which, at which point, and its number or where it leads."""
+    if not isinstance(part, Zone):
+        yield from (("checkpoint", point, checkpoint) for point, checkpoint in part.checkpoints)
+    if isinstance(part, Lane):
+        yield from (("stop", point, None) for point in part.stops)
+    if not isinstance(part, Spot):
+        yield from (("exit", point, entry) for point, entry in part.exits)
+
+
+def _extent(known: dict[PointId, Place], lost: PointId) -> str:
+    last = max((point[2] for point in known if point[:2] == lost[:2]), default=0)
+    return f"points 1 to {last}" if last else "no points"
+
+
+def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> list[Fault]:
+    """Return what is wrong with a mission; nothing if it is sound.
+
+    Speed limits have their lowest speed first, and there is one for a segment or zone. With its route
+    network: its checkpoints are there, and its speed limits are of segments and zones that are there.
+    """
+    faults: list[Fault] = []
+    if not (mission.name and mission.rndf):
+        faults.append((("name",), "a mission needs a name and the name of its route network"))
+    for limit in mission.speed_limits:
+        if not 0 <= limit.low <= limit.high <= FASTEST:
+            text = f"speeds {limit.low:g} and {limit.high:g}: expected 0 <= lowest <= highest <= {FASTEST:g}"
+            faults.append((("speed_limit", limit.id), text))
+    for number, times in Counter(limit.id for limit in mission.speed_limits).items():
+        if times > 1:
+            faults.append((("speed_limit", number), f"{times} speed limits for {number}; one is allowed"))
+    return [*faults, *_strangers(mission, network)]
+
+
+def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault]:
+    """Iterate over what a mission refers to and its network has not."""
+    known = network.checkpoints() if network else {}
+    areas = len(network.segments) + len(network.zones) if network else None
+    for checkpoint in mission.checkpoints:
+        if checkpoint < 1 or (network and checkpoint not in known):
+            there = _listed(known) if network else "1 and up"
+            yield ("checkpoint", checkpoint), f"no checkpoint {checkpoint}; there are: {there}"
+    for limit in mission.speed_limits:
+        if limit.id < 1 or (areas is not None and limit.id > areas):
+            there = "1 and up" if areas is None else f"1 to {areas}"
+            yield ("speed_limit", limit.id), f"no segment or zone {limit.id}; there are: {there}"
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(numbers))) or "none"

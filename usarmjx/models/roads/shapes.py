@@ -1,0 +1,165 @@
+"""What a route network looks like on the ground: lane markings, stop lines, kerbs and parking spots.
+
+Sizes of markings are those of the United States' Manual on Uniform Traffic Control Devices (MUTCD). A lane's
+markings end where it can be left, and begin again at the next waypoint where it can be joined: there it
+crosses another road. Paint is seen, but not felt.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from usarmjx.models.roads.geodesy import Place, metres_of
+from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
+from usarmjx.models.spec.robot import Shape
+
+LANE_WIDTH = 12.0
+"""Of lanes whose network does not say it [feet] (chosen: that of highways)."""
+LINE, STOP_LINE = 0.10, 0.45
+"""Widths [m] (MUTCD 3A.06: 4 to 6 inches; 3B.16: 12 to 24 inches)."""
+DASH, GAP = 10 * FOOT, 30 * FOOT
+"""Of broken lines [m] (MUTCD 3A.06)."""
+PAINT = 0.004
+"""Thickness of paint [m]; it lies on asphalt of half of that."""
+KERB_WIDTH, KERB_HEIGHT = 0.15, 0.15
+"""Six inches (chosen: the usual barrier kerb) [m]."""
+STRAIGHT = 2e-3
+"""A bend of less than this is none [rad]."""
+
+WHITE, YELLOW = (0.95, 0.95, 0.95, 1.0), (0.95, 0.75, 0.1, 1.0)
+CONCRETE = (0.65, 0.65, 0.62, 1.0)
+Rgba = tuple[float, float, float, float]
+
+
+def road_shapes(network: RouteNetwork, origin: Place) -> tuple[Shape, ...]:
+    """Return the markings and kerbs of a network in the axes of an arena, whose floor they lie on.
+
+    Lanes without a right boundary have a kerb there. Both lanes beside a double line paint one of its lines,
+    both beside a broken line half of its width.
+
+    Args:
+        network: The route network.
+        origin: Latitude and longitude of the arena's origin [degrees].
+    """
+    shapes: list[Shape] = []
+    for owner, part in network.parts():
+        if isinstance(part, Lane):
+            half = lane_width(part) / 2
+            for run in lane_runs(network, owner, origin):
+                shapes += _boundary(run, half, part.left)
+                shapes += _boundary(run, -half, part.right) if part.right else _kerb(run, -half)
+            shapes += _stop_lines(part, origin)
+    for zone in network.zones:
+        shapes += _spot_lines(zone.spots, origin)
+    return tuple(shapes)
+
+
+def lane_width(lane: Lane) -> float:
+    """Return a lane's width [m]."""
+    return (LANE_WIDTH if lane.width is None else lane.width) * FOOT
+
+
+def lane_path(lane: Lane, origin: Place) -> np.ndarray:
+    """Return a lane's waypoints x, y in the arena's axes [m] (waypoints, 2)."""
+    return np.array([metres_of(origin, at) for at in lane.waypoints])
+
+
+def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: Place) -> list[np.ndarray]:
+    """Return the paths of a lane between crossings, x, y [m] (points, 2), each of two points at least."""
+    lane = network.lane(*owner)
+    left = {point for point, _ in lane.exits}
+    parts = [part for _, part in network.parts()]
+    entries = {to for part in parts if not isinstance(part, Spot) for _, to in part.exits}
+    path = lane_path(lane, origin)
+    ends = [i for i in range(1, len(path)) if i in left and (*owner, i + 1) in entries]
+    return [run for run in np.split(path, ends) if len(run) > 1]
+
+
+def beside(path: np.ndarray, left: float) -> np.ndarray:
+    """Return the line at a distance to the left of a path, negative: to its right [m] (points, 2)."""
+    along = np.diff(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
+    return path + left * (before + after) / (1 + (before * after).sum(1, keepdims=True))
+
+
+def stripe(a: np.ndarray, b: np.ndarray, width: float, rgba: Rgba) -> Shape:
+    """Return a line of paint from one point to another [m]."""
+    return _bar(a, b, width, PAINT, "fixture", rgba)
+
+
+def _bar(a: np.ndarray, b: np.ndarray, width: float, height: float, surface: str, rgba: Rgba) -> Shape:
+    (x, y), (dx, dy) = (a + b) / 2, b - a
+    return Shape(
+        kind="box",
+        size=(math.hypot(dx, dy) / 2, width / 2, height / 2),
+        at=(float(x), float(y), height / 2),
+        rotation=(0.0, 0.0, math.atan2(dy, dx)),
+        surface=surface,
+        rgba=rgba,
+    )
+
+
+def _pieces(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Iterate over the straight pieces of a path: two ends [m] (2,) each."""
+    heading = np.unwrap(np.arctan2(*np.diff(path, axis=0).T[::-1]))
+    bends = [0, *(1 + np.flatnonzero(np.abs(np.diff(heading)) > STRAIGHT)), len(path) - 1]
+    for start, end in pairwise(bends):
+        yield path[start], path[end]
+
+
+def _boundary(run: np.ndarray, edge: float, kind: str) -> Iterator[Shape]:
+    """Iterate over the lines of a lane's boundary, which lies that far to the left of its path."""
+    inwards, rgba = -math.copysign(1.0, edge), YELLOW if "yellow" in kind else WHITE
+    if kind == "broken_white":
+        path = beside(run, edge + inwards * LINE / 4)
+        yield from (stripe(a, b, LINE / 2, rgba) for a, b in _dashes(path))
+    elif kind:
+        path = beside(run, edge + inwards * LINE * (1.0 if kind.startswith("double") else 0.5))
+        yield from (stripe(a, b, LINE, rgba) for a, b in _pieces(path))
+
+
+def _dashes(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    done = 0.0
+    for a, b in _pieces(path):
+        length = float(np.linalg.norm(b - a))
+        first = math.floor(done / (DASH + GAP)) * (DASH + GAP) - done
+        for start in np.arange(first, length, DASH + GAP):
+            low, high = max(0.0, start), min(length, start + DASH)
+            if high > low:
+                yield a + (b - a) * low / length, a + (b - a) * high / length
+        done += length
+
+
+def _kerb(run: np.ndarray, edge: float) -> Iterator[Shape]:
+    path = beside(run, edge - KERB_WIDTH / 2)
+    yield from (_bar(a, b, KERB_WIDTH, KERB_HEIGHT, "ground", CONCRETE) for a, b in _pieces(path))
+
+
+def _stop_lines(lane: Lane, origin: Place) -> Iterator[Shape]:
+    path, half = lane_path(lane, origin), lane_width(lane) / 2 - LINE
+    if len(path) > 1:
+        across = beside(path, half) - path
+        yield from (
+            stripe(path[i - 1] - across[i - 1], path[i - 1] + across[i - 1], STOP_LINE, WHITE)
+            for i in lane.stops
+        )
+
+
+def _spot_lines(spots: tuple[Spot, ...], origin: Place) -> Iterator[Shape]:
+    """Iterate over the lines beside spots, twice as long as from the mouth to where one parks.
+
+    Neighbours share one.
+    """
+    drawn: list[np.ndarray] = []
+    for spot in spots:
+        mouth, middle = np.array([metres_of(origin, at) for at in spot.waypoints])
+        path = np.array([mouth, 2 * middle - mouth])
+        half = (LANE_WIDTH if spot.width is None else spot.width) * FOOT / 2
+        for a, b in (beside(path, half), beside(path, -half)):
+            if not any(np.linalg.norm((a + b) / 2 - other) < LINE for other in drawn):
+                drawn.append((a + b) / 2)
+                yield stripe(a, b, LINE, WHITE)

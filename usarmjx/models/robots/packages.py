@@ -1,0 +1,75 @@
+"""Mission packages by class name (`USARMisPkg.<name>`), for robots and for ini files that mount them."""
+
+from dataclasses import replace
+
+from usarmjx.base.registry import Registry
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.kit import BLACK, pan_tilt
+from usarmjx.models.spec.robot import ZERO, Link, MissionPackage, Shape
+
+GLASSY = (0.75, 0.8, 0.85, 1.0)
+PILLAR_STEP = 0.1
+"""Height of one centre link of the pillar [m] (chosen)."""
+
+
+def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape) -> Link:
+    """A link that does not move: both of its limits are 0."""
+    return Link(
+        number=number,
+        parent=parent,
+        location=location,
+        orientation=ZERO,
+        max_speed=0.0,
+        max_torque=20.0,
+        min_range=0.0,
+        max_range=0.0,
+        shapes=shapes,
+    )
+
+
+def _omni_head() -> tuple[Shape, ...]:
+    """Base, and above it the mirror that the camera looks up to (manual 10.15; sizes chosen)."""
+    base = Shape(
+        kind="cylinder", size=(0.05, 0.015), at=(0, 0, -0.015), mass=0.3, surface="fixture", rgba=BLACK
+    )
+    mirror = Shape(
+        kind="cylinder", size=(0.035, 0.02), at=(0, 0, -0.2), mass=0.1, surface="fixture", rgba=GLASSY
+    )
+    return base, mirror
+
+
+def omni_pillar(centre_links: int = 2) -> MissionPackage:
+    """Return the pillar with the omnidirectional camera: bottom, centre and top links (manual 10.15.2)."""
+    rod = Shape(
+        kind="cylinder",
+        size=(0.02, PILLAR_STEP / 2),
+        at=(0, 0, -PILLAR_STEP / 2),
+        mass=0.2,
+        surface="fixture",
+        rgba=BLACK,
+    )
+    step = (0.0, 0.0, -PILLAR_STEP)
+    links = [_fixed(1, -1, ZERO, rod)]
+    links += [_fixed(2 + i, 1 + i, step, rod) for i in range(centre_links)]
+    links.append(_fixed(2 + centre_links, 1 + centre_links, step, *_omni_head()))
+    return MissionPackage(name="OmniCamPillar", links=tuple(links))
+
+
+def mounted(package: MissionPackage, location: Vec3, name: str = "") -> MissionPackage:
+    """Return a package somewhere on the chassis, under another name if given."""
+    links = tuple(
+        replace(link, location=tuple(a + b for a, b in zip(link.location, location, strict=True)))
+        if link.parent == -1
+        else link
+        for link in package.links
+    )
+    return MissionPackage(name=name or package.name, links=links)
+
+
+PACKAGES: Registry[MissionPackage] = Registry("mission package")
+for _package in (
+    pan_tilt(ZERO),
+    MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head()),)),
+    omni_pillar(),
+):
+    PACKAGES.add(_package.name, _package)

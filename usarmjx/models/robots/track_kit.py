@@ -1,0 +1,194 @@
+"""Tracks as the original built them (manual 12.10.2): rows of driven wheels, on the chassis or on flippers.
+
+Wheels of one robot never touch each other, so those of a row overlap: the more there are, the closer the
+row is to a belt, and the more it costs. Every wheel has a motor, and all of a side run at one belt speed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.drives import Tracks
+from usarmjx.models.robots.kit import BLACK, wheel
+from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Motor, Part, Shape
+
+BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
+"""Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a
+third of what they are stable at), damped to 0.8 of critical."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belt:
+    """What all wheels of a robot's tracks have in common.
+
+    Attributes:
+        radius: Radius of the wheels whose speed DRIVE sets [m].
+        spin: Highest speed of those wheels [rad/s].
+        width: Width of the tracks [m].
+        pull: Most that one wheel can pull [N].
+        inertia: What a wheel's motor weighs at the belt [kg].
+        wheel_mass: Mass of a wheel of that radius [kg]; smaller ones are lighter as their area.
+    """
+
+    radius: float
+    spin: float
+    width: float
+    pull: float
+    inertia: float
+    wheel_mass: float
+
+    def motor(self, radius: float) -> Motor:
+        """Return the motor of a wheel of some radius: same pull, same belt speed."""
+        armature = self.inertia * radius**2
+        return Motor(
+            max_speed=self.spin * self.radius / radius,
+            torque=self.pull * radius,
+            stiffness=BELT_STIFFNESS * armature,
+            damping=BELT_DAMPING * armature,
+            armature=armature,
+        )
+
+    def wheel(self, name: str, at: Vec3, radius: float, parent: str = CHASSIS) -> Part:
+        """Return one wheel of a track."""
+        mass = self.wheel_mass * (radius / self.radius) ** 2
+        size = (radius, self.width)
+        return wheel(
+            name, at=at, size=size, mass=mass, motor=self.motor(radius), parent=parent, surface="track"
+        )
+
+
+def _along(first: float, last: float, count: int) -> list[float]:
+    return [first + (last - first) * i / (count - 1) for i in range(count)]
+
+
+def track_names(side: str, count: int) -> tuple[str, ...]:
+    """Return names of a side's wheels from front to rear: LeftFWheel, LeftWheel2, ..., LeftRWheel."""
+    return (f"{side}FWheel", *(f"{side}Wheel{i}" for i in range(2, count)), f"{side}RWheel")
+
+
+def track(
+    belt: Belt, names: Sequence[str], front: Vec3, rear: Vec3, parent: str = CHASSIS
+) -> tuple[Part, ...]:
+    """Return a straight row of equal wheels, evenly spaced.
+
+    Args:
+        belt: What its wheels are.
+        names: Of the wheels, from front to rear; at least two.
+        front: Axle of the foremost wheel.
+        rear: Axle of the rearmost.
+        parent: What they are mounted on.
+    """
+    places = zip(*(_along(a, b, len(names)) for a, b in zip(front, rear, strict=True)), strict=True)
+    return tuple(belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True))
+
+
+def track_pair(
+    belt: Belt, count: int, *, separation: float, front: float, rear: float, height: float
+) -> tuple[Part, ...]:
+    """Return a left and a right track on the chassis.
+
+    Args:
+        belt: What their wheels are.
+        count: Wheels of each (manual 12.10.2 lets users set it).
+        separation: Lateral distance of the tracks.
+        front: x of the foremost axles.
+        rear: x of the rearmost.
+        height: z of the axles, down.
+    """
+    sides = (("Left", -separation / 2), ("Right", separation / 2))
+    rows = [track(belt, track_names(side, count), (front, y, height), (rear, y, height)) for side, y in sides]
+    return tuple(part for row in rows for part in row)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flippers:
+    """Four tracked arms at a robot's corners, each on a hinge whose axis is an axle of the tracks.
+
+    Attributes:
+        pivot: x and y of the hinges, both positive [m].
+        height: z of the hinges, down [m].
+        length: From hinge to the axle of the tip's wheel [m].
+        tip: Radius of the tip's wheel, smaller than the belt's, which is that at the hinge [m].
+        count: Wheels on each flipper; the one around the hinge belongs to the chassis' tracks.
+        mass: Of a flipper without its wheels [kg].
+        motor: What turns it.
+    """
+
+    pivot: tuple[float, float]
+    height: float
+    length: float
+    tip: float
+    count: int
+    mass: float
+    motor: Motor
+
+    def parts(self, belt: Belt) -> tuple[Part, ...]:
+        """Return FRFlipper, FLFlipper, RRFlipper, RLFlipper (manual 12.10.1), each with its wheels.
+
+        They point outward at zero. The wheels of FRFlipper are FRFlipperWheel1 to the tip's.
+        """
+        x, y = self.pivot
+        corners = {"FR": (x, y), "FL": (x, -y), "RR": (-x, y), "RL": (-x, -y)}
+        flippers: list[Part] = []
+        wheels: list[Part] = []
+        for corner, at in corners.items():
+            out = 1 if at[0] > 0 else -1
+            name = f"{corner}Flipper"
+            flippers.append(
+                Part(name=name, at=(*at, self.height), motor=self.motor, shapes=(self._arm(out, belt),))
+            )
+            for i, (place, radius) in enumerate(self._row(belt.radius), start=1):
+                wheels.append(belt.wheel(f"{name}Wheel{i}", (out * place, 0.0, 0.0), radius, name))
+        return (*flippers, *wheels)
+
+    def _row(self, root: float) -> list[tuple[float, float]]:
+        """Return distance from the hinge and radius of each wheel.
+
+        Both edges of the track are straight, and each wheel is smaller than the one before by the same
+        factor, so that all gaps are alike but for their size.
+        """
+        radii = [root * (self.tip / root) ** (i / self.count) for i in range(1, self.count + 1)]
+        return [(self.length * (root - radius) / (root - self.tip), radius) for radius in radii]
+
+    def _arm(self, out: int, belt: Belt) -> Shape:
+        """The arm inside its track touches nothing: the wheels are around it."""
+        half = (self.length / 2, 0.4 * belt.width, self.tip / 2)
+        return Shape(
+            kind="box",
+            size=half,
+            at=(out * self.length / 2, 0.0, 0.0),
+            mass=self.mass,
+            surface="fixture",
+            rgba=BLACK,
+        )
+
+
+FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
+FINGERS = 0.2
+"""What the two fingers of a gripper weigh [kg]: part of the robot's mass, but not of its own parts."""
+
+
+def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
+    """Return the drive of all wheels among the parts, by the side of the robot on which they are."""
+    places = {part.name: part for part in parts}
+
+    def side(part: Part) -> float:
+        return part.at[1] + (side(places[part.parent]) if part.parent in places else 0.0)
+
+    wheels = [part for part in parts if part.rolls]
+    left = [part for part in wheels if side(part) < 0]
+    right = [part for part in wheels if side(part) > 0]
+    return Tracks(
+        left=tuple(part.name for part in left),
+        right=tuple(part.name for part in right),
+        max_spin=belt.spin,
+        radius=belt.radius,
+        ratios=tuple(belt.radius / part.shapes[0].size[0] for part in (*left, *right)),
+    )
+
+
+def mass_of(parts: Sequence[Part], packages: Sequence[MissionPackage] = ()) -> float:
+    """Return the mass of parts and mission packages, so that the chassis can have the rest [kg]."""
+    shapes = [shape for part in parts for shape in part.shapes]
+    shapes += [shape for package in packages for link in package.links for shape in link.shapes]
+    return sum(shape.mass for shape in shapes)

@@ -1,0 +1,89 @@
+"""Plots of what cameras see, for docs/sensors.md."""
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from usarmjx.cameras.paint import (
+    ARENA,
+    DOOR_LABEL,
+    FALSE_ALARM,
+    LOOSE_OBJECT,
+    OUTSIDE,
+    ROBOT,
+    SKY_LABEL,
+    VICTIM,
+    WATER,
+)
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.robots import ROBOTS
+from usarmjx.plots.sensor_plots import PLOTS
+from usarmjx.plots.sensor_studies import snap
+
+SITTING = ((9.9, 2.55), math.radians(4))
+LYING = ((2.1, 2.85), math.radians(185))
+"""Where in the yellow arena pictures are taken: before a victim that sits, and one that lies."""
+LABELS: dict[int, tuple[str, str]] = {
+    OUTSIDE: ("outside", "#000000"),
+    SKY_LABEL: ("sky", "#bcd9ee"),
+    ARENA: ("arena", "#cdbf9f"),
+    LOOSE_OBJECT: ("loose object", "#e07b39"),
+    DOOR_LABEL: ("door", "#7a4a1e"),
+    VICTIM: ("victim", "#c4122f"),
+    FALSE_ALARM: ("false alarm", "#e58fa0"),
+    WATER: ("water", "#4080a5"),
+    ROBOT: ("the robot", "#1f5fa8"),
+}
+"""What pixels show, by label, and the colour of each here; further robots are as the first."""
+
+
+def coloured(segmentation: np.ndarray) -> np.ndarray:
+    """Return labels as places in `LABELS`; all robots count as one."""
+    return np.searchsorted(list(LABELS), np.minimum(segmentation, ROBOT))
+
+
+def _image(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.set_anchor("N")
+    axes.set_axis_off()
+
+
+def _camera(figure: Figure) -> None:
+    seen = snap(ARENAS.get("yellow"), *SITTING, "P2AT", 320, 240)
+    rgb, depth, labels = figure.subplots(1, 3)
+    rgb.imshow(seen.rgb)
+    _image(rgb, "RGB")
+    drawn = depth.imshow(np.where(np.isfinite(seen.depth), seen.depth, np.nan), cmap="viridis_r")
+    figure.colorbar(drawn, ax=depth, label="depth [m]", orientation="horizontal", shrink=0.8, pad=0.04)
+    _image(depth, "depth")
+    numbers = coloured(seen.segmentation)
+    palette = ListedColormap([colour for _, colour in LABELS.values()])
+    bounds = BoundaryNorm(np.arange(len(LABELS) + 1) - 0.5, len(LABELS))
+    labels.imshow(numbers, cmap=palette, norm=bounds, interpolation="nearest")
+    _image(labels, "segmentation")
+    names = [list(LABELS.values())[number] for number in np.unique(numbers)]
+    keys = [Patch(color=colour, label=name) for name, colour in names]
+    labels.legend(handles=keys, loc="upper center", bbox_to_anchor=(0.5, -0.04), ncols=4, frameon=False)
+
+
+def _stereo(figure: Figure) -> None:
+    for i, (side, axes) in enumerate(zip(("left", "right"), figure.subplots(1, 2), strict=True)):
+        seen = snap(ARENAS.get("yellow"), *SITTING, "StereoP2AT", 320, 240, camera=i)
+        axes.imshow(seen.rgb)
+        _image(axes, f"{side}: {ROBOTS.get('StereoP2AT').cameras[i].name}")
+
+
+def _omni(figure: Figure) -> None:
+    seen = snap(ARENAS.get("yellow"), *LYING, "OmniP2AT", 420, 420)
+    axes = figure.add_subplot()
+    axes.imshow(seen.rgb)
+    axes.set_axis_off()
+
+
+PLOTS.add("camera", (_camera, (10.5, 4.1)))
+PLOTS.add("stereo", (_stereo, (8.4, 3.4)))
+PLOTS.add("omni", (_omni, (4.6, 4.6)))

@@ -1,0 +1,195 @@
+"""A picture of what a robot did: the arena's plan, its path, and where its sensors believed it was.
+
+A log is what `examples/wander.py` writes. Its numbers are in USARSim's axes (y right, z down, yaw
+clockwise); the picture is in ours, as the arena's description (y left, z up).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
+from usarmjx.plots.outlines import heights, outline
+
+DPI = 120
+WIDTH = 11.0  # inches; the height follows from the arena's shape
+SCANNER_RANGE = 20.0
+"""What the P2AT's scanner reads where it hits nothing (captured CONF: MaxRange) [m]."""
+
+ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
+"""Marker of the last pose, pointing forward (corners, 2)."""
+
+PAPER, WALL, GROUND_EDGE = "#f7f5ef", "#3b3a36", "#a8987a"
+GROUND = LinearSegmentedColormap.from_list("ground", ["#e6dcc3", "#cdbf9f", "#8f7d58"])
+HIGHEST = 1.2
+"""Ground that is higher is not drawn darker [m]."""
+CONTOURS = 12
+OVERHEAD = 2.2
+"""Solids whose undersides are this much above the highest start pose are over robots' heads [m]."""
+STYLES: dict[str, dict[str, Any]] = {
+    "ground": {"edgecolor": GROUND_EDGE, "lw": 0.8, "zorder": 2},
+    "paint": {"edgecolor": GROUND_EDGE, "lw": 0.3, "zorder": 2.05},
+    "wall": {"facecolor": WALL, "edgecolor": WALL, "lw": 0.8, "zorder": 2.1},
+    "overhead": {"facecolor": "none", "edgecolor": "#9a958a", "lw": 0.6, "ls": "--", "zorder": 2.3},
+    GLASS: {"facecolor": "#c4e6f3", "edgecolor": "#3d9cc4", "lw": 1.0, "zorder": 2.2},
+    MIRROR: {"facecolor": "#d8d2ea", "edgecolor": "#6a4fb0", "lw": 1.0, "zorder": 2.2},
+    FENDER: {"facecolor": "#ffffff", "edgecolor": "#4c7a3f", "lw": 0.8, "hatch": "xxxx", "zorder": 2.2},
+    SKY: {"visible": False},
+}
+"""How solids are drawn: ground, walls, what is overhead, and materials that are not opaque."""
+TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
+
+
+def tracks(log: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the logged poses in our axes and in the world's frame.
+
+    Odometry starts at zero and the INS with an error of its own, so both are laid on the true start.
+
+    Returns:
+        x, y [m] and yaw [rad] per report under "truth", "odometry" and "ins" (reports, 3).
+    """
+    wire = np.array([report[1:] for report in log["track"]], float).reshape(-1, 3, 3)
+    truth, odometry, ins = np.moveaxis(wire * (1, -1, -1), 1, 0)
+    return {"truth": truth, "odometry": _laid_on(odometry, truth), "ins": _laid_on(ins, truth)}
+
+
+def _laid_on(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return an estimate moved rigidly so that it starts at the true start (n, 3)."""
+    if not len(truth):
+        return estimate
+    turn = truth[0, 2] - estimate[0, 2]
+    cos, sin = math.cos(turn), math.sin(turn)
+    moved = (estimate[:, :2] - estimate[0, :2]) @ np.array([[cos, sin], [-sin, cos]])
+    return np.column_stack([moved + truth[0, :2], estimate[:, 2] + turn])
+
+
+def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
+    """Return where the beams of a logged laser scan ended, in our axes [m] (hits, 2).
+
+    The first beam is the rightmost (wire yaw +fov/2), the others follow counter-clockwise. Beams
+    that met nothing are left out.
+    """
+    ranges = np.array(scan["ranges"], float)
+    (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
+    angle = yaw + at_yaw + np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges))
+    start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
+    start_y = y + at_x * math.sin(yaw) + at_y * math.cos(yaw)
+    points = np.column_stack([start_x + ranges * np.cos(angle), -start_y - ranges * np.sin(angle)])
+    return points[ranges < SCANNER_RANGE]
+
+
+def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
+    """Draw a run as a PNG file.
+
+    Args:
+        arena: Where it took place.
+        log: "track" with one row per report (time, truth, odometry, INS; poses as x, y, yaw), and
+            "scan" with the last laser scan, or nothing in it.
+        path: File to write; its folder exists.
+    """
+    (x0, x1), (y0, y1) = arena.extent
+    height = WIDTH * (y1 - y0) / (x1 - x0) + 1.0
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(
+        aspect="equal",
+        facecolor=PAPER,
+        xlim=(x0 - 0.3, x1 + 0.3),
+        ylim=(y0 - 0.3, y1 + 0.3),
+        xlabel="x [m]",
+        ylabel="y [m]",
+    )
+    axes.set_title(_title(arena, log["track"]), loc="left", fontsize=11)
+    draw_shapes(axes, arena)
+    _draw_run(axes, log)
+    axes.spines[:].set_visible(False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
+    figure.savefig(path, format="png")
+
+
+def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
+    lasted = track[-1][0] - track[0][0] if track else 0.0
+    return f"{arena.name}: {lasted:.1f} simulated seconds"
+
+
+def overhead(arena: ArenaSpec) -> float:
+    """Return the height from which on solids are over the heads of robots, wherever they start [m]."""
+    return OVERHEAD + max([0.0, *(start.at[2] for start in arena.starts)])
+
+
+def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
+    """Draw fixed solids as their outlines on the floor: walls dark, ground the darker the higher it is.
+
+    Glass, mirrors and fenders have their own styles, what is never touched (paint on a road) has its own
+    colour, terrain is drawn as contours, the sky not at all; of roofs and whatever else is above all robots
+    there is only a dashed line.
+    """
+    sorts: dict[str, list[Shape]] = {}
+    above = overhead(arena)
+    for shape in arena.shapes:
+        if shape.heights is not None:
+            _draw_terrain(axes, shape)
+        else:
+            sorts.setdefault(_sort(shape, above), []).append(shape)
+    tops = {id(shape): heights(shape)[1] for shape in sorts.get("ground", ())}
+    for sort, members in sorts.items():
+        style = dict(STYLES[sort])
+        if sort == "ground":
+            members = sorted(members, key=lambda shape: tops[id(shape)])
+            style["facecolor"] = [GROUND(tops[id(shape)] / HIGHEST) for shape in members]
+        elif sort == "paint":
+            style["facecolor"] = [shape.rgba for shape in members]
+        axes.add_collection(PatchCollection([Polygon(outline(shape)) for shape in members], **style))
+
+
+def _sort(shape: Shape, above: float) -> str:
+    """Return the style in which a solid is drawn; `above` is the height of what is overhead."""
+    if shape.material == SKY or heights(shape)[0] > above:
+        return shape.material if shape.material == SKY else "overhead"
+    if shape.material != OPAQUE:
+        return shape.material
+    return {"wall": "wall", "fixture": "paint"}.get(shape.surface, "ground")
+
+
+def _draw_terrain(axes: Axes, shape: Shape) -> None:
+    assert shape.heights is not None
+    z = np.asarray(shape.heights.heights, float) + shape.at[2]
+    x, y = np.meshgrid(*(np.linspace(-h, h, n) for h, n in zip(shape.size, z.shape[::-1], strict=False)))
+    cos, sin = math.cos(shape.rotation[2]), math.sin(shape.rotation[2])
+    x, y = shape.at[0] + cos * x - sin * y, shape.at[1] + sin * x + cos * y
+    if np.ptp(z) == 0:
+        return
+    axes.contourf(x, y, z, levels=CONTOURS, cmap=GROUND, zorder=1)
+    axes.contour(x, y, z, levels=CONTOURS, colors=GROUND_EDGE, linewidths=0.5, zorder=1)
+
+
+def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
+    if log["scan"].get("pose"):  # a run may end between a scan and the pose of its moment
+        hits = scan_points(log["scan"])
+        axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=4, label="last laser scan", zorder=5)
+    paths = tracks(log)
+    for name, colour, style, label in (
+        ("truth", TRUTH, "-", "driven path"),
+        ("odometry", ODOMETRY, "--", "odometry"),
+        ("ins", INS, ":", "INS"),
+    ):
+        x, y = paths[name][:, 0], paths[name][:, 1]
+        wide = 2.4 if name == "truth" else 1.6
+        axes.plot(x, y, style, color=colour, lw=wide, label=label, zorder=4)
+    truth = paths["truth"]
+    if len(truth):
+        axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=2, ms=9, label="start", zorder=6)
+        cos, sin = math.cos(truth[-1, 2]), math.sin(truth[-1, 2])
+        arrow = ARROW @ np.array([[cos, sin], [-sin, cos]])
+        axes.plot(*truth[-1, :2], marker=arrow, color=TRUTH, ms=15, ls="", label="end", zorder=6)

@@ -1,0 +1,215 @@
+"""Pictures of a policy at work: one world from above, as a strip of moments (PNG) or moving (GIF)."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.plots.floor_plan import draw_plan
+from usarmjx.plots.picture import ARROW
+from usarmjx.sim.world import team_states
+from usarmjx.train.envs.env import Env, EnvState
+from usarmjx.train.envs.policy import Policy
+
+WORLD = 0
+"""The world that is looked at."""
+PANELS = 6
+"""Moments in a strip."""
+COLUMNS = 3
+PANEL = 3.6
+"""Width of a moment's picture [inches]."""
+DPI = 90
+MOST_FRAMES = 150
+"""Of longer films, moments are left out."""
+HASTE = 2.0
+"""How much faster than in the simulation time passes in a GIF."""
+COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
+GOAL, LOOSE = "#c4122f", "#f2730a"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """One episode of one world, or the beginning of it.
+
+    Attributes:
+        task: Its name.
+        arena: Where it took place.
+        names: Of the robots.
+        times: When [s] (frames,).
+        scores: The score by then (frames,).
+        poses: Where the robots truly were: x, y [m] and yaw [rad] (frames, robots, 3).
+        loose: Where what lies loose truly was: x, y [m] (frames, objects, 2).
+        goal: Where to go [m] (2,), in tasks that have such a place.
+        end: What is known of the episode's end, "" if it went on.
+    """
+
+    task: str
+    arena: ArenaSpec
+    names: tuple[str, ...]
+    times: np.ndarray
+    scores: np.ndarray
+    poses: np.ndarray
+    loose: np.ndarray
+    goal: np.ndarray | None
+    end: str
+
+
+def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> Film:
+    """Return the first episode of world 0, up to its end or a time.
+
+    The last moment is the one before the step that ended the episode, with the score after it: by then the
+    world has begun anew.
+
+    Args:
+        env: The worlds.
+        policy: What drives the robots.
+        seconds: For how long at most [s of simulated time].
+        seed: Of the environment and of the policy's random numbers.
+
+    Raises:
+        UsageError: A time that is not above 0.
+    """
+    if not seconds > 0:
+        raise UsageError(f"{seconds} seconds, expected more than 0")
+    act, memory, key = jax.jit(policy.act), policy.start(env.worlds), jax.random.key(seed)
+    state, step, end = env.reset(seed), 0, ""
+    arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
+    moments = [(0.0, float(state.score[WORLD]), *_places(env, state))]
+    while not end and (step + 1) * env.period <= seconds + 1e-9:
+        memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
+        state, step = env.step(state, actions), step + 1
+        if bool(state.done[WORLD]):
+            end = "time is up" if bool(state.truncated[WORLD]) else "done"
+            end = "physics failed" if bool(state.bad[WORLD]) else end
+            moments.append((step * env.period, float(state.final_score[WORLD]), *moments[-1][2:]))
+        else:
+            moments.append((step * env.period, float(state.score[WORLD]), *_places(env, state)))
+    times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
+    place = None if goal is None or np.ndim(goal) != 2 or np.shape(goal)[1] != 2 else np.asarray(goal)[WORLD]
+    names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
+    return Film(
+        task=env.name,
+        arena=arena,
+        names=names,
+        times=times,
+        scores=scores,
+        poses=poses,
+        loose=loose,
+        goal=place,
+        end=end,
+    )
+
+
+def _places(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
+    physics = jax.tree.map(lambda rows: rows[WORLD], env.batch.physics(state.batch))
+    found = np.zeros((env.scene.robots, 3))
+    for team in env.scene.teams:
+        states = team_states(team, physics)
+        mat = np.asarray(jax.vmap(mat_from_quat)(states.quat))
+        found[np.asarray(team.slots)] = np.column_stack(
+            [np.asarray(states.pos)[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]
+        )
+    return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qpos[:, :2]]
+
+
+def _caption(shown: Film, frame: int) -> str:
+    end = f" ({shown.end})" if shown.end and frame == len(shown.times) - 1 else ""
+    return f"{shown.times[frame]:.1f} s   score {shown.scores[frame]:.2f}{end}"
+
+
+def _draw(axes: Axes, shown: Film, frame: int) -> list[Any]:
+    """Draw the robots, their ways so far, what lies loose and the goal; return what was drawn."""
+    # What an arena of several does not have waits far outside of the picture.
+    inside = {"scalex": False, "scaley": False, "zorder": 7}
+    drawn: list[Any] = axes.plot(*shown.loose[frame].T, "o", color=LOOSE, ms=6, mec="white", **inside)
+    if shown.goal is not None:
+        drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
+    for robot in range(len(shown.names)):
+        colour, way = COLOURS[robot % len(COLOURS)], shown.poses[: frame + 1, robot]
+        cos, sin = np.cos(way[-1, 2]), np.sin(way[-1, 2])
+        marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
+        drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
+        drawn += axes.plot(*way[-1, :2], marker=marker, color=colour, ms=11, mec="white", mew=0.5, zorder=9)
+    return drawn
+
+
+def _figure(columns: int, rows: int, arena: ArenaSpec) -> Figure:
+    (x0, x1), (y0, y1) = arena.extent
+    tall = PANEL * min(2.0, max(0.4, (y1 - y0) / (x1 - x0)))
+    size = (columns * PANEL, rows * (tall + 0.35))
+    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def strip(shown: Film, path: Path) -> None:
+    """Write moments of a film, the first and the last among them, beside each other as a PNG file."""
+    frames = np.unique(np.linspace(0, len(shown.times) - 1, PANELS).round().astype(int))
+    columns = min(COLUMNS, len(frames))
+    rows = -(-len(frames) // columns)
+    figure = _figure(columns, rows, shown.arena)
+    for place, frame in enumerate(frames):
+        axes = figure.add_subplot(rows, columns, place + 1)
+        draw_plan(axes, shown.arena, words=False, starts=False)
+        _draw(axes, shown, int(frame))
+        axes.set_title(_caption(shown, int(frame)), loc="left", fontsize=9)
+    figure.suptitle(f"{shown.task} in {shown.arena.name}", x=0.01, ha="left", fontsize=10)
+    figure.savefig(path, format="png")
+
+
+def animation(shown: Film, path: Path) -> None:
+    """Write a film as a GIF file, `HASTE` times as fast as it was; the last moment stays for two seconds."""
+    count = min(MOST_FRAMES, len(shown.times))
+    frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
+    figure = _figure(1, 1, shown.arena)
+    axes = figure.add_subplot()
+    draw_plan(axes, shown.arena, words=False, starts=False)
+    pictures = []
+    for frame in frames:
+        drawn = _draw(axes, shown, int(frame))
+        axes.set_title(f"{shown.task}: {_caption(shown, int(frame))}", loc="left", fontsize=9)
+        figure.canvas.draw()
+        pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue]
+        pictures.append(Image.fromarray(pixels).quantize(64))
+        for one in drawn:
+            one.remove()
+    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / HASTE
+    durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
+    pictures[0].save(
+        path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
+    )
+
+
+WRITERS = {".png": strip, ".gif": animation}
+
+
+def write(shown: Film, path: Path) -> None:
+    """Write a film as what the file's name ends in; makes the folder if need be.
+
+    Raises:
+        UsageError: Another ending.
+    """
+    check_ending(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    WRITERS[path.suffix.lower()](shown, path)
+
+
+def check_ending(path: Path) -> None:
+    """Refuse names of files that nothing can be written to.
+
+    Raises:
+        UsageError: Lists the endings that there are.
+    """
+    if path.suffix.lower() not in WRITERS:
+        raise UsageError(f"{path}: pictures end in {', '.join(WRITERS)}")

@@ -1,0 +1,159 @@
+"""A map of the power that a radio's signal has all over an arena."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from usarmjx.base.errors import UsageError
+from usarmjx.comms.attenuation import RadioSettings, received_power
+from usarmjx.comms.walls import arena_solids, count_walls
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
+
+HEIGHT = 0.5
+"""Antennas are this high above the floor unless told otherwise [m]: about a P2AT's."""
+MARGIN = 0.5
+"""The map goes this far beyond the arena's plan [m]."""
+FINEST = 0.02
+"""Grids have at least this between their places [m]."""
+PLACES = 300
+"""Places along the longer side of an arena, unless told otherwise."""
+BRIGHTEST = 0.5
+"""Nearer to the sender than this colours change no more [m]."""
+COLOURS, CUTOFF_LINE = "viridis", "#d1622b"
+
+
+@dataclass(frozen=True, eq=False)
+class PowerMap:
+    """Received power on a grid.
+
+    Attributes:
+        x: Columns of the grid [m] (columns,).
+        y: Rows of the grid [m] (rows,).
+        power: What arrives there [dBm] (rows, columns).
+        walls: Solids on the way there (rows, columns).
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    power: np.ndarray
+    walls: np.ndarray
+
+
+def read_place(text: str) -> tuple[float, ...]:
+    """Return the numbers of a place given as "x,y" or "x,y,z".
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    try:
+        place = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        place = ()
+    if len(place) not in (2, 3) or not np.isfinite(place).all():
+        raise UsageError(f"{text!r} is not of the form x,y or x,y,z [m]")
+    return place
+
+
+def power_map(
+    arena: ArenaSpec,
+    source: Sequence[float],
+    settings: RadioSettings | None = None,
+    *,
+    height: float | None = None,
+    step: float | None = None,
+) -> PowerMap:
+    """Return the power received all over an arena.
+
+    Args:
+        arena: The arena.
+        source: Where the sender's antenna is: x, y and, if it is not `HEIGHT`, the height above the floor,
+            in the arena's axes [m].
+        settings: Constants of the radio; None: the manual's.
+        height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
+        step: Distance of two places on the grid [m]; None: `PLACES` along the arena.
+
+    Raises:
+        UsageError: A step too fine to be drawn.
+    """
+    (x0, x1), (y0, y1) = arena.extent
+    if step is None:
+        step = max(FINEST, max(x1 - x0, y1 - y0) / PLACES)
+    if not step >= FINEST:
+        raise UsageError(f"the step of a map is {step}, allowed is {FINEST} m and more")
+    x, y = (
+        np.arange(x0 - MARGIN, x1 + MARGIN + step / 2, step),
+        np.arange(y0 - MARGIN, y1 + MARGIN + step / 2, step),
+    )
+    up = source[2] if len(source) > 2 else HEIGHT
+    grid = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), up if height is None else height)], -1)
+    ends = (grid.reshape(-1, 3) + np.array([0.0, 0.0, arena.floor])).astype(np.float32)
+    start = np.broadcast_to(np.array([*source[:2], up + arena.floor], np.float32), ends.shape)
+    walls = count_walls(arena_solids(arena), jnp.asarray(start), jnp.asarray(ends))
+    distance = np.linalg.norm(ends - start, axis=-1)
+    power = received_power(settings or RadioSettings(), distance, walls)
+    shape = (len(y), len(x))
+    return PowerMap(x=x, y=y, power=np.asarray(power).reshape(shape), walls=np.asarray(walls).reshape(shape))
+
+
+def radio_picture(
+    arena: ArenaSpec,
+    path: Path,
+    source: Sequence[float],
+    settings: RadioSettings | None = None,
+    *,
+    height: float | None = None,
+) -> PowerMap:
+    """Draw the power received all over an arena as a PNG file; see `power_map`.
+
+    The colour is the power, a line the cutoff, where there is one.
+
+    Args:
+        arena: The arena.
+        path: File to write; its folder exists.
+        source: Where the sender's antenna is.
+        settings: Constants of the radio; None: the manual's.
+        height: Height of the receiving antennas.
+
+    Returns:
+        What was drawn.
+    """
+    settings = settings or RadioSettings()
+    drawn = power_map(arena, source, settings, height=height)
+    wide, high = np.ptp(drawn.x), np.ptp(drawn.y)
+    figure = Figure(
+        figsize=(WIDTH, 0.88 * WIDTH * high / wide + 1.0), dpi=DPI, facecolor="white", layout="constrained"
+    )
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
+    axes.set_title(_title(arena, source, settings), loc="left", fontsize=11)
+    # The few places right at the sender would take half of the colours.
+    top = min(drawn.power.max(), float(received_power(settings, BRIGHTEST, 0)))
+    colours = axes.pcolormesh(
+        drawn.x, drawn.y, drawn.power, cmap=COLOURS, vmax=top, shading="nearest", zorder=1
+    )
+    figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)
+    _draw_cutoff(axes, drawn, settings.cutoff)
+    draw_shapes(axes, arena)
+    axes.plot(*source[:2], "*", color="white", mec="black", ms=16, zorder=6)
+    axes.spines[:].set_visible(False)
+    figure.savefig(path, format="png")
+    return drawn
+
+
+def _title(arena: ArenaSpec, source: Sequence[float], settings: RadioSettings) -> str:
+    place = ", ".join(f"{number:g}" for number in source)
+    return f"{arena.name}: power received from ({place}) m; links hold from {settings.cutoff:g} dBm on"
+
+
+def _draw_cutoff(axes: Axes, drawn: PowerMap, cutoff: float) -> None:
+    if drawn.power.min() < cutoff < drawn.power.max():
+        line = axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors=CUTOFF_LINE, zorder=3)
+        line.set(linewidth=1.6, linestyle="solid")

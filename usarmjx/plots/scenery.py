@@ -1,0 +1,101 @@
+"""What pictures show: the solids of a model as the sensors' rays meet them, and their colours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+
+from usarmjx.cameras.paint import CLEAR, GLOSS, ROBOT, WATER, clears, glosses
+from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.spec.robot import OPAQUE, SKY
+
+__all__ = ["BOX", "CLEAR", "GLOSS", "PLANE", "Solids", "boxes", "solids_of"]
+
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """What can be seen.
+
+    Attributes:
+        kind: MuJoCo types, or those of `models.build.pieces` (n,).
+        pos: Places [m] (n, 3).
+        mat: Orientations (n, 3, 3).
+        size: Size numbers [m] (n, 3).
+        rgb: Colours (n, 3).
+        clear: Share of what is behind that is seen through them (n,).
+        gloss: Share of what they reflect in how they look (n,).
+        label: What they are, see `cameras.paint`; an arena's solids show bricks (n,).
+    """
+
+    kind: np.ndarray
+    pos: np.ndarray
+    mat: np.ndarray
+    size: np.ndarray
+    rgb: np.ndarray
+    clear: np.ndarray
+    gloss: np.ndarray
+    label: np.ndarray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.kind)
+
+    def pick(self, which: np.ndarray) -> "Solids":
+        """Return some of them, by index or mask."""
+        return Solids(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+    def add(self, other: "Solids") -> "Solids":
+        """Return these and others."""
+        both = {f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)}
+        return Solids(**both)
+
+
+def solids_of(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    materials: Sequence[str] | None = None,
+    labels: np.ndarray | None = None,
+) -> Solids:
+    """Return what rays see of a model's geoms in their present poses; kinematics must be current.
+
+    Args:
+        model: The model.
+        data: Its state.
+        materials: What each geom is made of, see `materials_of`; None: all opaque. Sky is left out.
+        labels: What each geom is in a segmentation (ngeom,); None: all are robots.
+    """
+    named = np.array([OPAQUE] * model.ngeom if materials is None else materials, object)
+    ids = np.flatnonzero(named != SKY)
+    pieces = pieces_of(model, ids, named.tolist())
+    pos, mat = pieces.placed(
+        data.geom_xpos[ids].astype(np.float32), data.geom_xmat[ids].reshape(-1, 3, 3).astype(np.float32)
+    )
+    return Solids(
+        kind=pieces.kind,
+        pos=pos,
+        mat=mat,
+        size=pieces.size,
+        rgb=model.geom_rgba[ids, :3].astype(np.float32)[pieces.geom],
+        clear=clears(pieces.material),
+        gloss=glosses(pieces.material),
+        label=(np.full(model.ngeom, ROBOT) if labels is None else labels)[ids][pieces.geom],
+    )
+
+
+def boxes(low: np.ndarray, high: np.ndarray, rgb: np.ndarray, clear: float = 0.0) -> Solids:
+    """Return upright boxes between corners (n, 3) and (n, 3), all of one colour (3,)."""
+    count = len(low)
+    return Solids(
+        kind=np.full(count, BOX),
+        pos=((low + high) / 2).astype(np.float32),
+        mat=np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
+        size=((high - low) / 2).astype(np.float32),
+        rgb=np.tile(np.asarray(rgb, np.float32), (count, 1)),
+        clear=np.full(count, clear, np.float32),
+        gloss=np.zeros(count, np.float32),
+        label=np.full(count, WATER),
+    )

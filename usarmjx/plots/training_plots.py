@@ -1,0 +1,189 @@
+"""How scores rise in training, over agent steps and over time: from benchmark records and folders of runs."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.learning.metrics import read_lines
+from usarmjx.train.learning.record import load_record
+
+BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
+DPI = 100
+ROW, WIDTH = 2.8, 9.0
+"""Height of a task's panels, and the figure's width [inches]."""
+MILLION = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """How the score of one run rose.
+
+    Attributes:
+        task: What was learned.
+        seed: Of the run.
+        about: Where and how, in a few words.
+        steps: Agent steps so far (points,).
+        seconds: Time so far [s] (points,).
+        score: Mean score of the episodes that ended since the point before (points,).
+        baseline: Score of the policy written by hand; None: not known.
+    """
+
+    task: str
+    seed: int
+    about: str
+    steps: np.ndarray
+    seconds: np.ndarray
+    score: np.ndarray
+    baseline: float | None = None
+
+
+Axis = Callable[[Curve], np.ndarray]
+"""What of a curve is drawn along x (points,)."""
+
+
+def of_record(record: dict[str, Any]) -> Curve:
+    """Return the curve of a benchmark record, `"benchmark": "train"`.
+
+    Rows of its `curve` are agent steps and score, and time [s] if that was written down; if not, it is
+    reckoned with the record's `agent_steps_per_s`.
+    """
+    rows = np.array(record["curve"], float)
+    seconds = rows[:, 2] if rows.shape[1] > 2 else rows[:, 0] / record["agent_steps_per_s"]
+    return Curve(
+        task=record["task"],
+        seed=record["seed"],
+        about=f"{record['worlds']} worlds, {record['device']}",
+        steps=rows[:, 0],
+        seconds=seconds,
+        score=rows[:, 1],
+        baseline=record.get("baseline"),
+    )
+
+
+def of_run(folder: Path) -> Curve:
+    """Return the curve of a run, from what it has written down.
+
+    Iterations in which no episode ended are left out. Time is that of the iterations, the first of which also
+    compiles; what was between them is not in it.
+
+    Raises:
+        UsageError: The folder is no run, or no episode has ended in it.
+    """
+    settings, lines = load_record(folder), read_lines(folder / "metrics.jsonl")
+    steps = np.array([line["agent_steps"] for line in lines], float)
+    rates = np.array([line["steps_per_s"] for line in lines], float)
+    score = np.array([line["score"] for line in lines], float)  # None becomes NaN
+    there, config = np.isfinite(score), settings.config
+    if not there.any():
+        raise UsageError(f"no episode has ended yet in the run in {folder}")
+    seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
+    return Curve(
+        task=settings.task,
+        seed=config.seed,
+        about=f"{config.worlds} worlds",
+        steps=steps[there],
+        seconds=seconds[there],
+        score=score[there],
+    )
+
+
+def read_curves(source: Path) -> list[Curve]:
+    """Return the curves of a file of benchmark records, or of a run's folder.
+
+    Raises:
+        UsageError: There is neither, or no curve.
+    """
+    if source.is_dir():
+        return [of_run(source)]
+    if not source.is_file():
+        raise UsageError(f"{source} is neither a file of benchmark records nor the folder of a run")
+    try:
+        records = [json.loads(line) for line in source.read_text().splitlines()]
+        found = [of_record(record) for record in records if record["benchmark"] == "train"]
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise UsageError(f"{source} is no file of benchmark records: {error!r}") from error
+    if not found:
+        raise UsageError(f"{source} has no records of training")
+    return found
+
+
+def by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
+    """Return the curves of each task, by seed; of several with the same seed, the last one."""
+    last = {(curve.task, curve.seed): curve for curve in curves}
+    tasks = dict.fromkeys(task for task, _ in last)
+    return {task: [last[key] for key in sorted(last) if key[0] == task] for task in tasks}
+
+
+def mean_curve(curves: Sequence[Curve], along: Axis) -> tuple[np.ndarray, np.ndarray]:
+    """Return places along an axis and the mean score there, as far as all curves reach (points,)."""
+    start, end = max(along(one)[0] for one in curves), min(along(one)[-1] for one in curves)
+    places = np.unique(np.concatenate([along(one) for one in curves]))
+    places = places[(start <= places) & (places <= end)]
+    return places, np.mean([np.interp(places, along(one), one.score) for one in curves], axis=0)
+
+
+def _millions(curve: Curve) -> np.ndarray:
+    return curve.steps / MILLION
+
+
+def _seconds(curve: Curve) -> np.ndarray:
+    return curve.seconds
+
+
+AXES: tuple[tuple[str, Axis], ...] = (
+    ("million agent steps", _millions),
+    ("time [s]", _seconds),
+)
+
+
+def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
+    """Draw the curves of a task over an axis: each thin, their mean thick, and the baseline."""
+    for curve in curves:
+        axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0)
+    if len(curves) > 1:
+        axes.plot(*mean_curve(curves, along), color=BLUE, lw=2.0, label=f"mean of {len(curves)} seeds")
+    if curves[-1].baseline is not None:
+        axes.axhline(curves[-1].baseline, color=ORANGE, ls="--", lw=1.2, label="baseline by hand")
+    axes.set(xlim=(0, None), ylim=(min(0.0, *(curve.score.min() for curve in curves)), None))
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def draw_curves(figure: Figure, curves: Iterable[Curve]) -> None:
+    """Fill a figure: a row for each task, its scores over agent steps and over time."""
+    tasks = by_task(curves)
+    panels = figure.subplots(len(tasks), len(AXES), squeeze=False)
+    for row, (task, found) in zip(panels, tasks.items(), strict=True):
+        for axes, (name, along) in zip(row, AXES, strict=True):
+            draw_task(axes, found, along)
+            axes.set_xlabel(name)
+        row[0].set_ylabel("score")
+        row[0].set_title(f"{task} ({found[-1].about})", loc="left", fontsize=10)
+        if row[0].get_legend_handles_labels()[1]:
+            row[0].legend(frameon=False, fontsize=9, loc="lower right")
+
+
+def plot_curves(sources: Sequence[Path], out: Path) -> None:
+    """Draw the curves of records and runs to a PNG file; the folder is made if need be.
+
+    Raises:
+        UsageError: A source without curves.
+    """
+    curves = [curve for source in sources for curve in read_curves(source)]
+    figure = Figure(
+        figsize=(WIDTH, ROW * len(by_task(curves))), dpi=DPI, facecolor="white", layout="constrained"
+    )
+    canvas = FigureCanvasAgg(figure)
+    draw_curves(figure, curves)
+    canvas.draw()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    picture = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # all of it is opaque
+    Image.fromarray(picture).save(out, format="png", optimize=True)

@@ -1,0 +1,96 @@
+"""What the server says of sensors without a message of the manual's: what they tell of themselves."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from usarmjx.sensors.base import Measuring, Sensor
+from usarmjx.sensors.quantities import Quantity
+from usarmjx.server.protocol.descriptions import Field
+from usarmjx.server.protocol.frames import angles, vector
+from usarmjx.server.protocol.grammar import Message, Segment, truncated, truncated_list, word
+
+T = TypeVar("T")
+
+_COMMON = frozenset(field.name for field in dataclasses.fields(Measuring))
+
+_WORDS: dict[str, Callable[[Sequence[float]], str]] = {
+    "number": lambda numbers: truncated(numbers[0]),
+    "count": lambda numbers: str(round(numbers[0])),
+    "flag": lambda numbers: str(bool(numbers[0])),
+    "yaw": lambda numbers: truncated(angles((0.0, 0.0, numbers[0]))[2]),
+    "vector": lambda numbers: truncated_list(vector(numbers)),
+    "angles": lambda numbers: truncated_list(angles(numbers)),
+}
+"""How each of `sensors.quantities.FORMS` is written, in the wire's axes."""
+
+
+def inherited(sensor: Sensor, table: Mapping[str, T]) -> T | None:
+    """Return what a table has of a sensor's type, or of the nearest type that it is derived from.
+
+    None: there is nothing, or a type before says itself what its value is.
+    """
+    for base in type(sensor).__mro__:
+        own = vars(base)
+        if own.get("tells"):
+            return None
+        if own.get("kind") in table:
+            return table[own["kind"]]
+    return None
+
+
+def of_type(kind: str, message: Message) -> Message:
+    """Return a SEN as one of that type."""
+    segments = tuple((key, kind if key == "Type" else text) for key, text in message.segments)
+    return Message(message.kind, segments)
+
+
+def report(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    """Return the SEN of a reading: its quantities, as `Sensor.tells` lists them, in that order.
+
+    Without such a list all numbers are one `{Value ...}`. Sensors that report together have a segment each,
+    `{Name F1 Range 1.0000}`, others a segment for each quantity.
+
+    Args:
+        sensor: The sensor.
+        value: Its reading, in our axes (...,); of a group (mounts, ...).
+        time: Simulated time [s]; None leaves it out.
+    """
+    head: tuple[Segment, ...] = () if time is None else (("Time", truncated(time)),)
+    rows = np.asarray(value, float).reshape(len(sensor.mounts) if sensor.grouped else 1, -1).tolist()
+    segments: list[Segment] = []
+    for mount, row in zip(sensor.mounts, rows, strict=False):
+        pairs = _pairs(sensor.tells, row)
+        if sensor.grouped:
+            words = " ".join(f"{key} {text}" for key, text in pairs)
+            segments.append(("Name", f"{word(mount.name)} {words}"))
+        else:
+            segments += [("Name", mount.name), *pairs]
+    return Message("SEN", (*head, ("Type", sensor.kind), *segments))
+
+
+def _pairs(quantities: Sequence[Quantity], numbers: Sequence[float]) -> list[Segment]:
+    """Return key and text of each quantity."""
+    if not quantities:
+        return [("Value", truncated_list(numbers))]
+    pairs, start = [], 0
+    for quantity in quantities:
+        end = start + quantity.size
+        pairs.append((quantity.key, _WORDS[quantity.form](numbers[start:end])))
+        start = end
+    return pairs
+
+
+def fields(settings: object) -> list[Field]:
+    """Return what CONF says of a sensor: those of its settings that are its own, and one number or word."""
+    assert dataclasses.is_dataclass(settings)
+    own = [field.name for field in dataclasses.fields(settings) if field.name not in _COMMON]
+    pairs = [(key_of(name), getattr(settings, name)) for name in own]
+    return [(key, value) for key, value in pairs if isinstance(value, bool | int | float | str)]
+
+
+def key_of(field: str) -> str:
+    """Return the wire's key of a setting: `max_range` -> `MaxRange`."""
+    return "".join(part[:1].upper() + part[1:] for part in field.split("_"))

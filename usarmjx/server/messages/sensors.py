@@ -1,0 +1,352 @@
+"""Which message each kind of sensor speaks, and what GEO and CONF say of it: tables, no state."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from usarmjx.cameras.mounts import Camera, cameras_of
+from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.parts import joint_names, part_name
+from usarmjx.models.effecters import Effecter, effecters_of
+from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.spec.robot import Link, MissionPackage, Mount, RobotSpec
+from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.gps import FIX, Gps, coordinates
+from usarmjx.sensors.rfid import Rfid
+from usarmjx.server.messages import generic as telling
+from usarmjx.server.messages import victims
+from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.descriptions import (
+    Field,
+    LinkConfiguration,
+    LinkGeometry,
+    RobotConfiguration,
+    RobotGeometry,
+    conf_effecters,
+    conf_items,
+    conf_mispkg,
+    conf_nothing,
+    conf_robot,
+    geo_items,
+    geo_mispkg,
+    geo_nothing,
+    geo_robot,
+)
+from usarmjx.server.protocol.frames import angles, full_turn, vector
+from usarmjx.server.protocol.grammar import Message, truncated_list
+from usarmjx.sim.control import Command
+
+# Reports: (sensor, its value, time or None) -> message.
+
+
+def _range(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    pairs = [(mount.name, float(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_range(sensor.kind, time, pairs)
+
+
+def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.Scan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
+    return reports.sen_scanner(sensor.kind, time, scan)
+
+
+def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.Scan3D(
+        sensor.mounts[0].name, settings.resolution, settings.fov, value.reshape(-1).tolist()
+    )
+    return reports.sen_scanner_3d(time, scan)
+
+
+def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    x, y, heading = value.tolist()
+    (x, y, _), (_, _, heading) = vector((x, y, 0.0)), angles((0.0, 0.0, heading))
+    return reports.sen_odometry(time, sensor.mounts[0].name, (x, y, heading))
+
+
+def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ins(
+        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+    )
+
+
+def _ground_truth(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ground_truth(
+        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+    )
+
+
+def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    ticks = [(mount.name, int(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_encoder(time, ticks)
+
+
+def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_touch(time, touched)
+
+
+def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: Place | None = None) -> Message:
+    *position, satellites = value.tolist()
+    victims = coordinates(sensor.settings[0], position, origin) if satellites >= FIX else None
+    return reports.sen_gps(time, sensor.mounts[0].name, victims, int(satellites))
+
+
+REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]] = {
+    "Sonar": _range,
+    "IR": _range,
+    "RangeScanner": _scanner,
+    "IRScanner": _scanner,
+    "RangeScanner3D": _scanner_3d,
+    "Odometry": _odometry,
+    "INS": _ins,
+    "GroundTruth": _ground_truth,
+    "Encoder": _encoder,
+    "Touch": _touch,
+    "GPS": _gps,
+    **victims.REPORTS,
+}
+
+_SCANNER_FIELDS = (
+    ("MaxRange", "max_range"),
+    ("MinRange", "min_range"),
+    ("Resolution", "resolution"),
+    ("Fov", "scan_fov"),
+    ("Paning", "yaw"),
+    ("Tilting", "pitch"),
+)
+# CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
+CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
+    "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
+    "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
+    "RangeScanner": _SCANNER_FIELDS,
+    "IRScanner": _SCANNER_FIELDS,
+    "RangeScanner3D": (
+        ("MaxRange", "max_range"),
+        ("MinRange", "min_range"),
+        ("Resolution", "resolution"),
+        ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
+    ),
+    "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
+    "GPS": (("ScanInterval", "scan_interval"),),
+    "INS": (("ScanInterval", "scan_interval"),),
+    "GroundTruth": (("ScanInterval", "scan_interval"),),
+    "Encoder": (("Resolution", "resolution"),),
+    "Touch": (("Diameter", "diameter"),),
+    **victims.CONFIGURATION,
+}
+
+
+def sensor_report(
+    sensor: Sensor,
+    value: np.ndarray,
+    time: float,
+    origin: Place | None = None,
+    texts: victims.Texts | None = None,
+) -> Message | None:
+    """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
+
+    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `telling` has it.
+
+    Args:
+        sensor: The sensor.
+        value: Its reading.
+        time: Simulated time [s].
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
+        texts: What is written on RFID tags.
+    """
+    known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(victims.tags, texts=texts)}
+    report = telling.inherited(sensor, REPORTS | known) or telling.report
+    message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
+    return None if message is None else telling.of_type(sensor.kind, message)
+
+
+def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
+    """Whether a query means the item: types and names match without case, no name means all."""
+    return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
+
+
+def _mounts(mounts: Sequence[Mount], kind: str, name: str) -> list[Mount]:
+    return [mount for mount in mounts if _asked(kind, name, mount.kind, mount.name)]
+
+
+def _effecters(robot: RobotSpec, kind: str, name: str) -> list[Effecter]:
+    own = (effecter for effecter in effecters_of(robot) if effecter.is_type(kind))
+    return [effecter for effecter in own if not name or effecter.mount.name.lower() == name.lower()]
+
+
+def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
+    return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
+
+
+def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
+    """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any."""
+    if kind.lower() == "robot":
+        return [
+            geo_robot(
+                RobotGeometry(
+                    kind=robot.drive.vehicle,
+                    name=robot.name,
+                    dimensions=robot.dimensions,
+                    cog=robot.cog,
+                    wheel_radius=robot.wheel_radius,
+                    wheel_separation=robot.wheel_separation,
+                    wheel_base=robot.wheel_base,
+                )
+            )
+        ]
+    answers = []
+    effecters = [effecter.mount for effecter in _effecters(robot, kind, name)]
+    for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
+        if matching:
+            answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
+    packages = _packages(robot, kind, name)
+    if packages:
+        links = [
+            (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
+            for p in packages
+        ]
+        answers.append(geo_mispkg(links))
+    return answers or [geo_nothing(kind, name)]
+
+
+def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
+    settings: Any = sensor.settings[place]
+    fields: list[Field] = [("Name", sensor.mounts[place].name)]
+    known = telling.inherited(sensor, CONFIGURATION)
+    if known is None:
+        return [*fields, *telling.fields(settings)]
+    for key, field in known:
+        value = getattr(settings, field)
+        fields.append((key, truncated_list(value) if isinstance(value, tuple) else value))
+    return fields
+
+
+def _camera_fields(camera: Camera, fov: float) -> list[Field]:
+    return [
+        ("CameraDefFov", camera.default),
+        ("CameraMinFov", camera.low),
+        ("CameraMaxFov", camera.high),
+        ("CameraFov", fov),
+    ]
+
+
+def configuration(
+    robot: RobotSpec, sensors: Sequence[Sensor], fovs: Sequence[float], kind: str, name: str
+) -> list[Message]:
+    """Return the answers to GETCONF, as `geometry` does for GETGEO.
+
+    Args:
+        robot: The robot's class.
+        sensors: Its sensors.
+        fovs: Field of view in force of each of its cameras [rad].
+        kind: Type asked for.
+        name: Name asked for, "" for all of the type.
+    """
+    if kind.lower() == "robot":
+        return [
+            conf_robot(
+                RobotConfiguration(
+                    kind=robot.drive.vehicle,
+                    name=robot.name,
+                    steering=robot.drive.steering,
+                    mass=robot.mass,
+                    max_speed=robot.drive.max_speed,
+                    max_torque=robot.max_torque,
+                    max_front_steer=robot.drive.steers[0],
+                    max_rear_steer=robot.drive.steers[1],
+                )
+            )
+        ]
+    answers = []
+    fields = [
+        _sensor_fields(sensor, place)
+        for sensor in sensors
+        for place, mount in enumerate(sensor.mounts)
+        if _asked(kind, name, sensor.kind, mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
+    fields = [
+        _camera_fields(camera, fov)
+        for camera, fov in zip(cameras_of(robot), fovs, strict=True)
+        if _asked(kind, name, camera.mount.kind, camera.mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
+    effecters = _effecters(robot, kind, name)
+    if effecters and kind.lower() == "effecter":
+        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
+    elif effecters:
+        answers.append(conf_items(kind, [[("Name", e.mount.name)] for e in effecters]))
+    packages = _packages(robot, kind, name)
+    if packages:
+        answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
+    return answers or [conf_nothing(kind, name)]
+
+
+def _operations(effecter: Effecter) -> list[tuple[str, float, float]]:
+    return [(opcode.name, opcode.max_val, opcode.min_val) for opcode in effecter.opcodes]
+
+
+def _link_configuration(link: Link) -> LinkConfiguration:
+    return LinkConfiguration(
+        link=link.number,
+        joint=link.joint,
+        max_speed=link.max_speed,
+        max_torque=link.max_torque,
+        min_range=link.min_range,
+        max_range=link.max_range,
+    )
+
+
+def robot_report(
+    plan: BodyPlan, command: Command, joints: np.ndarray, time: float, battery: int, view: int = -1
+) -> Message:
+    """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
+
+    Args:
+        plan: The robot's class.
+        command: What it is told to do.
+        joints: Its joint positions [rad or m] (joints,).
+        time: Simulated time [s].
+        battery: Time left [s].
+        view: Its tile of the MultiView, -1 without one.
+    """
+    names, drive, light = joint_names(plan.robot), plan.robot.drive, bool(command.light)
+    angles_of: dict[str, Any] = drive.steering_angles(
+        dict(zip(names, joints.tolist(), strict=True)), command.setpoint
+    )
+    return reports.sta(
+        drive.vehicle,
+        reports.RobotStatus(
+            time=time,
+            light=light,
+            intensity=100 if light else 0,
+            battery=battery,
+            view=view,
+            joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported),
+            **angles_of,
+        ),
+    )
+
+
+def package_report(robot: RobotSpec, joints: np.ndarray, time: float) -> list[Message]:
+    """Return the MISSTA messages of a robot's mission packages."""
+    names, messages = joint_names(robot), []
+    for package in robot.packages:
+        values = [float(joints[names.index(part_name(package, link))]) for link in package.links]
+        links = [(k.number, v, k.max_torque) for k, v in zip(package.links, values, strict=True)]
+        messages.append(reports.missta(time, package.name, links))
+    return messages
+
+
+def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:
+    """Return the joint of a mission package's link, None when there is none; names match without case."""
+    for candidate in robot.packages:
+        for link in candidate.links:
+            if candidate.name.lower() == package.lower() and link.number == number:
+                return joint_names(robot).index(part_name(candidate, link))
+    return None

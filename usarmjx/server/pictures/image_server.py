@@ -1,0 +1,192 @@
+"""The image server on a real socket, in the loop of the Gamebots server (manual 3.2.5, 14.5.3).
+
+Pictures are taken only for clients that wait for one, and drawn and encoded in a thread beside the loop.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from usarmjx.server.pictures.render_thread import Darkroom, Wholes
+from usarmjx.server.pictures.views import View, view_of
+from usarmjx.server.protocol.images import ImageSession, Region, frame
+from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.wireless.sockets import CHUNK, STALL, address_of, hang_up, limit_kernel_buffer, listen
+from usarmjx.server.worlds.host import HostWorld
+
+log = logging.getLogger(__name__)
+
+SIZE = (320, 240)
+"""Width and height of pictures if nobody says otherwise."""
+
+
+@dataclass(frozen=True)
+class ImageSettings:
+    """How to serve pictures.
+
+    Attributes:
+        host: Address to bind; loopback by default.
+        port: TCP port; 0 picks a free one.
+        size: Width and height of the pictures [pixels].
+        fps: Most pictures per second of real time for each client.
+        format: Picture type, 0 (raw) to 5; see `images.FORMATS`.
+        max_connections: Most clients at once.
+        multi_view: How all robots' cameras share the picture of those whose view is tied to no camera; None:
+            they see one robot.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 5003
+    size: tuple[int, int] = SIZE
+    fps: float = 10.0
+    format: int = 3
+    max_connections: int = 16
+    multi_view: MultiView | None = None
+
+
+@dataclass(eq=False)
+class Guest:
+    """A client.
+
+    Attributes:
+        writer: Its writer.
+        session: Its dialogue.
+        heard: When it said something last [s].
+        left: How many bytes waited for it to read them when that changed last.
+        since: When that was [s].
+    """
+
+    writer: asyncio.StreamWriter
+    session: ImageSession
+    heard: float = field(default_factory=time.monotonic)
+    left: int = 0
+    since: float = field(default_factory=time.monotonic)
+
+    def backlog(self, now: float) -> int:
+        """Return how many bytes wait for the client to read them, and note when that changed."""
+        left = self.writer.transport.get_write_buffer_size()
+        if left != self.left:
+            self.left, self.since = left, now
+        return left
+
+
+class ImageServer:
+    """A `net.Service`.
+
+    Args:
+        world: The served world.
+        settings: How to serve.
+
+    Attributes:
+        port: The port in use, once started.
+    """
+
+    def __init__(self, world: HostWorld, settings: ImageSettings) -> None:
+        self._world, self._settings = world, settings
+        self._guests: list[Guest] = []
+        self._listener: asyncio.Server | None = None
+        self._stepped = asyncio.Event()
+        self._darkroom = Darkroom(world)
+        self.port = settings.port
+        world.multi_view = settings.multi_view
+
+    async def start(self) -> list[str]:
+        """Listen; return what to tell the user.
+
+        Raises:
+            UsageError: The port is taken or the address is not ours.
+        """
+        self._listener, self.port = await listen(self._settings.host, self._settings.port, self._come_in)
+        return [f"pictures on {self._settings.host}:{self.port}"]
+
+    def tick(self) -> None:
+        """The world has made a control step."""
+        self._stepped.set()
+        self._stepped.clear()
+        if not self._guests:
+            return
+        now = time.monotonic()
+        waiting = []
+        for guest in self._guests:
+            if not guest.backlog(now):
+                waiting += [guest] * guest.session.wants(now)
+            elif now - guest.since > STALL:
+                log.info("%s:%d: dropped, it does not read", *address_of(guest.writer))
+                guest.writer.transport.abort()
+        if waiting and self._darkroom.free(now):
+            self._darkroom.begin(self._send(waiting, now))
+
+    def stop(self) -> None:
+        """Hang up on everybody."""
+        if self._listener is not None:
+            self._listener.close()
+        for guest in self._guests:
+            guest.writer.transport.abort()
+        self._darkroom.close()
+
+    async def _send(self, guests: Sequence[Guest], now: float) -> None:
+        """Take the pictures that guests wait for, each once however many wait for the same."""
+        wanted: dict[Guest, tuple[View, Region]] = {}
+        for guest in guests:
+            if guest.session.region is not None:
+                view = view_of(self._world, *address_of(guest.writer), self._settings.size)
+                wanted[guest] = view, guest.session.region
+        parts = set(wanted.values())
+        try:
+            make = partial(_frames, parts, self._settings.format)
+            frames = await self._darkroom.take([view for view, _ in parts], make)
+        except Exception:
+            for guest in wanted:
+                guest.writer.transport.abort()
+            raise
+        for guest, asked in wanted.items():
+            if not guest.writer.is_closing():
+                guest.session.sent(now)
+                guest.writer.write(frames[asked])
+
+    async def _come_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        address, port = address_of(writer)
+        if not address or not self._make_room():
+            log.warning("%s:%d: refused, %d clients are here", address, port, len(self._guests))
+            writer.close()
+            return
+        limit_kernel_buffer(writer)
+        settings = self._settings
+        guest = Guest(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
+        self._guests.append(guest)
+        log.info("%s:%d: wants pictures", address, port)
+        try:
+            while data := await reader.read(CHUNK):
+                guest.heard = time.monotonic()
+                guest.session.receive_data(data)
+                await self._stepped.wait()  # so much per control step: no one may keep the world from it
+        except OSError as error:
+            log.info("%s:%d: %s", address, port, error)
+        except asyncio.CancelledError:
+            log.info("%s:%d: the server stops", address, port)
+        finally:
+            self._guests.remove(guest)
+            hang_up(writer)
+
+    def _make_room(self) -> bool:
+        """Return whether another client fits; the most silent one yields."""
+        here = [guest for guest in self._guests if not guest.writer.is_closing()]
+        if len(self._guests) < self._settings.max_connections:
+            return True
+        if here:
+            min(here, key=lambda guest: guest.heard).writer.transport.abort()
+        return bool(here)
+
+
+def _frames(
+    wanted: Collection[tuple[View, Region]], number: int, wholes: Wholes
+) -> dict[tuple[View, Region], bytes]:
+    """Return the frames of parts of views."""
+    frames = {}
+    for view, (left, top, width, height) in wanted:
+        part = wholes[view][top : top + height, left : left + width]
+        frames[view, (left, top, width, height)] = frame(number, part)
+    return frames

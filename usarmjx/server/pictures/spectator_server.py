@@ -1,0 +1,180 @@
+"""The viewing client: a page in a browser, and the pictures that it shows (manual 5.1)."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from http import HTTPStatus
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.pictures.render_thread import Darkroom, Wholes
+from usarmjx.server.pictures.spectator import Spectator
+from usarmjx.server.pictures.views import View
+from usarmjx.server.protocol.images import jpeg
+from usarmjx.server.worlds.host import HostWorld
+
+log = logging.getLogger(__name__)
+
+PAGE = Path(__file__).with_name("spectator.html")
+LONGEST = 1024
+"""Longest message of a page [bytes]."""
+FORMAT = 2
+"""Type of the pictures, see `images.FORMATS`: good."""
+
+
+@dataclass(frozen=True)
+class SpectatorSettings:
+    """How to show the world.
+
+    Attributes:
+        host: Address to bind; loopback by default.
+        port: TCP port; 0 picks a free one.
+        size: Width and height of the pictures [pixels].
+        fps: Most pictures per second of real time for each page.
+        max_connections: Most pages at once.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 5005
+    size: tuple[int, int] = (320, 240)
+    fps: float = 20.0
+    max_connections: int = 8
+
+
+@dataclass(eq=False)
+class Page:
+    """A page that is open.
+
+    Attributes:
+        socket: Its connection.
+        spectator: What it looks at.
+        ready: Whether it waits for a picture.
+        due: When it gets the next one at the earliest [s].
+    """
+
+    socket: ServerConnection
+    spectator: Spectator
+    ready: bool = False
+    due: float = field(default_factory=time.monotonic)
+
+
+class SpectatorServer:
+    """A `net.Service`.
+
+    Args:
+        world: The served world.
+        settings: How to show it.
+
+    Attributes:
+        port: The port in use, once started.
+    """
+
+    def __init__(self, world: HostWorld, settings: SpectatorSettings) -> None:
+        self._world, self._settings = world, settings
+        self._pages: list[Page] = []
+        self._darkroom = Darkroom(world)
+        self._stepped = asyncio.Event()
+        self._server: Server | None = None
+        self.port = settings.port
+
+    async def start(self) -> list[str]:
+        """Listen; return what to tell the user.
+
+        Raises:
+            UsageError: The port is taken or the address is not ours.
+        """
+        host, port = self._settings.host, self._settings.port
+        how = {"process_request": _answer, "max_size": LONGEST, "compression": None}
+        try:
+            self._server = await serve(self._come_in, host, port, **how)
+        except OSError as error:
+            raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
+        self.port = next(iter(self._server.sockets)).getsockname()[1]
+        return [f"watch at http://{host}:{self.port}/"]
+
+    def tick(self) -> None:
+        """The world has made a control step."""
+        self._stepped.set()
+        self._stepped.clear()
+        now = time.monotonic()
+        waiting = [page for page in self._pages if page.ready and now >= page.due]
+        if waiting and self._darkroom.free(now):
+            self._darkroom.begin(self._show(waiting, now))
+
+    def stop(self) -> None:
+        """Hang up on everybody."""
+        if self._server is not None:
+            self._server.close()
+        self._darkroom.close()
+
+    async def _show(self, pages: Sequence[Page], now: float) -> None:
+        views = {page: page.spectator.view() for page in pages}
+        captions = {page: page.spectator.caption() for page in pages}
+        for page in pages:
+            page.ready, page.due = False, now + 1 / self._settings.fps
+        shown = round(self._world.time, 2)
+        try:
+            jpegs = await self._darkroom.take(views.values(), partial(_jpegs, list(views.values())))
+        except Exception:
+            for page in pages:
+                await page.socket.close(1011, "no picture could be taken")
+            raise
+        for page, picture in zip(pages, jpegs, strict=True):
+            with contextlib.suppress(ConnectionClosed):
+                await page.socket.send(json.dumps({"caption": captions[page], "time": shown}))
+                await page.socket.send(picture)
+
+    async def _come_in(self, socket: ServerConnection) -> None:
+        if len(self._pages) >= self._settings.max_connections:
+            await socket.close(1013, f"{len(self._pages)} pages are open already")
+            return
+        page = Page(socket, Spectator(self._world, self._settings.size))
+        self._pages.append(page)
+        log.info("%s: watches", socket.remote_address)
+        try:
+            async for text in socket:
+                message = _read(text)
+                page.ready |= isinstance(message, dict) and bool(message.get("ready"))
+                page.spectator.told(message)
+                await self._stepped.wait()  # a message per control step: no page may keep the world from it
+        except ConnectionClosed:
+            pass
+        finally:
+            self._pages.remove(page)
+
+
+def _read(text: str | bytes) -> object:
+    """Return a message of a page; None if it is none."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+def _jpegs(views: Sequence[View], wholes: Wholes) -> list[bytes]:
+    return [jpeg(FORMAT, wholes[view]) for view in views]
+
+
+def _answer(connection: ServerConnection, request: Request) -> Response | None:
+    """Return the page; None where a connection for pictures begins, which pages from elsewhere do not get."""
+    if request.path == "/":
+        response = connection.respond(HTTPStatus.OK, PAGE.read_text(encoding="utf-8"))
+        del response.headers["Content-Type"]
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+        return response
+    if request.path != "/view":
+        return connection.respond(HTTPStatus.NOT_FOUND, "there is / and /view\n")
+    origin = request.headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc != request.headers.get("Host"):
+        return connection.respond(HTTPStatus.FORBIDDEN, "this page is from elsewhere\n")
+    return None

@@ -1,0 +1,214 @@
+"""The Gamebots grammar: one line of text <-> one `Message`, and the numbers in it both ways.
+
+A line is a head and segments in braces, `DRIVE {Left 1.0} {Right 1.0}` (manual 9.2). `format`
+writes exactly that form. `parse` also takes what real controllers send and the original servers
+took: any case, missing or extra spaces, and a last segment without its `}`.
+"""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from usarmjx.base.errors import PeerError, UsageError
+
+Vector: TypeAlias = tuple[float, float, float]
+Segment: TypeAlias = tuple[str, str]
+
+# Only these separate words. Python's own idea of white space would also split at the latin-1
+# characters 0x85 and 0xA0, so that a message read back could differ from the one written.
+_SPACE = " \t"
+_GAP = re.compile(r"[ \t]+")
+_HEAD = re.compile(r"[^ \t\r\n{}]*")
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEY = re.compile(r"[^ \t\r\n{}]+")
+_VALUE = re.compile(r"[^\r\n{}]*")
+# The longest prefix that C's atof reads. Hexadecimal numbers are left out: the C library of the
+# original's Windows servers did not know them either.
+_NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
+# The original's floats were of single precision, and so are the simulation's.
+_LARGEST = 3.4e38
+# A number less than a hundredth of the last place short of a printable one is taken as that one.
+# 0.29 * 10000 can be just under 2900, and a float32 0.13 from the simulation is 0.12999999523;
+# cut blindly they would read 0.2899 and 0.1299. The original computed in float32 throughout, where
+# the product itself rounds. The margin covers float32 up to 32 (scanners reach 20 m).
+_CUT_MARGIN = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One line of the protocol, sent or received.
+
+    Attributes:
+        kind: The head, such as "DRIVE" or "SEN"; `parse` makes it upper case.
+        segments: (key, value) per pair of braces, where the value is all that follows the first
+            word. Order and repeats are part of the protocol: one line may carry ten `{Name ...}`.
+    """
+
+    kind: str
+    segments: tuple[Segment, ...] = ()
+
+    def get(self, key: str) -> str:
+        """Return the first value under `key`, case ignored, or "" when there is none."""
+        return next(iter(self.all(key)), "")
+
+    def all(self, key: str) -> tuple[str, ...]:
+        """Return every value under `key` in order, case ignored."""
+        wanted = key.lower()
+        return tuple(value for name, value in self.segments if name.lower() == wanted)
+
+
+def parse(line: str) -> Message:
+    """Return the message that a line means; text outside the braces is ignored.
+
+    Raises:
+        PeerError: The head is missing or is no word, there is a line end inside, or the braces
+            make no sense: a `}` that closes nothing, or a `{` inside a segment (only the last `}`
+            may be missing).
+    """
+    line = line.strip(" \t\r\n")
+    if "\r" in line or "\n" in line:
+        raise PeerError("a line end inside a line")
+    found = _HEAD.match(line)
+    head = found.group() if found else ""
+    if not _WORD.fullmatch(head):
+        raise PeerError(f"the line starts with {clip(head)}, which is no command word")
+    before, *opened = line[len(head) :].split("{")
+    if "}" in before:
+        raise PeerError("a '}' comes before the first '{'")
+    segments: list[Segment] = []
+    for index, text in enumerate(opened):
+        inside, closing, after = text.partition("}")
+        if not closing and index < len(opened) - 1:
+            raise PeerError(f"a '{{' opens inside the segment {clip(inside)}")
+        if "}" in after:
+            raise PeerError(f"a second '}}' follows the segment {clip(inside)}")
+        words = _GAP.split(inside.strip(_SPACE), maxsplit=1)
+        if words[0]:  # an empty pair of braces says nothing
+            segments.append((words[0], words[1] if len(words) > 1 else ""))
+    return Message(head.upper(), tuple(segments))
+
+
+def format(message: Message) -> str:
+    """Return the line, without its end, that `parse` reads back as the same message.
+
+    Raises:
+        UsageError: The kind, a key or a value holds what the grammar cannot carry.
+    """
+    if not _WORD.fullmatch(message.kind):
+        raise UsageError(f"{message.kind!r} cannot be the head of a message")
+    parts = [message.kind]
+    for key, value in message.segments:
+        if not _KEY.fullmatch(key):
+            raise UsageError(f"{message.kind}: {key!r} cannot be a segment's key")
+        if not _VALUE.fullmatch(value) or value != value.strip(_SPACE):
+            raise UsageError(f"{message.kind}: {value!r} cannot be the value of {key!r}")
+        parts.append(f"{{{key} {value}}}" if value else f"{{{key}}}")
+    return " ".join(parts)
+
+
+def clip(text: str, limit: int = 60) -> str:
+    """Return text of a peer fit for a log line: quoted, control characters escaped, cut short."""
+    return repr(text if len(text) <= limit else text[:limit] + "...")
+
+
+def to_float(text: str) -> float:
+    """Return the number that the text starts with, as C's atof does; garbage is 0.
+
+    So "1,00", which clients with a decimal comma send, is 1.
+
+    Raises:
+        PeerError: The text says NaN or infinity, or a number too large for a float.
+    """
+    found = _NUMBER.match(text)
+    value = float(found.group(1)) if found else 0.0
+    if _NOT_FINITE.match(text) or not abs(value) <= _LARGEST:
+        raise PeerError(f"{clip(text)} is not a finite number")
+    return value
+
+
+def to_int(text: str) -> int:
+    """Return `to_float` cut toward zero; "0.5" is 0.
+
+    Raises:
+        PeerError: The text says NaN, infinity or a number too large for a float.
+    """
+    return int(to_float(text))
+
+
+def to_bool(text: str) -> bool:
+    """Return whether the text says true, in any case, or starts with a number other than 0.
+
+    Raises:
+        PeerError: The text says NaN, infinity or a number too large for a float.
+    """
+    return text.strip(_SPACE).lower() == "true" or to_float(text) != 0.0
+
+
+def to_vector(text: str) -> tuple[float, ...]:
+    """Return the numbers of a vector, as many as there are.
+
+    They are split at spaces if the text contains one and at commas otherwise, as GameBots does:
+    "4.5,1.9,1.8", "4.5, 1.9, 1.8" and "4.5 1.9 1.8" are the same, and "1,50 2,00 0,00" has three
+    numbers, not six.
+
+    Raises:
+        PeerError: One of them is not finite.
+    """
+    text = text.strip(_SPACE)
+    parts = _GAP.split(text)
+    if len(parts) == 1:
+        return tuple(to_float(part) for part in text.split(",")) if text else ()
+    bare = (part.strip(",") for part in parts)  # "4.5 , 1.9 , 1.8" leaves commas of their own
+    return tuple(to_float(part) for part in bare if part)
+
+
+def truncated(value: float) -> str:
+    """Return 4 decimals cut toward zero, "-0.0000" included: the form of most numbers.
+
+    Raises:
+        UsageError: The value is not finite.
+    """
+    _require_finite(value)
+    whole, part = divmod(int(abs(value) * 10_000 + _CUT_MARGIN), 10_000)
+    return f"{'-' if math.copysign(1.0, value) < 0 else ''}{whole}.{part:04d}"
+
+
+def raw(value: float) -> str:
+    """Return 2 decimals rounded: how UnrealScript itself prints a float.
+
+    Captures have STA at 5609.45 beside a sensor at 5609.4467, so these are not cut.
+
+    Raises:
+        UsageError: The value is not finite.
+    """
+    _require_finite(value)
+    return f"{value:.2f}"
+
+
+def truncated_list(values: Iterable[float]) -> str:
+    """Return numbers of the form `truncated`, separated by commas only."""
+    return ",".join([truncated(value) for value in values])
+
+
+def raw_list(values: Iterable[float]) -> str:
+    """Return numbers of the form `raw`, separated by commas only."""
+    return ",".join([raw(value) for value in values])
+
+
+def word(text: str) -> str:
+    """Return `text` if it can stand among the pairs of a segment such as `{Name F1 Range 1.0}`.
+
+    Raises:
+        UsageError: It is empty or holds a space, which would shift the pairs after it.
+    """
+    if not text or any(character.isspace() for character in text):
+        raise UsageError(f"{text!r} must be one word to stand inside a segment")
+    return text
+
+
+def _require_finite(value: float) -> None:
+    if not math.isfinite(value):
+        raise UsageError(f"{value} cannot be reported: mask it before it gets here")

@@ -1,0 +1,146 @@
+"""The image server's protocol (manual 14.5.3): pictures out, acknowledgements in; it knows no socket.
+
+A frame is the type (1 byte), the length of the data (4 bytes) and the data. The manual says no byte order;
+the length is big-endian as in the image server of later versions, and so are the width and height (2 bytes
+each) in front of a raw picture's rows.
+"""
+
+import io
+import math
+import struct
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from PIL import Image
+
+from usarmjx.base.errors import UsageError
+
+FORMATS = ("raw", "super", "good", "normal", "average", "bad")
+"""Names of the picture types, in the order of their numbers."""
+JPEG_QUALITY = (100, 75, 50, 25, 10)
+"""Of types 1 to 5: what these words mean in FreeImage, with which the original wrote its pictures."""
+LARGEST = 4096
+"""Most pixels along a side."""
+GRACE = 0.1
+"""Some clients ask for the first picture, others wait for it: it is sent when asked, or after this [s]."""
+RECTANGLE = struct.Struct(">4I")
+
+Region: TypeAlias = tuple[int, int, int, int]
+
+
+def format_number(text: str) -> int:
+    """Return the number of a picture type by its name or its number.
+
+    Raises:
+        UsageError: It is neither; lists those known.
+    """
+    names = {name: number for number, name in enumerate(FORMATS)}
+    number = names.get(text.lower(), int(text) if text.isdecimal() else -1)
+    if not 0 <= number < len(FORMATS):
+        known = ", ".join(f"{name} ({number})" for name, number in names.items())
+        raise UsageError(f"no picture format {text!r}; there is: {known}")
+    return number
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of `320x240`.
+
+    Raises:
+        UsageError: It is not of that form, or too large.
+    """
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.isdecimal() and 1 <= int(part) <= LARGEST for part in parts):
+        return int(parts[0]), int(parts[1])
+    raise UsageError(f"picture size {text!r} is not of the form 320x240, each from 1 to {LARGEST}")
+
+
+def frame(number: int, pixels: np.ndarray) -> bytes:
+    """Return the frame of a picture.
+
+    Args:
+        number: Picture type, 0 to 5.
+        pixels: Red, green and blue, rows from the top (height, width, 3) uint8.
+    """
+    if number == 0:
+        height, width = pixels.shape[:2]
+        data = struct.pack(">HH", width, height) + pixels.tobytes()
+    else:
+        data = jpeg(number, pixels)
+    return struct.pack(">BI", number, len(data)) + data
+
+
+def jpeg(number: int, pixels: np.ndarray) -> bytes:
+    """Return a picture (height, width, 3) uint8 as a JPEG of one of the types 1 to 5."""
+    out, quality = io.BytesIO(), JPEG_QUALITY[number - 1]
+    # Pillow's default stores colours at half the resolution; the best quality keeps them all.
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    image.save(out, "JPEG", quality=quality, subsampling=0 if number == 1 else 2)
+    return out.getvalue()
+
+
+@dataclass
+class ImageSession:
+    """One client's dialogue.
+
+    Attributes:
+        size: Width and height of the pictures.
+        period: Time between two pictures [s].
+        began: When the client connected [s].
+        region: Part of the picture that it waits for: left, top, width, height; None when it waits for none.
+    """
+
+    size: tuple[int, int]
+    period: float
+    began: float
+
+    def __post_init__(self) -> None:
+        """Begin."""
+        self.region: Region | None = (0, 0, *self.size)
+        self._asked = self._sent = False
+        self._due = self.began + GRACE
+        self._pending = b""
+
+    def receive_data(self, data: bytes) -> None:
+        """Take bytes: `OK` asks for the next picture, `U` and four numbers of 4 bytes for a part of it.
+
+        Any other byte is skipped. Who asks again before the picture was sent gets one. A part is an extension
+        of the image server of later versions; one that does not overlap the picture is not answered.
+        """
+        data = self._pending + data
+        self._pending = b""
+        place = 0
+        while place < len(data):
+            head = data[place : place + 1]
+            length = {b"O": 2, b"U": 1 + RECTANGLE.size}.get(head, 1)
+            piece = data[place : place + length]
+            if len(piece) < length:
+                self._pending = piece
+                return
+            if head == b"O" and piece != b"OK":
+                length = 1
+            elif head == b"O":
+                self._ask((0, 0, *self.size))
+            elif head == b"U":
+                self._ask(self._overlap(*RECTANGLE.unpack(piece[1:])))
+            place += length
+
+    def wants(self, now: float) -> bool:
+        """Whether it is time to send a picture."""
+        return self.region is not None and (now >= self._due or (self._asked and not self._sent))
+
+    def sent(self, now: float) -> None:
+        """Say that the picture wanted at a time [s] is on its way; the next one's is whole periods later."""
+        if self._sent:
+            self._due += self.period * (1 + math.floor((now - self._due) / self.period))
+        else:
+            self._due = now + self.period
+        self.region, self._asked, self._sent = None, False, True
+
+    def _ask(self, region: Region | None) -> None:
+        if region is not None and not self._asked:
+            self.region, self._asked = region, True
+
+    def _overlap(self, left: int, top: int, width: int, height: int) -> Region | None:
+        right, bottom = min(left + width, self.size[0]), min(top + height, self.size[1])
+        return (left, top, right - left, bottom - top) if left < right and top < bottom else None

@@ -1,0 +1,312 @@
+"""What the server says unasked, and its short answers: NFO, STA, MISSTA, SEN, RES (manual 9.3).
+
+Inputs are plain numbers already in the wire's frame and units. Where lines captured from UT2004
+servers (in the comments of MOAST's USARSim client) differ from the manual, the captures win:
+`{View n}` in STA, the number of decimals. No locale is involved: numbers have a decimal point.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.grammar import (
+    Message,
+    Segment,
+    Vector,
+    raw,
+    raw_list,
+    truncated,
+    truncated_list,
+    word,
+)
+
+# The kinds of robot of manual 9.3 and the angles in the STA of each: wire key, `RobotStatus` field.
+VEHICLES: dict[str, tuple[tuple[str, str], ...]] = {
+    "GroundVehicle": (("FrontSteer", "front_steer"), ("RearSteer", "rear_steer")),
+    "LeggedRobot": (),
+    "NauticVehicle": (("SternPlaneAngle", "stern_plane"), ("RudderAngle", "rudder")),
+    "AerialVehicle": (),
+}
+
+
+def nfo_greeting(level: str) -> Message:
+    """Return the line that every connection starts with; `level` is the arena's name."""
+    return Message("NFO", (("Gametype", "BotDeathMatch"), ("Level", level), ("TimeLimit", "0")))
+
+
+def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
+    """Return the answer to GETSTARTPOSES (manual 5.3.3).
+
+    Args:
+        poses: Tag, location [m] and orientation [rad] of each; without any there is no second
+            segment.
+
+    Raises:
+        UsageError: A tag is not one word.
+    """
+    count = ("StartPoses", str(len(poses)))
+    words = [
+        f"{word(tag)} {raw_list(location)} {raw_list(orientation)}" for tag, location, orientation in poses
+    ]
+    if not words:
+        return Message("NFO", (count,))
+    first, _, rest = " ".join(words).partition(" ")
+    return Message("NFO", (count, (first, rest)))
+
+
+def vehicle(kind: str) -> str:
+    """Return `kind` if it is one of the four that STA, GEO and CONF know robots by.
+
+    Raises:
+        UsageError: It is not; the message lists the four.
+    """
+    if kind not in VEHICLES:
+        raise UsageError(f"unknown kind of vehicle {kind!r}; known: {', '.join(VEHICLES)}")
+    return kind
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStatus:
+    """What STA says of a robot.
+
+    Attributes:
+        time: Simulated time [s].
+        light: Whether the headlight is on.
+        intensity: Its intensity [percent].
+        battery: Time left [s].
+        view: Tile of this robot's camera in a shared picture, -1 without one.
+        front_steer: Steering angle of the front wheels [rad], of ground vehicles only.
+        rear_steer: Steering angle of the rear wheels [rad], of ground vehicles only.
+        stern_plane: Angle of the stern planes [rad], of nautic vehicles only.
+        rudder: Angle of the rudders [rad], of nautic vehicles only.
+        joints: Name and angle [rad] of flippers, which some robots add.
+    """
+
+    time: float
+    light: bool
+    intensity: int
+    battery: int
+    view: int = -1
+    front_steer: float = 0.0
+    rear_steer: float = 0.0
+    stern_plane: float = 0.0
+    rudder: float = 0.0
+    joints: tuple[tuple[str, float], ...] = ()
+
+
+def sta(kind: str, status: RobotStatus) -> Message:
+    """Return the status line of a robot.
+
+    The manual omits View, but servers send it and SPQR's client drops a STA without it.
+
+    Args:
+        kind: One of `VEHICLES`, which decides the angles in the line.
+        status: The numbers.
+
+    Raises:
+        UsageError: There is no such kind.
+    """
+    return Message(
+        "STA",
+        (
+            ("Type", vehicle(kind)),
+            ("Time", raw(status.time)),
+            *((key, truncated(getattr(status, field))) for key, field in VEHICLES[kind]),
+            *((name, truncated(angle)) for name, angle in status.joints),
+            ("LightToggle", str(status.light)),
+            ("LightIntensity", str(status.intensity)),
+            ("Battery", str(status.battery)),
+            ("View", str(status.view)),
+        ),
+    )
+
+
+def missta(time: float, package: str, links: Iterable[tuple[int, float, float]]) -> Message:
+    """Return the state of one mission package.
+
+    Args:
+        time: Simulated time [s].
+        package: Its name.
+        links: Number, angle [rad] or distance [m], and configured maximum torque of each. Numbers
+            below 1 are not reported, and Torque is minus that maximum, not a measurement: both as
+            in the original (KRobot.uc, timer).
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Name", package)]
+    for link, value, max_torque in links:
+        if link > 0:
+            segments += [
+                ("Link", str(link)),
+                ("Value", truncated(value)),
+                ("Torque", raw(-max_torque)),
+            ]
+    return Message("MISSTA", tuple(segments))
+
+
+def _sen(time: str | None, type_name: str, *segments: Segment) -> Message:
+    head: tuple[Segment, ...] = (("Time", time),) if time is not None else ()
+    return Message("SEN", (*head, ("Type", type_name), *segments))
+
+
+def _precise(time: float | None) -> str | None:
+    return None if time is None else truncated(time)
+
+
+def sen_range(kind: str, time: float | None, readings: Iterable[tuple[str, float]]) -> Message:
+    """Return all range sensors of one kind ("Sonar", "IR") in one line: (name, range [m])."""
+    items = [("Name", f"{word(name)} Range {truncated(value)}") for name, value in readings]
+    return _sen(_precise(time), kind, *items)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One sweep of a range scanner.
+
+    Attributes:
+        name: The sensor's name.
+        resolution: Angle between beams [rad].
+        fov: Angle between the first and the last beam [rad].
+        ranges: Distances [m], the rightmost beam first, then counter-clockwise (beams,).
+    """
+
+    name: str
+    resolution: float
+    fov: float
+    ranges: Sequence[float]
+
+
+def sen_scanner(kind: str, time: float | None, scan: Scan) -> Message:
+    """Return a sweep of a "RangeScanner" or "IRScanner"; its Time has 2 decimals, as captured."""
+    return _sen(
+        None if time is None else raw(time),
+        kind,
+        ("Name", scan.name),
+        ("Resolution", truncated(scan.resolution)),
+        ("FOV", truncated(scan.fov)),
+        ("Range", truncated_list(scan.ranges)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Scan3D:
+    """One sweep of a 3D range scanner.
+
+    Attributes:
+        name: The sensor's name.
+        resolution: Vertical and horizontal angle between beams [rad].
+        fov: Vertical and horizontal field of view [rad].
+        ranges: Distances [m], the highest row first, each from right to left (rows * columns,).
+    """
+
+    name: str
+    resolution: tuple[float, float]
+    fov: tuple[float, float]
+    ranges: Sequence[float]
+
+
+def sen_scanner_3d(time: float | None, scan: Scan3D) -> Message:
+    """Return a sweep of a "RangeScanner3D": a range scanner's line with pairs of angles.
+
+    The manual has no such line; this one is what Player's driver for the sensor reads.
+    """
+    return _sen(
+        None if time is None else raw(time),
+        "RangeScanner3D",
+        ("Name", scan.name),
+        ("Resolution", truncated_list(scan.resolution)),
+        ("FOV", truncated_list(scan.fov)),
+        ("Range", truncated_list(scan.ranges)),
+    )
+
+
+def sen_odometry(time: float | None, name: str, pose: Vector) -> Message:
+    """Return the estimated pose relative to the start: x [m], y [m], theta [rad]."""
+    return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", truncated_list(pose)))
+
+
+def sen_ins(time: float | None, name: str, location: Vector, orientation: Vector) -> Message:
+    """Return the estimated location [m] and orientation [rad, 0 to 2 pi]."""
+    return _sen(_precise(time), "INS", *_raw_pose(name, location, orientation))
+
+
+def sen_ground_truth(time: float | None, name: str, location: Vector, orientation: Vector) -> Message:
+    """Return the true location [m] and orientation [rad]."""
+    return _sen(_precise(time), "GroundTruth", *_raw_pose(name, location, orientation))
+
+
+def _raw_pose(name: str, location: Vector, orientation: Vector) -> tuple[Segment, ...]:
+    return (
+        ("Name", name),
+        ("Location", raw_list(location)),
+        ("Orientation", raw_list(orientation)),
+    )
+
+
+def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message:
+    """Return all encoders in one line: (name, tick count)."""
+    items = [("Name", f"{word(name)} Tick {tick}") for name, tick in ticks]
+    return _sen(_precise(time), "Encoder", *items)
+
+
+def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
+    """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
+
+    Args:
+        time: Simulated time [s].
+        name: The sensor's name.
+        position: Latitude and longitude [degrees], north and east positive.
+        satellites: How many are seen.
+    """
+    place: tuple[Segment, ...] = ()
+    if position is not None:
+        latitude, longitude = position
+        place = (
+            ("Latitude", f"{_degrees_and_minutes(latitude)},{'S' if latitude < 0 else 'N'}"),
+            ("Longitude", f"{_degrees_and_minutes(longitude)},{'W' if longitude < 0 else 'E'}"),
+        )
+    fix = ("Fix", "0" if position is None else "1")
+    return _sen(_precise(time), "GPS", ("Name", name), *place, fix, ("Satellites", str(satellites)))
+
+
+def _degrees_and_minutes(angle: float) -> str:
+    """Return an angle [degrees] without its sign as degrees and minutes, cut and never 60 minutes."""
+    degrees, minutes = divmod(float(truncated(abs(angle) * 60)), 60)
+    return f"{degrees:.0f},{minutes:.4f}"
+
+
+def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Message:
+    """Return all touch sensors in one line: (name, whether it is touched)."""
+    items = [("Name", f"{word(name)} Touch {bool(touch)}") for name, touch in touched]
+    return _sen(_precise(time), "Touch", *items)
+
+
+def res(time: float, type_name: str, name: str, status: str) -> Message:
+    """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
+    return Message("RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status)))
+
+
+def res_camera(time: float, cameras: Iterable[tuple[str, float, str]]) -> Message:
+    """Return the answer to a SET of fields of view, which lists every camera (KRobot.uc).
+
+    Args:
+        time: Simulated time [s].
+        cameras: Name, field of view [rad] and status of each.
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Type", "Camera")]
+    for name, fov, status in cameras:
+        segments += [("Name", name), ("FOV", truncated(fov)), ("Status", status)]
+    return Message("RES", tuple(segments))
+
+
+def res_viewports(time: float, config: tuple[str, str], viewports: Iterable[tuple[str, str]]) -> Message:
+    """Return the answer to a SET of viewports.
+
+    Args:
+        time: Simulated time [s].
+        config: "SingleView" or "QuadView", and its status.
+        viewports: What each of the four shows, and its status.
+    """
+    segments: list[Segment] = [("Time", raw(time)), ("Type", "Viewports")]
+    segments += [("Config", config[0]), ("Status", config[1])]
+    for number, (shown, status) in enumerate(viewports, 1):
+        segments += [(f"Viewport{number}", shown), ("Status", status)]
+    return Message("RES", tuple(segments))

@@ -1,0 +1,216 @@
+"""One client's dialogue: bytes in -> commands, messages -> bytes out; it knows no socket.
+
+A server feeds it so, where only the last command of a list can be an Init:
+
+    commands = session.receive_data(data)
+    while commands:
+        for command in commands:
+            ...
+        commands = session.answer_init(accepted) if session.awaits_answer else []
+    transport.write(session.data_to_send())
+"""
+
+from collections import deque
+from enum import Enum
+
+from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.commands import (
+    Command,
+    Drive,
+    DriveJoint,
+    DriveWheels,
+    GetConf,
+    GetGeo,
+    GetStartPoses,
+    Ignored,
+    Init,
+    MisPkg,
+    MultiDrive,
+    Set,
+    SetFov,
+    SetJoint,
+    SetView,
+    SetViewports,
+    Trace,
+    parse_command,
+)
+from usarmjx.server.protocol.grammar import Message, clip, format, parse
+from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
+
+# A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
+SEND_LIMIT = 1 << 20
+MAX_FAULTS = 32  # kept for the log between two `take_faults`; the rest is only counted
+MAX_WAITING = 256  # lines kept while an INIT is not answered yet
+
+
+class Phase(Enum):
+    """Where a dialogue stands."""
+
+    GREETED = "greeted"
+    ACTIVE = "active"
+    CLOSED = "closed"
+
+
+# What is not in the table is ignored with a reason for the log, as the original does silently. A
+# second INIT is among that: servers disagree (one adds a robot and forgets the first, another
+# ignores it), and one robot per connection is the rule.
+TRANSITIONS: dict[Phase, dict[type[Command], Phase]] = {
+    Phase.GREETED: {GetStartPoses: Phase.GREETED, SetView: Phase.GREETED, Init: Phase.ACTIVE},
+    Phase.ACTIVE: {
+        GetStartPoses: Phase.ACTIVE,
+        Drive: Phase.ACTIVE,
+        DriveWheels: Phase.ACTIVE,
+        DriveJoint: Phase.ACTIVE,
+        MultiDrive: Phase.ACTIVE,
+        MisPkg: Phase.ACTIVE,
+        Set: Phase.ACTIVE,
+        SetJoint: Phase.ACTIVE,
+        SetFov: Phase.ACTIVE,
+        SetViewports: Phase.ACTIVE,
+        SetView: Phase.ACTIVE,
+        Trace: Phase.ACTIVE,
+        GetGeo: Phase.ACTIVE,
+        GetConf: Phase.ACTIVE,
+    },
+    Phase.CLOSED: {},
+}
+
+
+class RobotSession:
+    """The protocol state of one connection.
+
+    A line that cannot be used becomes a fault for the log and has no other effect: the lines after
+    it count, and the connection stays.
+
+    Args:
+        greeting: The line that the server speaks first.
+        line_limit: Longest line accepted [bytes].
+        send_limit: Most that may wait to be sent [bytes].
+
+    Attributes:
+        phase: Where the dialogue stands.
+    """
+
+    def __init__(
+        self, greeting: Message, line_limit: int = DEFAULT_LIMIT, send_limit: int = SEND_LIMIT
+    ) -> None:
+        self.phase = Phase.GREETED
+        self._lines = LineBuffer(line_limit)
+        self._send_limit = send_limit
+        self._outgoing = bytearray()
+        self._faults: list[str] = []
+        self._more_faults = 0
+        self._awaits_answer = False
+        self._waiting: deque[str] = deque()
+        self.send(greeting)
+
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether an Init was returned that `answer_init` has not answered yet."""
+        return self._awaits_answer
+
+    def receive_data(self, data: bytes) -> list[Command]:
+        """Take bytes in any chunking and return the legal commands that they complete, in order.
+
+        An Init is the last command of the list, whatever follows it in the data: those lines wait
+        for `answer_init`, because their legality depends on the answer.
+        """
+        if self.phase is Phase.CLOSED:
+            return []
+        lines = self._lines.feed(data)
+        for _ in range(self._lines.take_too_long()):
+            self._fault(f"a line of more than {self._lines.limit} bytes is skipped")
+        return self._take(lines)
+
+    def receive_eof(self) -> list[Command]:
+        """Return the command of a last line that the peer did not end before it stopped sending."""
+        return [] if self.phase is Phase.CLOSED else self._take(self._lines.end())
+
+    def answer_init(self, accepted: bool) -> list[Command]:
+        """Say whether the robot of the last Init exists now.
+
+        Nothing is sent in either case. After a refusal (an unknown class, no place left) the client
+        may send another INIT.
+
+        Returns:
+            The legal commands that waited for the answer; another Init among them is the last.
+        """
+        if not self._awaits_answer:
+            return []
+        self._awaits_answer = False
+        if accepted:
+            self.phase = TRANSITIONS[self.phase][Init]
+        else:
+            self._fault("INIT is refused")
+        return self._take([])
+
+    def take_faults(self) -> list[str]:
+        """Return what was wrong with lines since the last call, for the log."""
+        faults, more = self._faults, self._more_faults
+        self._faults, self._more_faults = [], 0
+        return [*faults, f"{more} more faults"] if more else faults
+
+    def send(self, message: Message) -> None:
+        r"""Add a message and its end "\r\n" to what waits to be sent; nothing if closed.
+
+        Raises:
+            PeerError: The peer does not read, more than the limit would wait. Drop it.
+        """
+        if self.phase is Phase.CLOSED:  # a tick cannot know that its reader has just left
+            return
+        line = format(message).encode("latin-1", "replace") + b"\r\n"
+        if len(self._outgoing) + len(line) > self._send_limit:
+            raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
+        self._outgoing += line
+
+    def data_to_send(self) -> bytes:
+        """Return the bytes that wait and forget them.
+
+        Call it when the socket can take them: what lies in the socket's own buffer is not counted.
+        """
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
+    def close(self) -> None:
+        """End the dialogue: nothing more is read or sent."""
+        self.phase = Phase.CLOSED
+        self._awaits_answer = False
+        self._waiting.clear()
+        self._outgoing.clear()
+
+    def _take(self, lines: list[str]) -> list[Command]:
+        self._waiting.extend(lines)
+        commands: list[Command] = []
+        while self._waiting and not self._awaits_answer:
+            command = self._understand(self._waiting.popleft())
+            if command is not None:
+                commands.append(command)
+                self._awaits_answer = isinstance(command, Init)
+        while len(self._waiting) > MAX_WAITING:
+            self._fault(f"too many lines before the INIT is answered: {clip(self._waiting.pop())}")
+        return commands
+
+    def _understand(self, line: str) -> Command | None:
+        """Return the line's command if it is legal now; otherwise note the fault."""
+        try:
+            command = parse_command(parse(line))
+        except PeerError as error:
+            self._fault(f"{error}: {clip(line)}")
+            return None
+        if isinstance(command, Ignored):
+            self._fault(f"{command.reason}: {clip(line)}")
+            return None
+        following = TRANSITIONS[self.phase].get(type(command))
+        if following is None:
+            self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
+            return None
+        if not isinstance(command, Init):  # an Init moves on only when it is accepted
+            self.phase = following
+        return command
+
+    def _fault(self, reason: str) -> None:
+        if len(self._faults) < MAX_FAULTS:
+            self._faults.append(reason)
+        else:
+            self._more_faults += 1

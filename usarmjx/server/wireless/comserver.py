@@ -1,0 +1,253 @@
+"""Dialect A of the wireless server: who is registered, who listens where, and who may be linked.
+
+Its messages and replies are in `wireless_a`. Names are matched exactly here, as in the in-engine server;
+robots in the world are found by name in any case. Our own rules beyond that server's: it dials no address
+but the registering peer's own, unless the operator has allowed it; nobody makes it dial a port of someone
+else who has not asked for that with LISTEN; and a name whose robot has left the world may be registered
+from another address.
+"""
+
+import ipaddress
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from usarmjx.base.errors import PeerError
+from usarmjx.server.wireless.channel import Air, reaches
+
+MOST_STATIONS = 256
+MOST_PORTS = 64
+"""Ports that one robot may be listening on at a time."""
+MOST_LINKS = 32
+"""Data links that one robot may have at a time."""
+LINKS_IN_ALL = 128
+"""Data links of all robots: two sockets each, of the 1024 that a process often has."""
+
+
+class Refusal(PeerError):
+    """A message that cannot be carried out; its text is what follows `Fail: `."""
+
+
+INCORRECT = "Incorrect Message"
+NO_CONNECTION = "Could not establish connection"
+THIRD_PARTY = "Server does not accept third party requests"
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """REGISTER RobotName IPAddress: where a robot's controller runs."""
+
+    name: str
+    address: str
+
+
+@dataclass(frozen=True, slots=True)
+class Listen:
+    """LISTEN RobotName Port: a robot's controller accepts a link there."""
+
+    name: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """OPEN RobotName Port HostRobot HostPort: link two robots; the last two must have been in a LISTEN."""
+
+    name: str
+    port: int
+    host: str
+    host_port: int
+
+
+@dataclass(frozen=True, slots=True)
+class GetSS:
+    """GETSS Robot1 Robot2: the power received between them."""
+
+    one: str
+    other: str
+
+
+Request: TypeAlias = Register | Listen | Open | GetSS
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """Where to dial one end of a link."""
+
+    name: str
+    address: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
+class Dial:
+    """A link to make: both ends have to be dialled."""
+
+    first: End
+    second: End
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The robots at its two ends."""
+        return self.first.name, self.second.name
+
+
+def plain_address(text: str) -> str:
+    """Return an IP address in its usual form, so that two ways to write one compare equal.
+
+    Raises:
+        Refusal: It is no IP address; "localhost" is taken as 127.0.0.1.
+    """
+    try:
+        address = ipaddress.ip_address("127.0.0.1" if text.lower() == "localhost" else text.partition("%")[0])
+    except ValueError as error:
+        raise Refusal(INCORRECT) from error
+    mapped = getattr(address, "ipv4_mapped", None)
+    return str(mapped or address)
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A registered robot.
+
+    Attributes:
+        address: Where its controller takes links.
+        owner: Who registered it; differs from the address only when the operator allows that.
+    """
+
+    address: str
+    owner: str
+
+
+class ComServer:
+    """What all control connections share: who is registered, who listens where. Names are matched exactly.
+
+    Args:
+        air: The radio.
+        allowed: Addresses that anyone may register, beside his own.
+    """
+
+    def __init__(self, air: Air, allowed: Collection[str] = ()) -> None:
+        self._air = air
+        self._allowed = frozenset(plain_address(address) for address in allowed)
+        self._stations: dict[str, Station] = {}
+        self._listening: dict[str, list[int]] = {}
+        self._links: Counter[str] = Counter()
+        self._seen: set[str] = set()
+
+    def register(self, caller: str, ask: Register) -> None:
+        """Register a robot, or register it again.
+
+        Raises:
+            Refusal: The address is not the caller's, or the name is taken.
+        """
+        address = plain_address(ask.address)
+        if address != caller and address not in self._allowed:
+            raise Refusal(f"Address {ask.address} is not yours")
+        known = self._stations.get(ask.name)
+        if known and known.address != address and not self._has_left(ask.name):
+            raise Refusal(f"Robot with name {ask.name} already registered")
+        if not known and len(self._stations) >= MOST_STATIONS:
+            self._make_room()
+        if not known or known.address != address:
+            self._forget(ask.name)
+            self._stations[ask.name] = Station(address, caller)
+
+    def listen(self, caller: str, ask: Listen) -> None:
+        """Note that a robot's controller takes a link on a port; one OPEN uses it up.
+
+        Raises:
+            Refusal: The robot is not registered, not the caller's, or listens there already.
+        """
+        if ask.name not in self._stations:
+            raise Refusal(f"Robot {ask.name} not registered")
+        if not self._owns(caller, ask.name):
+            raise Refusal(THIRD_PARTY)
+        ports = self._listening.setdefault(ask.name, [])
+        if ask.port in ports:
+            raise Refusal(f"Robot with name {ask.name} already listening at port {ask.port}")
+        if len(ports) >= MOST_PORTS:
+            raise Refusal(f"Robot with name {ask.name} already listening at {MOST_PORTS} ports")
+        ports.append(ask.port)
+
+    def open(self, caller: str, ask: Open) -> Dial:
+        """Return what to dial; tell `opened` how it went.
+
+        Raises:
+            Refusal: The host does not listen there or is out of reach, or the other robot is unknown.
+        """
+        if ask.host_port not in self._listening.get(ask.host, ()):
+            raise Refusal(f"{ask.host} not listening on port {ask.host_port}")
+        if not self._owns(caller, ask.name) and not self._owns(caller, ask.host):
+            raise Refusal(THIRD_PARTY)
+        if not reaches(self._air, ask.name, ask.host):
+            raise Refusal(f"Cannot connect to {ask.host}")
+        if ask.name not in self._stations or self._is_full(ask):
+            raise Refusal(NO_CONNECTION)
+        if not self._owns(caller, ask.name) and ask.port not in self._listening.get(ask.name, ()):
+            raise Refusal(f"{ask.name} not listening on port {ask.port}")
+        dial = Dial(
+            End(ask.name, self._stations[ask.name].address, ask.port),
+            End(ask.host, self._stations[ask.host].address, ask.host_port),
+        )
+        self._listening[ask.host].remove(ask.host_port)
+        self._links.update(dial.names)
+        return dial
+
+    def opened(self, dial: Dial, done: bool) -> None:
+        """Note whether both ends of a dial answered; if not, the host goes on listening."""
+        if not done:
+            self.closed(dial)
+            ports = self._listening.get(dial.second.name)
+            if ports is not None and dial.second.port not in ports:
+                ports.append(dial.second.port)
+
+    def closed(self, dial: Dial) -> None:
+        """Note that a link is gone."""
+        self._links.subtract(dial.names)
+        self._links += Counter()  # forgets names at zero
+
+    def strength(self, caller: str, ask: GetSS) -> float:
+        """Return the power received between two robots [dBm].
+
+        Raises:
+            Refusal: None of them is the caller's, one is not in the world, or they are too close together.
+        """
+        if not self._owns(caller, ask.one) and not self._owns(caller, ask.other):
+            raise Refusal(THIRD_PARTY)
+        power = self._air.strength(ask.one, ask.other)
+        if power is None or power > 0:
+            raise Refusal("Could not calculate signal strength")
+        return power
+
+    def alive(self, name: str) -> bool:
+        """Return whether a name is registered and such a robot in the world."""
+        return name in self._stations and self._air.has(name)
+
+    def watch(self) -> None:
+        """Note which robots are in the world, so that it shows when they have left."""
+        self._seen |= {name for name in self._stations if self._air.has(name)}
+
+    def _owns(self, caller: str, name: str) -> bool:
+        station = self._stations.get(name)
+        return station is not None and caller in (station.address, station.owner)
+
+    def _has_left(self, name: str) -> bool:
+        return name in self._seen and not self._air.has(name)
+
+    def _is_full(self, ask: Open) -> bool:
+        busiest = max(self._links[ask.name], self._links[ask.host])
+        return busiest >= MOST_LINKS or self._links.total() >= 2 * LINKS_IN_ALL
+
+    def _make_room(self) -> None:
+        """Forget the oldest registration without a robot."""
+        for name in self._stations:
+            if not self._air.has(name):
+                return self._forget(name)
+        raise Refusal("Too many robots registered")
+
+    def _forget(self, name: str) -> None:
+        self._stations.pop(name, None)
+        self._listening.pop(name, None)
+        self._seen.discard(name)

@@ -1,0 +1,172 @@
+r"""Dialect B of the wireless server, its control connection: that of the later stand-alone server.
+
+A line, ended by "\r\n", and its answer:
+
+    INIT {Robot R1} {Port 3333,2323}     INITREPLY {Status OK}
+    GETSS {Robot R2}                     SS {Robot R2} {Strength -51.4309}
+    DNS {Robot R2} {Port 3333}           DNSREPLY {Robot R2} {Port 43847}
+    REVERSEDNS {Port 51234}              REVERSEDNSREPLY {Port 51234} {Robot R1}
+
+INIT comes first and once. A robot that connects to the port that DNS names is connected to the other robot's
+port; that one asks REVERSEDNS who is calling. Errors are answered in the stand-alone server's words, its
+misspelling included. Its parser is strict: verbs and keys with case, one space behind the verb and between
+segments, one word as a value.
+"""
+
+import re
+from enum import Enum
+
+from usarmjx.server.protocol.grammar import Message, format
+from usarmjx.server.protocol.lines import LineBuffer
+from usarmjx.server.wireless.switchboard import Route, Switchboard
+
+LIMIT = 1024
+"""Longest line accepted [bytes]."""
+
+_SEGMENT = re.compile(r"\{([^{}\t]*)\}( |$)")
+
+
+def parse_strict(line: str) -> tuple[str, dict[str, str]]:
+    """Return verb and values of a line, up to where it leaves the form `VERB {Key Value} {Key Value}`.
+
+    A segment without a value has the value ""; one with more than one word has none.
+    """
+    verb, _, rest = line.partition(" ")
+    values: dict[str, str] = {}
+    at = 0
+    while found := _SEGMENT.match(rest, at):
+        words = found[1].split(" ")
+        if len(words) <= 2:
+            values[words[0]] = "".join(words[1:])
+        at = found.end()
+    return verb, values
+
+
+class Phase(Enum):
+    """Where a control connection stands."""
+
+    NEW = "new"
+    JOINED = "joined"
+
+
+TRANSITIONS: dict[Phase, dict[str, Phase]] = {
+    Phase.NEW: {"INIT": Phase.JOINED},
+    Phase.JOINED: {"GETSS": Phase.JOINED, "DNS": Phase.JOINED, "REVERSEDNS": Phase.JOINED},
+}
+OTHERWISE = {
+    Phase.NEW: "Must.Use.INIT.Method.First",
+    Phase.JOINED: "Method.Unknown.Or.Can.INIT.only.once",
+}
+"""The reason of the error that any other verb is answered with."""
+NO_NAME, NO_PORT = "Robot.Name.Must.Not.Be.Empty", "Port.Must.Be.Integer"
+
+
+class _Error(Exception):
+    """What is answered `ERROR {Reason ...}`."""
+
+
+class ControlSession:
+    """One control connection: lines in any chunking, answered in order.
+
+    Args:
+        board: Who takes part.
+        address: The peer's address: where its robot is dialled.
+
+    Attributes:
+        phase: Where it stands.
+        name: The robot that it has joined as, "" before.
+    """
+
+    def __init__(self, board: Switchboard, address: str) -> None:
+        self.phase = Phase.NEW
+        self.name = ""
+        self._board, self._address = board, address
+        self._lines = LineBuffer(LIMIT)
+        self._answers = {
+            "INIT": self._init,
+            "GETSS": self._strength,
+            "DNS": self._number,
+            "REVERSEDNS": self._caller,
+        }
+
+    @property
+    def alive(self) -> bool:
+        """Whether the peer takes part: then it may be silent, as it goes when its robot goes."""
+        return bool(self.name)
+
+    def receive_data(self, data: bytes) -> bytes:
+        """Return the answers to the lines that `data` completes."""
+        return b"".join(self._answer(line) for line in self._lines.feed(data))
+
+    def _answer(self, line: str) -> bytes:
+        verb, values = parse_strict(line)
+        try:
+            if verb not in TRANSITIONS[self.phase]:
+                raise _Error(OTHERWISE[self.phase])
+            answer = self._answers[verb](values)
+            self.phase = TRANSITIONS[self.phase][verb]
+        except _Error as error:
+            answer = Message("ERROR", (("Reason", str(error)),))
+        return format(answer).encode("latin-1", "replace") + b"\r\n"
+
+    def _init(self, values: dict[str, str]) -> Message:
+        listed = values.get("Port", "")
+        ports = tuple(_port(text, "Ports.List.Must.Be.Integer") for text in listed.split(",") if listed)
+        name = _name(values)
+        if self._board.has(name):
+            raise _Error("Robot.Alread.Exists")
+        self._board.join(name, self._address, ports)
+        self.name = name
+        return Message("INITREPLY", (("Status", "OK"),))
+
+    def _strength(self, values: dict[str, str]) -> Message:
+        other = _name(values)
+        power = self._board.air.strength(self.name, other)
+        if other == self.name:
+            told, error = "INF", "SS.To.Self"
+        elif not self._board.has(other):
+            told, error = "NaN", "Robot.Does.Not.Exist"
+        elif power == float("inf"):
+            told, error = "INF", "Model.Returned.INF"
+        elif power is None or not power <= 0:
+            told, error = "NaN", "Model.Returned.NaN"
+        else:
+            told, error = f"{power:.6g}", ""  # as C++ streams print a double
+        segments = (("Robot", other), ("Strength", told))
+        return Message("SS", (*segments, ("Error", error)) if error else segments)
+
+    def _number(self, values: dict[str, str]) -> Message:
+        asked = _port(values["Port"], NO_PORT, least=0) if "Port" in values else 0
+        other = _name(values)
+        ports = self._board.ports_of(other)
+        if not self._board.has(other) or other == self.name:
+            return _no_number(other, "NoSuchRobot")
+        if not ports or (asked and asked not in ports):
+            return _no_number(other, "RobotDoesNotListenOnThisPort")
+        number = self._board.number_of(Route(self.name, other, asked or ports[0]))
+        if number is None:
+            raise _Error("Could.Not.Allocate.Port")
+        return Message("DNSREPLY", (("Robot", other), ("Port", str(number))))
+
+    def _caller(self, values: dict[str, str]) -> Message:
+        port = _port(values.get("Port", ""), NO_PORT, least=0)
+        caller = self._board.caller_at(self.name, port)
+        told = ("Robot", caller) if caller else ("Error", "UnknownOrIllegalPort")
+        return Message("REVERSEDNSREPLY", (("Port", str(port)), told))
+
+
+def _name(values: dict[str, str]) -> str:
+    name = values.get("Robot", "")
+    if not name:
+        raise _Error(NO_NAME)
+    return name
+
+
+def _port(text: str, reason: str, least: int = 1) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) <= 5 and least <= int(text) < 65536):
+        raise _Error(reason)
+    return int(text)
+
+
+def _no_number(robot: str, error: str) -> Message:
+    return Message("DNSREPLY", (("Robot", robot), ("Port", "-1"), ("Error", error)))

@@ -1,0 +1,156 @@
+"""Dialect A of the wireless server on real sockets: it dials both ends of a link and carries SENDs across."""
+
+import asyncio
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from usarmjx.base.errors import PeerError
+from usarmjx.server.wireless.channel import reaches
+from usarmjx.server.wireless.comserver import ComServer, Dial, End
+from usarmjx.server.wireless.data_link import LinkParser, Phase
+from usarmjx.server.wireless.dialect_a import ControlSession
+from usarmjx.server.wireless.radio_channel import Ether
+from usarmjx.server.wireless.sockets import BULK, Turnstile, dial, drain, hang_up, log
+
+
+@dataclass(eq=False)
+class Side:
+    """One end of a link."""
+
+    end: End
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+
+
+@dataclass(eq=False)
+class Link:
+    """A link between two robots."""
+
+    dial: Dial
+    sides: tuple[Side, Side]
+
+    def cut(self) -> None:
+        """Close both ends."""
+        for side in self.sides:
+            if not side.writer.is_closing():
+                hang_up(side.writer)
+
+
+class LinkServer:
+    """Makes and keeps the links of dialect A.
+
+    Args:
+        ether: The radio.
+        allow: Addresses that may be dialled beside that of the peer who asks for it.
+        turnstile: Where work queues.
+    """
+
+    def __init__(self, ether: Ether, allow: Collection[str], turnstile: Turnstile) -> None:
+        self._ether, self._turnstile = ether, turnstile
+        self._server = ComServer(ether, allow)
+        self._links: dict[Link, asyncio.Task[None]] = {}
+
+    def talk(self, address: str) -> "LinkTalk":
+        """Return what answers a new control connection."""
+        return LinkTalk(self, ControlSession(self._server, address), self._turnstile)
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the names at both ends of every link."""
+        return [link.dial.names for link in self._links]
+
+    def look(self) -> None:
+        """Cut the links of robots that have left the world."""
+        self._server.watch()
+        for link in self._links:
+            if not all(self._ether.has(name) for name in link.dial.names):
+                link.cut()
+
+    def stop(self) -> None:
+        """Cut all links."""
+        for link, task in self._links.items():
+            for side in link.sides:
+                side.writer.transport.abort()
+            task.cancel()
+
+    async def make(self, wanted: Dial) -> bool:
+        """Dial both ends of a link and carry between them; return whether both answered."""
+        ends = (wanted.first, wanted.second)
+        calls = await asyncio.gather(*(dial(end.address, end.port) for end in ends), return_exceptions=True)
+        sides = [
+            Side(end, *call)
+            for end, call in zip(ends, calls, strict=True)
+            if not isinstance(call, BaseException)
+        ]
+        if len(sides) < 2:
+            for side in sides:
+                side.writer.transport.abort()
+            log.info("no link between %s and %s: %s", *wanted.names, calls)
+            return False
+        link = Link(wanted, (sides[0], sides[1]))
+        self._links[link] = asyncio.create_task(self._carry(link))
+        return True
+
+    async def _carry(self, link: Link) -> None:
+        log.info("link between %s and %s", *link.dial.names)
+        one, other = link.sides
+        try:
+            await asyncio.gather(self._pump(link, one, other), self._pump(link, other, one))
+        finally:
+            link.cut()
+            del self._links[link]
+            self._server.closed(link.dial)
+            log.info("no more link between %s and %s", *link.dial.names)
+
+    async def _pump(self, link: Link, here: Side, there: Side) -> None:
+        """Carry what is sent here over to the other side until either closes or the signal is lost."""
+        parser = LinkParser()
+        try:
+            while parser.phase is not Phase.CLOSED and (data := await here.reader.read(BULK)):
+                async with self._turnstile:
+                    messages = parser.receive_data(data)
+                    if messages and not reaches(self._ether, *link.dial.names):
+                        log.info("%s and %s do not reach each other any more", *link.dial.names)
+                        break
+                    if there.writer.is_closing():
+                        break
+                    there.writer.write(b"".join(messages))
+                await drain(there.writer)
+        except (OSError, PeerError) as error:
+            log.info("%s: %s", here.end.name, error)
+        finally:
+            link.cut()
+
+
+class LinkTalk:
+    """Answers one control connection of dialect A.
+
+    Args:
+        links: Makes the links.
+        session: The dialogue.
+        turnstile: Where work queues.
+    """
+
+    over = False
+
+    def __init__(self, links: LinkServer, session: ControlSession, turnstile: Turnstile) -> None:
+        self._links, self._session, self._turnstile = links, session, turnstile
+
+    @property
+    def alive(self) -> bool:
+        """Whether a robot that was registered here is in the world."""
+        return self._session.alive
+
+    async def hear(self, data: bytes) -> bytes:
+        """Take bytes and return the answers."""
+        async with self._turnstile:
+            link = self._session.receive_data(data)
+        while link is not None:
+            done = False
+            try:
+                done = await self._links.make(link)
+            finally:
+                link = self._session.answer_open(done)
+        return self._session.data_to_send()
+
+    def end(self) -> None:
+        """Nothing to clear up: robots stay registered when their control connection ends."""

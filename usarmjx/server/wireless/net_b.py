@@ -1,0 +1,208 @@
+"""Dialect B of the wireless server on real sockets: port numbers that come and go with the signal."""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+
+from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.server.wireless.comserver import plain_address
+from usarmjx.server.wireless.dialect_b import ControlSession
+from usarmjx.server.wireless.radio_channel import Ether
+from usarmjx.server.wireless.sockets import BULK, HeldPort, Turnstile, address_of, dial, drain, hang_up, log
+from usarmjx.server.wireless.switchboard import Changes, Route, Switchboard
+
+
+@dataclass(eq=False)
+class Pipe:
+    """A connection through the server: the caller's end, and the end that we have dialled once it answers."""
+
+    near: asyncio.StreamWriter
+    far: asyncio.StreamWriter | None = None
+
+    @property
+    def ends(self) -> list[asyncio.StreamWriter]:
+        """What there is of its two ends."""
+        return [writer for writer in (self.near, self.far) if writer is not None]
+
+    def cut(self) -> None:
+        """Close both ends."""
+        for writer in self.ends:
+            if not writer.is_closing():
+                hang_up(writer)
+
+
+class PipeServer:
+    """Keeps the port numbers and the pipes of dialect B.
+
+    Args:
+        ether: The radio.
+        host: Address to listen on.
+        turnstile: Where work queues.
+    """
+
+    def __init__(self, ether: Ether, host: str, turnstile: Turnstile) -> None:
+        self._host, self._turnstile = host, turnstile
+        self._board = Switchboard(ether, self._allocate, time.monotonic)
+        self._ports: dict[Route, HeldPort] = {}
+        self._pipes: dict[Route, set[Pipe]] = {}
+        self._talks: set[PipeTalk] = set()
+
+    def talk(self, address: str) -> "PipeTalk":
+        """Return what answers a new control connection."""
+        talk = PipeTalk(self, ControlSession(self._board, plain_address(address)))
+        self._talks.add(talk)
+        return talk
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the names at both ends of every route."""
+        return [(route.caller, route.called) for route in self._ports]
+
+    async def hear(self, talk: "PipeTalk", session: ControlSession, data: bytes) -> bytes:
+        """Take bytes of a control connection and return the answers; nothing if it is over."""
+        async with self._turnstile:
+            if talk not in self._talks:
+                return b""
+            answers = session.receive_data(data)
+            opened = self._board.take_opened()
+        await self._open(opened)  # before anybody is told the number
+        return answers
+
+    def look(self) -> Changes:
+        """See what has changed in the world."""
+        return self._board.look()
+
+    async def carry_out(self, changes: Changes) -> None:
+        """Let the ports and pipes follow what has changed."""
+        for talk in [talk for talk in self._talks if talk.name in changes.gone]:
+            log.info("%s is not in the world, or has no battery: it no longer takes part", talk.name)
+            talk.over = True
+            self.leave(talk)
+        for route in changes.closed:
+            self._close(route)
+        await self._open(changes.opened)
+
+    def leave(self, talk: "PipeTalk") -> None:
+        """Forget a control connection and what its robot holds."""
+        if talk not in self._talks:
+            return
+        self._talks.remove(talk)
+        gone, closed = self._board.leave(talk.name)
+        for route in (*gone, *closed):
+            self._close(route)
+        for route in gone:
+            self._ports.pop(route).release()
+
+    def stop(self) -> None:
+        """Hang up on everybody."""
+        for port in self._ports.values():
+            port.release()
+        for pipe in (pipe for pipes in self._pipes.values() for pipe in pipes):
+            for writer in pipe.ends:
+                writer.transport.abort()
+
+    def _allocate(self, route: Route) -> int | None:
+        try:
+            self._ports[route] = HeldPort(self._host, partial(self._called, route))
+        except UsageError as error:
+            log.warning("%s", error)
+            return None
+        return self._ports[route].number
+
+    async def _open(self, routes: Iterable[Route]) -> None:
+        for route in routes:
+            port = self._ports.get(route)
+            if port is None:
+                continue
+            try:
+                await port.open()
+            except UsageError as error:
+                log.warning("%s", error)
+                self._board.failed(route)
+            # Meanwhile its caller may have left, or the signal.
+            if self._ports.get(route) is not port:
+                port.release()
+            elif not self._board.is_open(route):
+                port.close()
+
+    def _close(self, route: Route) -> None:
+        if route in self._ports:
+            self._ports[route].close()
+        for pipe in self._pipes.get(route, ()):
+            pipe.cut()
+
+    async def _called(self, route: Route, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        address, _ = address_of(writer)
+        if not address or not self._board.may_call(route, plain_address(address)):
+            writer.close()
+            return
+        pipe, ports = Pipe(writer), []
+        self._pipes.setdefault(route, set()).add(pipe)
+
+        def note(port: int) -> None:
+            ports.append(port)
+            self._board.connected(route, port)
+
+        try:
+            there, pipe.far = await dial(self._board.address_of(route.called), route.port, note)
+            if not writer.is_closing():  # cut while the far end took its time
+                log.info("%s calls %s", route.caller, route.called)
+                await asyncio.gather(self._pump(reader, pipe, pipe.far), self._pump(there, pipe, writer))
+        except OSError as error:
+            log.info("%s does not answer %s: %s", route.called, route.caller, error)
+        except asyncio.CancelledError:
+            log.info("%s and %s: the server stops", route.caller, route.called)
+        finally:
+            pipe.cut()
+            self._board.ended(*ports)
+            self._pipes[route].discard(pipe)
+            if not self._pipes[route]:
+                del self._pipes[route]
+
+    async def _pump(self, reader: asyncio.StreamReader, pipe: Pipe, writer: asyncio.StreamWriter) -> None:
+        try:
+            while data := await reader.read(BULK):
+                async with self._turnstile:
+                    if writer.is_closing():
+                        break
+                    writer.write(data)
+                await drain(writer)
+        except (OSError, PeerError) as error:
+            log.info("a pipe ends: %s", error)
+        finally:
+            pipe.cut()
+
+
+class PipeTalk:
+    """Answers one control connection of dialect B.
+
+    Args:
+        pipes: The ports and pipes.
+        session: The dialogue.
+
+    Attributes:
+        over: Whether the robot no longer takes part, which ends the connection.
+    """
+
+    def __init__(self, pipes: PipeServer, session: ControlSession) -> None:
+        self._pipes, self._session = pipes, session
+        self.over = False
+
+    @property
+    def name(self) -> str:
+        """The robot that it has joined as, "" before."""
+        return self._session.name
+
+    @property
+    def alive(self) -> bool:
+        """Whether it takes part: then it may be silent, as it goes when its robot goes."""
+        return bool(self.name) and not self.over
+
+    async def hear(self, data: bytes) -> bytes:
+        """Take bytes and return the answers."""
+        return await self._pipes.hear(self, self._session, data)
+
+    def end(self) -> None:
+        """The connection is gone, and with it what its robot holds."""
+        self._pipes.leave(self)

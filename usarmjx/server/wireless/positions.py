@@ -1,0 +1,76 @@
+r"""The position service: where the robots are and what lies between them, for a wireless server elsewhere.
+
+A line, ended by "\r\n", and its answer:
+
+    GETPOS                              POSITIONS {Robots 1} {Name R1 Location 4.5000,1.9000,1.8000 BatteryEmpty False}
+    GETOBS {From R1} {To R2}            NUMOBS {From R1} {To R2} {ObstCount 1.00}
+    GETOBS {Start 0,0,0} {End 1,0,0}    NUMOBS {Start 0,0,0} {End 1,0,0} {ObstCount 0.00}
+
+A count of -1 means that a robot is not in the world. Places are in the wire's axes [m]. Anything else is
+not answered, as in the original.
+"""  # noqa: E501 - an answer is one line
+
+from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.frames import vector
+from usarmjx.server.protocol.grammar import Message, format, parse, raw, to_vector, truncated_list
+from usarmjx.server.protocol.lines import LineBuffer
+from usarmjx.server.wireless.channel import Air
+
+LIMIT = 1024
+"""Longest line accepted [bytes]."""
+
+
+def positions(air: Air) -> Message:
+    """Return the answer to GETPOS."""
+    robots = air.present()
+    segments = [("Robots", str(len(robots)))]
+    for robot in robots:
+        place = truncated_list(vector(robot.at))
+        name = "_".join(robot.name.split()) or "_"  # it has to be one word in its segment
+        segments.append(("Name", f"{name} Location {place} BatteryEmpty {robot.battery_empty}"))
+    return Message("POSITIONS", tuple(segments))
+
+
+def obstacles(air: Air, message: Message) -> Message:
+    """Return the answer to GETOBS.
+
+    Raises:
+        PeerError: Neither two robots nor two places are given, or a place is none.
+    """
+    names, places = ("From", "To"), ("Start", "End")
+    if all(message.get(key) for key in names):
+        count = air.obstacles(*(message.get(key) for key in names))
+        keys = names
+    elif all(message.get(key) for key in places):
+        ends = [to_vector(message.get(key)) for key in places]
+        if any(len(end) != 3 for end in ends):
+            raise PeerError("a place has three numbers")
+        count = air.obstacles_between(*(vector(end) for end in ends))
+        keys = places
+    else:
+        raise PeerError("GETOBS needs From and To, or Start and End")
+    # The wireless server at the other end compares with "-1" as a text.
+    told = "-1" if count is None else raw(count)
+    return Message("NUMOBS", (*((key, message.get(key)) for key in keys), ("ObstCount", told)))
+
+
+class PositionSession:
+    """One connection: lines in any chunking, answered in order."""
+
+    def __init__(self, air: Air) -> None:
+        self._air = air
+        self._lines = LineBuffer(LIMIT)
+
+    def receive_data(self, data: bytes) -> bytes:
+        """Return the answers to the lines that `data` completes."""
+        answers = [self._answer(line) for line in self._lines.feed(data)]
+        return b"".join(answer.encode("latin-1", "replace") + b"\r\n" for answer in answers if answer)
+
+    def _answer(self, line: str) -> str:
+        try:
+            message = parse(line)
+            if message.kind == "GETPOS":
+                return format(positions(self._air))
+            return format(obstacles(self._air, message)) if message.kind == "GETOBS" else ""
+        except PeerError:
+            return ""

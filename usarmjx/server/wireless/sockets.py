@@ -1,0 +1,233 @@
+"""What the wireless servers share on sockets: taking turns, dialling, bounded waits, held port numbers."""
+
+import asyncio
+import errno
+import logging
+import os
+import socket
+import time
+from collections.abc import Awaitable, Callable
+from types import TracebackType
+
+from usarmjx.base.errors import PeerError, UsageError
+
+log = logging.getLogger("usarmjx.server.wireless")
+"""One logger for all of it: USARComServer.ini's bDebug turns it on."""
+
+Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+CHUNK = 256
+"""Most bytes taken at once from a control connection, whose every message costs some work."""
+BULK = 16 * 1024
+"""Likewise from a data connection, where a byte costs little."""
+SHARE = 0.25
+"""All wireless connections together may use so much of the time; the rest is the world's."""
+BURST = 5e-3
+"""They may be so far ahead of their share [s]."""
+BACKLOG = 256 * 1024
+"""While this much waits for a peer to read it, nothing more is read for it [bytes]."""
+STALL = 30.0
+"""A peer that reads nothing for so long although something waits for it is dropped [s]."""
+DIAL_LIMIT = 5.0
+"""How long a peer may take to answer a call [s]."""
+UNDER_WAY = (errno.EINPROGRESS, errno.EWOULDBLOCK)
+"""What a call that does not wait for its answer returns."""
+LINGER = 5.0
+"""How long what was written before a connection ends may take to leave [s]."""
+
+
+class Turnstile:
+    """Lets connections do their work one at a time, in the order of their coming, within their share.
+
+    `async with turnstile:` around work without waiting. Nobody can keep the world from stepping, and nobody
+    comes twice before another has come once.
+    """
+
+    def __init__(self) -> None:
+        self._lock = asyncio.Lock()
+        self._stepped = asyncio.Event()
+        self._owed = 0.0
+        self._began = self._last = time.perf_counter()
+
+    def step(self) -> None:
+        """Count the time that has passed: the world has made a control step."""
+        now = time.perf_counter()
+        self._owed = max(0.0, self._owed - SHARE * (now - self._last))
+        self._last = now
+        self._stepped.set()
+        self._stepped.clear()
+
+    async def __aenter__(self) -> None:
+        """Wait for the turn."""
+        await self._lock.acquire()
+        try:
+            while self._owed > BURST:
+                await self._stepped.wait()
+        except BaseException:
+            self._lock.release()
+            raise
+        self._began = time.perf_counter()
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Count what it took."""
+        self._owed += time.perf_counter() - self._began
+        self._lock.release()
+
+
+def listener(host: str, port: int) -> socket.socket:
+    """Return a socket bound to an address, not listening yet; port 0 picks a free one.
+
+    While it only is bound, calls are refused and nobody else gets the number.
+
+    Raises:
+        UsageError: The port is taken or the address is not ours.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        bound = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as error:
+        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
+    except OSError as error:
+        bound.close()
+        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
+    return bound
+
+
+async def listen(host: str, port: int, handler: Handler) -> tuple[asyncio.Server, int]:
+    """Return a listening server and its port.
+
+    Raises:
+        UsageError: The port is taken or the address is not ours.
+    """
+    bound = listener(host, port)
+    try:
+        server = await asyncio.start_server(handler, sock=bound)
+    except OSError as error:
+        bound.close()
+        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
+    return server, bound.getsockname()[1]
+
+
+class HeldPort:
+    """A port number that stays ours; it can be called only while it is open.
+
+    Args:
+        host: Address to listen on.
+        handler: Is called with every connection.
+
+    Raises:
+        UsageError: There is no port left.
+    """
+
+    def __init__(self, host: str, handler: Handler) -> None:
+        self._host, self._handler = host, handler
+        self._bound: socket.socket | None = listener(host, 0)
+        self._server: asyncio.Server | None = None
+        self.number: int = self._bound.getsockname()[1]
+
+    async def open(self) -> None:
+        """Let it be called.
+
+        Raises:
+            UsageError: Somebody else got hold of the number.
+        """
+        if self._server is None:
+            bound, self._bound = self._bound or listener(self._host, self.number), None
+            try:
+                self._server = await asyncio.start_server(self._handler, sock=bound)
+            except OSError as error:
+                bound.close()
+                raise UsageError(f"cannot listen on {self._host}:{self.number}: {error}") from error
+
+    def close(self) -> None:
+        """Refuse calls, and keep the number."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+            try:
+                self._bound = listener(self._host, self.number)
+            except UsageError as error:  # `open` tries again
+                log.warning("%s", error)
+
+    def release(self) -> None:
+        """Give the number back."""
+        if self._server is not None:
+            self._server.close()
+        if self._bound is not None:
+            self._bound.close()
+        self._server = self._bound = None
+
+
+async def dial(
+    address: str, port: int, note: Callable[[int], None] = lambda port: None
+) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """Connect to a peer.
+
+    Args:
+        address: Its IP address.
+        port: Its port.
+        note: Is told our port as soon as the call is under way, before anything else is heard.
+
+    Raises:
+        OSError: It does not answer; TimeoutError, which is one, if not in time.
+    """
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    caller = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        caller.setblocking(False)
+        state = caller.connect_ex((address, port))
+        if state not in (0, *UNDER_WAY):
+            raise OSError(state, os.strerror(state))
+        note(caller.getsockname()[1])
+        if state:
+            async with asyncio.timeout(DIAL_LIMIT):
+                await asyncio.get_running_loop().sock_connect(caller, (address, port))
+        if caller.getsockname() == caller.getpeername():
+            raise ConnectionRefusedError("nobody listens there: the call was answered by itself")
+        return await asyncio.open_connection(sock=caller)
+    except BaseException:
+        caller.close()
+        raise
+
+
+async def drain(writer: asyncio.StreamWriter) -> None:
+    """Wait until a peer has read most of what waits for it.
+
+    Raises:
+        PeerError: It reads nothing for too long; the connection is broken off.
+        OSError: It is gone.
+    """
+    while (waiting := writer.transport.get_write_buffer_size()) > BACKLOG:
+        try:
+            async with asyncio.timeout(STALL):
+                await writer.drain()
+        except TimeoutError as error:
+            if writer.transport.get_write_buffer_size() >= waiting:
+                writer.transport.abort()
+                raise PeerError(f"the peer does not read: {waiting} bytes wait for it") from error
+
+
+def hang_up(writer: asyncio.StreamWriter) -> None:
+    """Close a connection once what was written has left, or soon in any case."""
+    writer.close()
+    if writer.transport.get_write_buffer_size():
+        asyncio.get_running_loop().call_later(LINGER, writer.transport.abort)
+
+
+def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
+    """Keep the system from holding megabytes of answers for a peer that does not read them."""
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG // 4)
+
+
+def address_of(writer: asyncio.StreamWriter) -> tuple[str, int]:
+    """Return address and port of a peer; nothing and 0 if it is gone already."""
+    peer = writer.get_extra_info("peername")
+    return (peer[0], peer[1]) if peer else ("", 0)

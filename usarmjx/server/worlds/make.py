@@ -1,0 +1,69 @@
+"""The world that `usarmjx serve` serves, by engine."""
+
+import os
+from pathlib import Path
+
+import jax
+
+from usarmjx.base.errors import UsageError
+from usarmjx.engines import choose_engine
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.files.load import find_arena
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.worlds.batch_world import ClaimedWorld
+from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.host import HostWorld
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import Entry, build_scene
+
+
+def parse_roster(text: str) -> list[str]:
+    """Return the class names of a roster written as `P2AT:4,P2DX:2`.
+
+    Raises:
+        UsageError: Not of that form.
+        UnknownNameError: No such robot class.
+    """
+    names: list[str] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, count = part.partition(":")
+        if count and not count.isdecimal():
+            raise UsageError(f"roster entry {part!r} is not of the form CLASS:COUNT, as P2AT:4")
+        names += [ROBOTS.get(name).name] * int(count or 1)
+    return names
+
+
+def keep_compilations() -> None:
+    """Keep what JAX compiles in the user's cache folder, so that the next start is quick."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    jax.config.update("jax_compilation_cache_dir", str(root / "usarmjx" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def make_world(
+    arena: str, *, engine: str, worlds: int, instance: int, roster: str, seats: int, seed: int
+) -> HostWorld:
+    """Build a batch of worlds and return the one that clients will share.
+
+    Raises:
+        UsageError: No such instance, or a roster that does not read.
+        UnknownNameError: Unknown arena, engine or robot class.
+        EngineError: The engine cannot run here.
+    """
+    keep_compilations()
+    if not 0 <= instance < worlds:
+        raise UsageError(f"instance {instance} is not among worlds 0 to {worlds - 1}")
+    if choose_engine(engine, "serve") == "c":
+        key = jax.random.key(seed)
+        batch = [
+            LiveWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), seats)
+            for number in range(worlds)
+        ]
+        served = batch[instance]
+        served.companions = tuple(world for world in batch if world is not served)
+        return served
+    entries = [Entry(robot=name, parked=True) for name in parse_roster(roster)]
+    if not entries:
+        raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
+    scene = build_scene(arena, entries)
+    return ClaimedWorld(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed), instance)

@@ -1,0 +1,436 @@
+"""Many worlds at once: the only place that maps over worlds and compiles.
+
+The same few lines drive all engines. Where the engine can be traced a step is one compiled function;
+with C MuJoCo the parts around the engine are.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.errors import EngineError, UsageError
+from usarmjx.base.transforms import Array
+from usarmjx.cameras.mounts import cameras_of, find_camera
+from usarmjx.cameras.picture import Picture, Viewpoint, check_size, shoot, viewpoint
+from usarmjx.cameras.shading import Stage
+from usarmjx.comms.links import Links
+from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
+from usarmjx.engines import Inputs, PhysicsState, choose_engine, make_engine
+from usarmjx.models.build.arena_set import Site, turn_of
+from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.effecters import Opcode
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.sensors.base import Reading
+from usarmjx.sim.control import Order, check_keys, move_joints, steer
+from usarmjx.sim.operate import Outcome, find_operation, operate
+from usarmjx.sim.radio import boxes, every, kept_links, links_due, mail_of, present_links, radio_of, send
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.views import Eye, each, look_around, pictures
+from usarmjx.sim.world import World, control, first_episode, observe, restart, settle
+
+Readings = tuple[tuple[Reading, ...], ...]
+"""Per team and sensor a reading with leading axes (worlds, robots of the team)."""
+
+
+class State(struct.PyTreeNode, kw_only=True):
+    """A batch of worlds.
+
+    Attributes:
+        physics: The engine's own state.
+        worlds: Everything else (worlds, ...).
+        library: The arenas that resets draw from (arenas, ...), which may be replaced by others of the same
+            shapes; None where all worlds have the same arena.
+    """
+
+    physics: Any
+    worlds: World
+    library: Site | None = None
+
+
+def choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """Return new where masked (worlds,), else old (worlds, ...)."""
+    return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+class Batch:
+    """Copies of a scene that are stepped together.
+
+    Args:
+        scene: What every world is a copy of.
+        worlds: How many.
+        engine: `warp`, `jax`, `c`, or `auto`.
+        seed: Of all random numbers.
+        first: Number of the first world. World k draws the same numbers alone as in a batch.
+        shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
+
+    Raises:
+        UsageError: No worlds asked for.
+        UnsupportedFeatureError: The scene has a feature that the engine would ignore.
+        EngineError: The engine cannot run here.
+        UnknownNameError: No such engine.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        worlds: int = 1,
+        *,
+        engine: str = "auto",
+        seed: int = 0,
+        first: int = 0,
+        shuffle: bool = False,
+    ) -> None:
+        if worlds < 1:
+            raise UsageError(f"a batch needs at least one world, not {worlds}")
+        self.scene = scene
+        self.worlds = worlds
+        kind = choose_engine(engine, "train")
+        self.engine = make_engine(kind, scene.spec, scene.physics, worlds, scene.moved, scene.varied)
+        self._numbers = jnp.arange(first, first + worlds)
+        self._keys = self._keys_of(seed)
+        self._control = self._compile(jax.vmap(partial(control, scene)))
+        self._settle = self._compile(jax.vmap(partial(settle, scene)))
+        self._settle_and_control = self._compile(self._both)
+        self._fresh = jax.vmap(partial(restart, scene, shuffle=shuffle), in_axes=(0, None))
+        self._restart = self._compile(self._restart_where)
+        self._first = self._compile(
+            jax.vmap(partial(first_episode, scene, shuffle=shuffle), in_axes=(0, 0, None))
+        )
+        self._observe = self._compile(jax.vmap(partial(observe, scene)))
+        self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
+        self._look = self._compile(self._look_all, static_argnums=(2, 3))
+        self._stage = self._compile(self._stage_of)
+        self._links = self._compile(self._look_at_links)
+        self._send = self._compile(jax.vmap(partial(send, scene)))
+        traceable = self.engine.traceable
+        self.step: Callable[[State], State] = self._compile(self._step) if traceable else self._step
+        """Advance every world by one control step under the commands in force."""
+        self.reset_where: Callable[[State, jax.Array], State] = (
+            self._compile(self._reset_where) if traceable else self._reset_where
+        )
+        """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
+
+    def _keys_of(self, seed: int) -> jax.Array:
+        return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
+
+    @staticmethod
+    def _compile(function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
+        # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
+        return jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static_argnums)
+
+    def reset(self, seed: int | None = None, library: Site | None = None) -> State:
+        """Return all worlds at the start of their first episode.
+
+        Args:
+            seed: Of all random numbers; None: the batch's own.
+            library: Arenas to draw from instead of the scene's, of the same shapes.
+        """
+        if library is None and self.scene.arenas is not None:
+            library = jax.tree.map(jnp.asarray, self.scene.arenas.sites)
+        keys = self._keys if seed is None else self._keys_of(seed)
+        worlds, qpos = self._first(keys, self._numbers, library)
+        everywhere = jnp.ones(self.worlds, bool)
+        physics = self.engine.reset(self.engine.start(), everywhere, qpos)
+        return State(physics=physics, worlds=worlds, library=library)
+
+    def _restart_where(self, worlds: World, library: Site | None, mask: jax.Array) -> tuple[World, jax.Array]:
+        fresh, qpos = self._fresh(worlds, library)
+        return jax.tree.map(partial(choose, mask), fresh, worlds), qpos
+
+    def _reset_where(self, state: State, mask: jax.Array) -> State:
+        worlds, qpos = self._restart(state.worlds, state.library, mask)
+        return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
+
+    def _step(self, state: State) -> State:
+        worlds, inputs = self._control(state.worlds, self.engine.state(state.physics))
+        physics = self.engine.advance(state.physics, inputs)
+        lost = self.engine.overflow(physics, inputs)
+        worlds, finite = self._settle(worlds, self.engine.state(physics), lost)
+        state = state.replace(physics=physics, worlds=worlds)
+        if self.engine.traceable:
+            return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
+        return state if bool(finite.all()) else self._reset_where(state, ~finite)
+
+    def run(self, state: State, steps: int) -> State:
+        """Advance every world by some control steps, as `step` does, in fewer calls."""
+        if self.engine.traceable:
+            return jax.lax.fori_loop(0, steps, lambda _, s: self.step(s), state)
+        if steps < 1:
+            return state
+        physics, (worlds, inputs) = state.physics, self._control(state.worlds, self.physics(state))
+        for left in reversed(range(steps)):
+            physics = self.engine.advance(physics, inputs)
+            lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
+            settled, finite, (told, inputs) = self._settle_and_control(worlds, now, lost)
+            if not bool(finite.all()):
+                state = self._reset_where(state.replace(physics=physics, worlds=settled), ~finite)
+                return self.run(state, left)
+            worlds = told if left else settled
+        return state.replace(physics=physics, worlds=worlds)
+
+    def _both(
+        self, worlds: World, physics: PhysicsState, lost: jax.Array
+    ) -> tuple[World, jax.Array, tuple[World, Inputs]]:
+        """Settle a control step and begin the next one."""
+        worlds, finite = jax.vmap(partial(settle, self.scene))(worlds, physics, lost)
+        return worlds, finite, jax.vmap(partial(control, self.scene))(worlds, physics)
+
+    def arena_of(self, state: State, world: int) -> ArenaSpec:
+        """Return the arena that a world has in its present episode, if nobody replaced the library."""
+        arenas = self.scene.arenas
+        if arenas is None:
+            return self.scene.arena
+        episode = int(state.worlds.episode[world])
+        return arenas.arenas[turn_of(int(state.worlds.number[world]), episode, len(arenas.arenas))]
+
+    def physics(self, state: State) -> PhysicsState:
+        """Return positions, velocities and activations of all worlds."""
+        return self.engine.state(state.physics)
+
+    def observe(self, state: State) -> tuple[State, Readings]:
+        """Read the sensors that are due; the others repeat their last reading, marked as not fresh."""
+        worlds, readings = self._observe(state.worlds, self.physics(state))
+        return state.replace(worlds=worlds), readings
+
+    def _look_at_links(self, worlds: World, physics: PhysicsState) -> Links:
+        look, keep = jax.vmap(partial(present_links, self.scene)), jax.vmap(kept_links)
+        if every(self.scene) == 1:
+            return look(worlds, physics)
+        due = jax.vmap(partial(links_due, self.scene))(worlds).any()
+        return jax.lax.cond(due, look, lambda worlds, _: keep(worlds), worlds, physics)
+
+    def links(self, state: State) -> tuple[State, Links]:
+        """Look at the radio links, which are evaluated at most once in a control step, or radio `period`.
+
+        Returns:
+            The batch, and the links (worlds, ...). Their events tell what changed since the evaluation
+            before; a table that is older than the control step has none.
+
+        Raises:
+            UsageError: The scene has no radio.
+        """
+        radio_of(self.scene)
+        links = self._links(state.worlds, self.physics(state))
+        return state.replace(worlds=state.worlds.replace(links=links)), links
+
+    def send(self, state: State, to: Array, payload: Array, length: Array | None = None) -> State:
+        """Let each robot send a message to any of the others, over the links of `links`.
+
+        What arrives is in `state.worlds.mail` at once, and what did not is counted there.
+
+        Args:
+            state: The batch.
+            to: Receivers, sender by row, broadcast to (worlds, robots, robots).
+            payload: What is said, broadcast to (worlds, robots, numbers).
+            length: What each message stands for [bytes], broadcast to (worlds, robots); None: 4 a number.
+
+        Raises:
+            UsageError: The scene has no mail.
+        """
+        mail, robots = mail_of(self.scene), self.scene.robots
+        state, _ = self.links(state)
+        shape = (self.worlds, robots)
+        size = BYTES_PER_NUMBER * mail.numbers if length is None else length
+        letters = Letters(
+            to=jnp.broadcast_to(to, (*shape, robots)),
+            payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
+            length=jnp.broadcast_to(size, shape),
+        )
+        return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, letters)))
+
+    def empty_mail(self, state: State, where: Array = True) -> State:
+        """Empty the boxes of robots that have read their mail: those masked, broadcast to (worlds, robots).
+
+        Raises:
+            UsageError: The scene has no mail.
+        """
+        mail = empty(boxes(self.scene, state.worlds), where)
+        return state.replace(worlds=state.worlds.replace(mail=mail))
+
+    def drive(self, state: State, team: int, values: Mapping[str, Array]) -> State:
+        """Set keys of DRIVE for a team's robots; the other keys keep what they were last set to.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            values: Numbers for some of the keys of the robots' drive (`robot.drive.full` lists them with
+                their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
+                (worlds, robots).
+
+        Raises:
+            UnknownNameError: A key that this drive does not have; lists those it has.
+        """
+        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
+        check_keys(robot, values)
+        shape = members.active.shape
+        told = {key: jnp.broadcast_to(value, shape) for key, value in values.items()}
+        return self.with_team(state, team, members.replace(command=steer(robot, members.command, told)))
+
+    def move(
+        self, state: State, team: int, targets: Mapping[str, Array], order: Order = Order.POSITION
+    ) -> State:
+        """Tell joints of a team's robots where to go, how fast to move or what to exert.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
+                broadcast to (worlds, robots).
+            order: What the numbers are.
+
+        Raises:
+            UnknownNameError: A joint that these robots do not have; lists those they have.
+        """
+        members, plan = state.worlds.teams[team], self.scene.teams[team].plan
+        command = move_joints(plan, members.command, targets, order)
+        return self.with_team(state, team, members.replace(command=command))
+
+    def operate(
+        self,
+        state: State,
+        team: int,
+        name: str,
+        opcode: str,
+        value: Array | None = None,
+        where: Array = True,
+    ) -> tuple[State, Outcome]:
+        """Let a team's robots operate an effecter (manual 8), as SET does.
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            name: Name of the effecter, case ignored.
+            opcode: Name of one of its operations, case ignored.
+            value: Its parameter, broadcast to (worlds, robots); None: the usual one.
+            where: Which robots shall do it, broadcast to (worlds, robots).
+
+        Returns:
+            The batch, and per world and robot what became of it.
+
+        Raises:
+            UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
+            UsageError: The operation needs a parameter.
+        """
+        place, operation = find_operation(self.scene.teams[team], name, opcode)
+        value = operation.usual if value is None else value
+        if value is None:
+            raise UsageError(f"{operation.name} of {name} needs a value")
+        shape = state.worlds.teams[team].active.shape
+        told = (jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape))
+        worlds, outcome = self._operate(state.worlds, self.physics(state), (team, place), operation, *told)
+        return state.replace(worlds=worlds), outcome
+
+    def _operate_all(
+        self,
+        worlds: World,
+        physics: PhysicsState,
+        where: tuple[int, int],
+        opcode: Opcode,
+        value: jax.Array,
+        asked: jax.Array,
+    ) -> tuple[World, Outcome]:
+        def one(world: World, physics: PhysicsState, value: jax.Array, asked: jax.Array) -> Any:  # noqa: ANN401
+            return operate(self.scene, world, physics, where, opcode, value, asked)
+
+        return jax.vmap(one)(worlds, physics, value, asked)
+
+    def _eye(self, team: int, camera: str | int | None, size: tuple[int, int]) -> Eye:
+        robot = self.scene.teams[team].robot
+        place = find_camera(robot, camera)
+        check_size(cameras_of(robot)[place], *size)
+        return team, cameras_of(robot)[place], place
+
+    def look(
+        self, state: State, team: int, camera: str | int | None = None, width: int = 64, height: int = 64
+    ) -> Picture:
+        """Return what a camera of each of a team's robots sees (worlds, robots, ...).
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            camera: Name or place of a camera of the class; None: the main one.
+            width: Pixels along a row.
+            height: Rows.
+
+        Raises:
+            UnknownNameError: The robots have no such camera; lists those they have.
+            UsageError: A picture of that size cannot be taken.
+        """
+        eye = self._eye(team, camera, (width, height))
+        return self._look(state.worlds, self.physics(state), eye, (width, height))
+
+    def photo(
+        self,
+        state: State,
+        world: int,
+        slot: int,
+        camera: str | int | None = None,
+        width: int = 320,
+        height: int = 240,
+    ) -> Picture:
+        """Return what a camera of the robot in one slot of one world sees; the others are as in `look`."""
+        team, member = self.scene.team_of(slot)
+        _, lens, place = self._eye(team, camera, (width, height))
+        stage, bodies = self._stage(state.worlds, self.physics(state), world)
+        with jax.default_matmul_precision("highest"):
+            body = jax.tree.map(lambda x: x[member], bodies[team])
+            fov = state.worlds.teams[team].fov[world, member, place]
+            return shoot(stage, viewpoint(lens, body, np.int32(slot), fov), width, height)
+
+    def photo_from(
+        self, state: State, world: int, eye: Viewpoint, width: int = 320, height: int = 240
+    ) -> Picture:
+        """Return what there is to see of a world from any place."""
+        stage, _ = self._stage(state.worlds, self.physics(state), world)
+        with jax.default_matmul_precision("highest"):
+            return shoot(stage, eye, width, height)
+
+    def _look_all(self, worlds: World, physics: PhysicsState, eye: Eye, size: tuple[int, int]) -> Picture:
+        return each(lambda world, now: pictures(self.scene, world, now, eye, size), worlds, physics)
+
+    def _stage_of(self, worlds: World, physics: PhysicsState, world: int) -> tuple[Stage, tuple[Bodies, ...]]:
+        return look_around(self.scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
+
+    def zoom(
+        self, state: State, team: int, camera: str | int | None, fov: Array, where: Array = True
+    ) -> State:
+        """Set a camera's field of view, as SET does: within its limits, and 0 is the default (manual 9.4).
+
+        Args:
+            state: The batch.
+            team: Index into `scene.teams`.
+            camera: Name or place of a camera of the class; None: the main one.
+            fov: Horizontal field of view [rad], broadcast to (worlds, robots).
+            where: Which robots shall do it, broadcast to (worlds, robots).
+
+        Raises:
+            UnknownNameError: The robots have no such camera; lists those they have.
+        """
+        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
+        place = find_camera(robot, camera)
+        told = jnp.where(where, cameras_of(robot)[place].clamp(fov, jnp), members.fov[..., place])
+        return self.with_team(state, team, members.replace(fov=members.fov.at[..., place].set(told)))
+
+    @staticmethod
+    def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState
+        """Return the batch with one team's state replaced."""
+        teams = state.worlds.teams
+        return state.replace(worlds=state.worlds.replace(teams=(*teams[:team], members, *teams[team + 1 :])))
+
+    def check(self, state: State) -> None:
+        """Refuse to go on with results that a full contact buffer has falsified.
+
+        Raises:
+            EngineError: Says how many worlds lost contacts, and what to raise.
+        """
+        lost = int((np.asarray(state.worlds.status.overflow) > 0).sum())
+        if lost:
+            raise EngineError(
+                f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "
+                f"Physics.contacts_per_robot (now {self.scene.physics.contacts_per_robot})"
+            )

@@ -1,0 +1,305 @@
+"""From commands to actuators: what one robot's motors are told for one control step."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from types import ModuleType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import GRAVITY, Array
+from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.robot import Motor, RobotSpec
+
+FLIP_TIME = 3.0
+"""How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
+UPRIGHT = np.cos(np.radians(10.0))
+"""A robot that leans less than this needs no righting."""
+FLIP_RATE = 2.5
+"""About how fast a robot is righted [rad/s]."""
+
+
+class Order(IntEnum):
+    """Control modes of a joint, with the wire's numbers (manual 9.4)."""
+
+    POSITION = 0
+    VELOCITY = 1
+    TORQUE = 2
+
+
+class Command(struct.PyTreeNode, kw_only=True):
+    """What a robot is told to do until told otherwise.
+
+    Attributes:
+        target: Wanted position [rad or m], velocity [rad/s or m/s] or torque [N m or N] of each joint
+            (joints,).
+        order: `Order` of each joint (joints,).
+        setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
+        flip_until: Until when it is being righted [s] ().
+        light: Whether the headlight is on ().
+    """
+
+    target: Array
+    order: Array
+    setpoint: Array
+    flip_until: Array
+    light: Array
+
+
+class Circumstances(struct.PyTreeNode, kw_only=True):
+    """What decides what a robot's command does.
+
+    Attributes:
+        time: Simulated time [s] ().
+        powered: Whether its battery lasts ().
+        depth: How far its origin is below the surface of water [m] (); `drives.DRY` outside.
+        torque: Factor on what its motors can exert (); None: 1.
+        speed: Factor on how fast they turn (); None: 1.
+    """
+
+    time: Array
+    powered: Array
+    depth: Array
+    torque: Array | None = None
+    speed: Array | None = None
+
+
+class Driven(struct.PyTreeNode, kw_only=True):
+    """What the engine needs for one robot.
+
+    Attributes:
+        ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
+        hold: Inputs of the holding actuators: 1, or 0 under a torque order (actuators,).
+        act: Activations of the pulling ones: the servos' targets (actuators,).
+        wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
+        refused: How many commanded numbers were not finite ().
+    """
+
+    ctrl: jax.Array
+    hold: jax.Array
+    act: jax.Array
+    wrench: jax.Array
+    refused: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """Constants of a robot's joint servos (joints,); those without a motor have zeros and ones.
+
+    Attributes:
+        speed: Highest speed.
+        torque: Highest torque.
+        stiffness: Gain on the position.
+        damping: Gain on the velocity.
+        low: Lowest position.
+        high: Highest position.
+        lead: How far a servo's target is ahead of its joint per speed of that, without torque.
+        slack: How much farther it may be: just enough to exert its full torque. Without the bound a stalled
+            wheel would have to unwind first, and a braked one would roll back.
+    """
+
+    speed: np.ndarray
+    torque: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    lead: np.ndarray
+    slack: np.ndarray
+
+
+@cache
+def servos_of(robot: RobotSpec) -> Servos:
+    """Return the servo constants of a robot class."""
+    parts = parts_of(robot)
+    motors = [part.motor or Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0) for part in parts]
+    limits = [part.limits or (-np.inf, np.inf) for part in parts]
+
+    def row(values: list[float]) -> np.ndarray:
+        return np.array(values, np.float32)
+
+    return Servos(
+        speed=row([m.max_speed for m in motors]),
+        torque=row([m.torque for m in motors]),
+        stiffness=row([m.stiffness for m in motors]),
+        damping=row([m.damping for m in motors]),
+        low=row([low for low, _ in limits]),
+        high=row([high for _, high in limits]),
+        lead=row([m.damping / m.stiffness for m in motors]),
+        slack=row([m.torque / m.stiffness for m in motors]),
+    )
+
+
+def idle(robot: RobotSpec) -> Command:
+    """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
+    parts = parts_of(robot)
+    order = [Order.VELOCITY if part.rolls else Order.POSITION for part in parts]
+    return Command(
+        target=jnp.zeros(len(parts)),
+        order=jnp.array(order, jnp.int32).reshape(len(parts)),
+        setpoint=jnp.zeros(len(robot.drive.keys)),
+        flip_until=jnp.zeros(()),
+        light=jnp.zeros((), bool),
+    )
+
+
+@cache
+def _aimed(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return per joint whether the drive moves it, and the row of `Drive.values` that does."""
+    names = joint_names(robot)
+    mask, row = np.zeros(len(names), bool), np.zeros(len(names), int)
+    for i, aim in enumerate(robot.drive.aims):
+        joint = names.index(aim.joint)
+        mask[joint], row[joint] = True, i
+    return mask, row
+
+
+def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
+    """Refuse keys that a robot's DRIVE does not have.
+
+    Raises:
+        UnknownNameError: Names them and those it has.
+    """
+    bad = [key for key in keys if key not in robot.drive.keys]
+    if bad:
+        known = ", ".join(robot.drive.keys) or "none"
+        raise UnknownNameError(f"{robot.name}'s DRIVE has no key {', '.join(bad)}; it has: {known}")
+
+
+def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: ModuleType = jnp) -> Command:
+    """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
+
+    Args:
+        robot: The robot class.
+        command: What it was told so far; arrays may have leading axes.
+        values: Numbers for some of `robot.drive.keys` [rad/s, m/s or rad]; clipped to what it can do.
+        xp: Array module of the command.
+
+    Raises:
+        UnknownNameError: A key that this drive does not have; lists those it has.
+    """
+    check_keys(robot, values)
+    drive, setpoint = robot.drive, command.setpoint
+    for key, value in values.items():
+        place = drive.keys.index(key)
+        here = np.arange(len(drive.keys)) == place
+        value = xp.asarray(value, xp.float32)[..., None]
+        setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
+    mask, row = _aimed(robot)
+    command = command.replace(setpoint=setpoint)
+    if not mask.any():
+        return command
+    aimed, order = drive.values(setpoint, xp)[..., row], drive.orders(setpoint, xp)[..., row]
+    return command.replace(
+        target=xp.where(mask, aimed, command.target).astype(xp.float32),
+        order=xp.where(mask, order, command.order).astype(xp.int32),
+    )
+
+
+def move_joints(plan: BodyPlan, command: Command, targets: Mapping[str, Array], order: Order) -> Command:
+    """Return a command with joints told where to go, how fast to move or what to exert.
+
+    Args:
+        plan: Body plan of the robot class.
+        command: What it was told so far; arrays may have leading axes.
+        targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
+        order: What the numbers are.
+
+    Raises:
+        UnknownNameError: A joint that these robots do not have; lists those they have.
+    """
+    target, orders = command.target, command.order
+    for name, value in targets.items():
+        joint = plan.joint(name)
+        if joint is None:
+            known = ", ".join(plan.parts[1:])
+            raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
+        target = target.at[..., joint].set(value)
+        orders = orders.at[..., joint].set(int(order))
+    return command.replace(target=target, order=orders)
+
+
+def drive(
+    plan: BodyPlan, command: Command, state: RobotState, act: Array, now: Circumstances, period: float
+) -> Driven:
+    """Return one robot's actuator inputs for a control step of `period` [s].
+
+    Speeds are clamped to what the joints can do, positions to their ranges; a number that is not finite
+    counts as zero and is reported, so that it reaches neither the solver nor another world. A robot without
+    power brakes its joints and exerts nothing (KRobot.uc).
+    """
+    robot = plan.robot
+    braked = idle(robot).replace(order=jnp.full(command.order.shape, int(Order.VELOCITY)))
+    command = jax.tree.map(lambda told, still: jnp.where(now.powered, told, still), command, braked)
+    finite, sound = jnp.isfinite(command.target), jnp.isfinite(command.setpoint)
+    command = command.replace(
+        target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
+    )
+    ctrl, hold, act = _servo(plan, command, state, act, period, now)
+    wrench = robot.drive.passive_wrench(state, now.depth)
+    setpoint = command.setpoint if now.speed is None else command.setpoint * now.speed
+    wrench += jnp.where(now.powered, robot.drive.wrench(setpoint, state, now.depth), 0.0)
+    if robot.drive.wheeled:
+        wrench += jnp.where(now.time < command.flip_until, righting(plan, state, period), 0.0)
+    # A key of a drive that aims joints has reached their targets already.
+    refused = (~finite).sum() + (0 if robot.drive.aims else (~sound).sum())
+    return Driven(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
+
+
+def _servo(
+    plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float, now: Circumstances
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the inputs and activations of a robot's actuators (`Driven`).
+
+    Under a torque order nothing holds the joint and the pull is that torque; at the end of its range the
+    joint is held there for as long as the torque pushes outward.
+    """
+    servos, here = servos_of(plan.robot), plan.actuated
+    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
+    speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
+    slack = servos.slack[here]
+    if now.torque is not None:
+        torque, slack = torque * now.torque, slack * now.torque
+    if now.speed is not None:
+        speed, target = speed * now.speed, jnp.where(order == Order.VELOCITY, target * now.speed, target)
+    even = q + servos.lead[here] * v
+    act = jnp.clip(act, even - slack, even + slack)
+    wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
+    rate = jnp.clip(wanted, -speed, speed)
+    ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
+    outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
+    forced = order == Order.TORQUE
+    free = forced & ~outward
+    pull = jnp.clip(target, -torque, torque) / servos.stiffness[here]
+    act = jnp.where(forced, jnp.where(outward, jnp.clip(q, low, high), pull), act)
+    return jnp.where(forced, 0.0, ctrl), jnp.where(free, 0.0, 1.0), act
+
+
+def righting(plan: BodyPlan, state: RobotState, period: float) -> jax.Array:
+    """Return the wrench (6,) that turns a robot's wheels down again: a damped torque about its tilt axis.
+
+    The torque is twice what tips a box of the robot's dimensions over its edge, so it rolls over its own.
+    """
+    mat = mat_from_quat(state.quat)
+    up = mat[:, 2]
+    axis = jnp.cross(up, jnp.array([0.0, 0.0, 1.0]))
+    # Upside down every axis is as good: roll about the robot's own length.
+    axis = jnp.where(up[2] < -0.9, mat[:, 0], axis)
+    axis = axis / jnp.maximum(jnp.linalg.norm(axis), 1e-6)
+    spin = mat @ state.angular
+    across = ((1.0 - (mat.T @ axis) ** 2) * jnp.square(jnp.array(plan.robot.dimensions))).sum()
+    strength = plan.mass * GRAVITY * jnp.sqrt(across)
+    # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
+    # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
+    push = jnp.clip(1.0 - jnp.dot(spin, axis) / FLIP_RATE, 0.0, 1.0)
+    damping = jnp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
+    torque = strength * push * axis - damping * spin
+    return jnp.where(up[2] < UPRIGHT, jnp.concatenate([jnp.zeros(3), torque]), 0.0)

@@ -1,0 +1,131 @@
+"""The radio of a world: its links, and messages over them. Pure functions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.comms.antenna import antenna_places
+from usarmjx.comms.attenuation import Radio, RadioSettings, VariedRadio
+from usarmjx.comms.links import Links, evaluate, is_due, repeat
+from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver
+from usarmjx.comms.walls import arena_solids, bare, with_boxes
+from usarmjx.engines.base import PhysicsState
+from usarmjx.models.build.doors import door_boxes
+from usarmjx.models.spec.robot import SKY
+from usarmjx.sensors.rays.targets import Geoms
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, team_states, time_of
+
+
+def radio_of(scene: Scene) -> RadioSettings:
+    """Return the radio of a scene.
+
+    Raises:
+        UsageError: It has none.
+    """
+    if scene.radio is None:
+        raise UsageError("this scene has no radio: give build_scene a radio=RadioSettings(...)")
+    return scene.radio
+
+
+def radio_in(scene: Scene, world: World) -> Radio:
+    """Return the constants of a world's radios.
+
+    Raises:
+        UsageError: The scene has no radio.
+    """
+    usual, varied = radio_of(scene), world.varied
+    if varied is None:
+        return usual
+    drawn = {name: getattr(varied, f"radio_{name}") for name in ("pdo", "n", "cutoff", "atten_fac")}
+    if all(value is None for value in drawn.values()):
+        return usual
+    own = {name: getattr(usual, name) if value is None else value for name, value in drawn.items()}
+    same = {name: getattr(usual, name) for name in ("do", "max_obs", "shadowing", "loss_band")}
+    return VariedRadio(**own, **same)
+
+
+def mail_of(scene: Scene) -> MailSettings:
+    """Return the mail of a scene.
+
+    Raises:
+        UsageError: It has none.
+    """
+    if scene.mail is None:
+        raise UsageError("this scene has no mail: give build_scene a mail=MailSettings(...)")
+    return scene.mail
+
+
+def antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[jax.Array, jax.Array]:
+    """Return where the robots' antennas are [m] (robots, 3), and which robots are in use (robots,), by slot.
+
+    A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
+    """
+    places, in_use = jnp.zeros((scene.robots, 3)), jnp.zeros(scene.robots, bool)
+    for team, state in zip(scene.teams, world.teams, strict=True):
+        robots = team_states(team, physics)
+        here = antenna_places(team.robot, robots.pos, robots.quat, scene.arena.floor)
+        places, in_use = places.at[team.slots].set(here), in_use.at[team.slots].set(state.active)
+    return places, in_use
+
+
+def every(scene: Scene) -> int:
+    """Return after how many control steps the links are evaluated again."""
+    return max(1, round(radio_of(scene).period / scene.physics.period))
+
+
+def links_due(scene: Scene, world: World) -> jax.Array:
+    """Return whether the links are to be evaluated again ()."""
+    return is_due(_links(world), world.step, every(scene))
+
+
+def kept_links(world: World) -> Links:
+    """Return the links as they were last."""
+    return repeat(_links(world), world.step)
+
+
+def solids(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
+    """Return what weakens links now: the arena's solids, and doors where they stand."""
+    if world.site is None:
+        doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
+        return with_boxes(arena_solids(scene.arena), *doors)
+    site, lift = world.site, jnp.array([0.0, 0.0, scene.arena.floor])
+    shapes = scene.arena.shapes[: len(site.pos)]
+    walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
+    pos, mat = site.pos[walls] + lift, mat_from_quat(site.quat[walls])
+    return with_boxes(arena_solids(bare(scene.arena)), pos, mat, site.size[walls])
+
+
+def present_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
+    """Return the links as they are now if they are due, else as they were last."""
+    places, in_use = antennas(scene, world, physics)
+    key, walls = episode_key(world, RADIO_STREAM), solids(scene, world, physics)
+    now = evaluate(radio_in(scene, world), walls, (places, in_use), _links(world), key, world.step)
+    due = links_due(scene, world)
+    return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, kept_links(world))
+
+
+def boxes(scene: Scene, world: World) -> Mail:
+    """Return the robots' boxes.
+
+    Raises:
+        UsageError: The scene has no mail.
+    """
+    mail_of(scene)
+    assert world.mail is not None  # as the scene has mail
+    return world.mail
+
+
+def send(scene: Scene, world: World, letters: Letters) -> Mail:
+    """Return the boxes after everyone's message went to its receivers, as far as links hold."""
+    mail = boxes(scene, world)
+    key = jax.random.fold_in(episode_key(world, MAIL_STREAM), mail.sent.sum())
+    moment = (world.step, time_of(scene, world))
+    return deliver(mail_of(scene), mail, letters, _links(world), moment, key)
+
+
+def _links(world: World) -> Links:
+    assert world.links is not None  # the scene has a radio
+    return world.links

@@ -1,0 +1,184 @@
+"""A task in a batch of worlds: functional reset and step, brax's way."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.engines import PhysicsState
+from usarmjx.models.build.arena_set import Site
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.world import first_episode
+from usarmjx.train.envs.episode import finish, look, open_episode, reopen, tell
+from usarmjx.train.envs.recipe import Generated
+from usarmjx.train.envs.state import AgentGroup, EnvState, Opening
+from usarmjx.train.envs.task import Task, Verdict
+
+Array = jax.Array
+
+
+class Env:
+    """A task in many worlds. Its functions are pure where the engine can be traced.
+
+    Args:
+        task: The task.
+        worlds: How many.
+        engine: `warp`, `jax`, `c`, or `auto`.
+        seed: Of all random numbers, unless `reset` is given another.
+        first: Number of the first world. World k is the same alone as in a batch.
+
+    Attributes:
+        name: Of the task.
+        groups: The agents.
+        privileged_size: Numbers that only critics see.
+        episode_steps: Steps after which the time is up.
+        period: Simulated time of a step [s].
+        levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
+        traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
+            parts compiled.
+
+    Raises:
+        UsageError: The task cannot be built, or not run on this engine.
+    """
+
+    def __init__(
+        self, task: Task, worlds: int, *, name: str = "", engine: str = "auto", seed: int = 0, first: int = 0
+    ) -> None:
+        if task.repeat < 1 or task.episode_steps < 1:
+            raise UsageError(
+                f"repeat {task.repeat}, episode_steps {task.episode_steps}: both must be at least 1"
+            )
+        self.task, self.name = task, name or type(task).__name__
+        self.scene = task.scene()
+        self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)
+        self.worlds, self.traceable = worlds, self.batch.engine.traceable
+        self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
+        self.seed = seed
+        arenas = task.arenas
+        self._generated = arenas if isinstance(arenas, Generated) else None
+        self.levels = arenas.levels if isinstance(arenas, Generated) else ()
+        self._tell = self._compile(jax.vmap(partial(tell, self.scene, task)))
+        self._open = self._compile(jax.vmap(partial(open_episode, self.scene, task)))
+        self._finish = self._compile(partial(finish, self.scene, task))
+        self._reopen = self._compile(partial(reopen, self.scene, task))
+        self._library = self._compile(self._library_at)
+        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
+            self._compile(self._step) if self.traceable else self._step
+        )
+        """Advance every world by one action, per group (worlds, robots, action_size).
+
+        Numbers beyond +-1 count as +-1, those that are not numbers as 0.
+        """
+        self.groups, self.privileged_size, self._metrics = self._shapes()
+
+    @staticmethod
+    def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
+        return jax.jit(jax.default_matmul_precision("highest")(function))
+
+    def _shapes(self) -> tuple[tuple[AgentGroup, ...], int, tuple[str, ...]]:
+        """Return the agents, the size of `privileged` and the names of the metrics."""
+        scene, task = self.scene, self.task
+
+        def once(key: Array) -> tuple[Opening, Verdict]:
+            sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.sites)
+            world, qpos = first_episode(scene, key, jnp.int32(0), sites, shuffle=task.shuffle)
+            model = scene.model
+            physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+            world, opening = open_episode(scene, task, world, physics)
+            return opening, task.judge(look(scene, world, physics)[1], opening.memory)
+
+        opening, verdict = jax.eval_shape(once, jax.random.key(0))
+        groups = []
+        for number, obs, actions in zip(
+            task.groups(scene), opening.obs, task.action_sizes(scene), strict=True
+        ):
+            team = scene.teams[number]
+            names = tuple(scene.roster[slot].name or f"{team.robot.name}{slot}" for slot in team.slots)
+            groups.append(AgentGroup(team.robot.name, names, obs.shape[-1], actions))
+        return tuple(groups), opening.privileged.shape[-1], tuple(verdict.metrics)
+
+    def _library_at(self, library: Site, level: Array) -> Site:
+        """Return a library in which only the arenas in play are, over and over."""
+        assert self._generated is not None  # as the caller says
+        places = self._generated.in_play(level)
+        return jax.tree.map(lambda rows: rows[places], library)
+
+    def _arenas(self, level: Array) -> Site | None:
+        if self._generated is None or self.scene.arenas is None:
+            return None
+        return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.sites), level)
+
+    def reset(self, seed: int | None = None, level: float = 1.0) -> EnvState:
+        """Return all worlds at the start of their first episode.
+
+        Args:
+            seed: Of all random numbers; None: the environment's own.
+            level: How difficult the generated arenas in play are, from 0 to 1; see `at_level`.
+
+        Raises:
+            UsageError: A level below 1 where no arenas are generated.
+        """
+        if level < 1.0 and not self.levels:
+            raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
+        level_now = jnp.float32(level)
+        batch = self.batch.reset(self.seed if seed is None else seed, self._arenas(level_now))
+        worlds, opening = self._open(batch.worlds, self.batch.physics(batch))
+        no = jnp.zeros(self.worlds, bool)
+        zero = jnp.zeros(self.worlds)
+        return EnvState(
+            batch=batch.replace(worlds=worlds),
+            memory=opening.memory,
+            obs=opening.obs,
+            privileged=opening.privileged,
+            reward=tuple(jnp.zeros((self.worlds, len(group.agents))) for group in self.groups),
+            done=no,
+            truncated=no,
+            final_obs=opening.obs,
+            final_privileged=opening.privileged,
+            score=opening.score,
+            final_score=zero,
+            length=opening.length,
+            bad=no,
+            metrics=dict.fromkeys(self._metrics, zero),
+            level=level_now,
+        )
+
+    def at_level(self, state: EnvState, level: float | Array) -> EnvState:
+        """Return the state with other generated arenas in play: worlds meet them at their next reset.
+
+        Those are in play whose difficulty is at most the level, and always the easiest. Nothing is compiled
+        again. Other arenas than generated ones have no levels: there it changes nothing.
+        """
+        level = jnp.asarray(level, jnp.float32)
+        library = self._arenas(level)
+        batch = state.batch if library is None else state.batch.replace(library=library)
+        return state.replace(batch=batch, level=level)
+
+    def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+        self._check(actions)
+        batch, before = state.batch, state.batch.worlds.status
+        worlds = self._tell(batch.worlds, self.batch.physics(batch), state.memory, actions)
+        batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
+        worlds, state = self._finish(
+            state.replace(batch=None), batch.worlds, self.batch.physics(batch), before
+        )
+        state = state.replace(batch=batch.replace(worlds=worlds))
+        if self.traceable:
+            return jax.lax.cond(state.done.any(), self._restart, lambda s: s, state)
+        return self._restart(state) if np.asarray(state.done).any() else state
+
+    def _restart(self, state: EnvState) -> EnvState:
+        batch = self.batch.reset_where(state.batch, state.done)
+        worlds, state = self._reopen(state.replace(batch=None), batch.worlds, self.batch.physics(batch))
+        return state.replace(batch=batch.replace(worlds=worlds))
+
+    def _check(self, actions: tuple[Array, ...]) -> None:
+        """Refuse actions of another shape."""
+        wanted = [(self.worlds, len(group.agents), group.action_size) for group in self.groups]
+        given = [tuple(np.shape(action)) for action in actions]
+        if given != wanted:
+            raise UsageError(f"actions of shapes {given}, expected {wanted}: one array per group")

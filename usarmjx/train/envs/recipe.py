@@ -1,0 +1,164 @@
+"""What a task's scene is made from: its arenas, and robots with only the sensors that the task reads."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.models.build.reach import Size
+from usarmjx.models.generate import KINDS, Difficulty, generate
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.spec.robot import Mount, RobotSpec
+
+APART = 1.0
+"""Least distance of two start poses on an open floor [m]."""
+LEVEL_ATOL = 1e-6
+"""Levels that rise in single precision are this far off at most."""
+TRIES = 100
+"""Places that are drawn for a start pose, at most, before the floor counts as full."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generated:
+    """A library of generated arenas, from easy to hard; every world gets another one at each reset.
+
+    Attributes:
+        kind: A name of `models.generate.KINDS`.
+        count: Arenas of each level.
+        levels: Difficulties from easy to hard, each from 0 to 1 (`Difficulty.of`).
+        size: Columns and rows of cells of 1.2 m.
+        seed: Of the library; another seed gives arenas that were not trained on.
+        robot: The robot that passes: a class, or what it needs.
+        reachable: Share of the victims that it reaches.
+        victims: How many in each arena; None: one for 12 cells.
+    """
+
+    kind: str = "maze"
+    count: int = 16
+    levels: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
+    size: tuple[int, int] = (5, 4)
+    seed: int = 0
+    robot: str | Size = "P2AT"
+    reachable: float = 1.0
+    victims: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no library."""
+        if self.count < 1 or not self.levels or list(self.levels) != sorted(self.levels):
+            raise UsageError(
+                f"{self.count} arenas of levels {self.levels}: expected at least one of each level, and "
+                "levels that rise"
+            )
+
+    def arenas(self) -> tuple[ArenaSpec, ...]:
+        """Return the arenas, the easy ones first."""
+        seeds = np.random.SeedSequence(self.seed).generate_state(self.count * len(self.levels), np.uint32)
+        levels = np.repeat(self.levels, self.count)
+        return tuple(
+            generate(
+                self.kind,
+                self.size,
+                int(seed),
+                Difficulty.of(float(level)),
+                self.robot,
+                self.reachable,
+                self.victims,
+            )
+            for seed, level in zip(seeds, levels, strict=True)
+        )
+
+    def in_play(self, level: jax.Array) -> jax.Array:
+        """Return the arenas that a library of as many holds at a level, by number (arenas,).
+
+        They are those whose difficulty is at most the level, and always the easiest; over and over, each as
+        often as the others or once more.
+
+        Args:
+            level: From 0 to 1 ().
+        """
+        slots = jnp.arange(self.count * len(self.levels))
+        there = self.count * jnp.maximum((jnp.array(self.levels) <= level + LEVEL_ATOL).sum(), 1)
+        rest = len(slots) % there  # slots beyond the last whole round, which go to arenas of all levels alike
+        spread = (slots - (len(slots) - rest)) * there // jnp.maximum(rest, 1)
+        return jnp.where(slots < len(slots) - rest, slots % there, spread)
+
+
+Arenas = str | ArenaSpec | Sequence[ArenaSpec] | Generated
+"""What a task's arenas may be given as: a name, a description, several, or what generates them."""
+
+
+def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
+    """Return an empty floor with start poses at random, `APART` from each other if there is room.
+
+    Args:
+        side: Side of the square in which they are [m].
+        starts: How many.
+        seed: Of places and yaws.
+    """
+    draw, places = np.random.default_rng(seed), []
+    for _ in range(starts):
+        for _ in range(TRIES):
+            place = draw.uniform(-side / 2, side / 2, 2).round(3)
+            if all(np.hypot(*(place - other)) >= APART for other in places):
+                break
+        places.append(place)
+    poses = [
+        StartPose(tag=f"Start{i}", at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
+        for i, ((x, y), yaw) in enumerate(
+            zip(places, draw.uniform(-np.pi, np.pi, starts).round(3), strict=True)
+        )
+    ]
+    half = side / 2
+    return ArenaSpec(
+        name="DM-Floor", about="An empty floor.", starts=tuple(poses), extent=((-half, half), (-half, half))
+    )
+
+
+def resolve(arenas: Arenas, robot: str) -> Arenas:
+    """Return arenas with the names that only tasks know resolved: kinds to generate for a robot, `floor`."""
+    if not isinstance(arenas, str):
+        return arenas
+    if arenas.lower() == "floor":
+        return open_floor()
+    return Generated(kind=arenas, robot=robot) if arenas in KINDS else arenas
+
+
+def spec_of(robot: str | RobotSpec) -> RobotSpec:
+    """Return the description of a robot.
+
+    Raises:
+        UnknownNameError: No such class.
+    """
+    return ROBOTS.get(robot) if isinstance(robot, str) else robot
+
+
+def equipped(robots: Sequence[str | RobotSpec], keep: Sequence[str | Mount] | None) -> list[RobotSpec]:
+    """Return robots with only some of their sensors; no others are computed.
+
+    Args:
+        robots: The robots, as names or descriptions.
+        keep: Types of sensors that each keeps if it has them, and mounts that each is given; None: all that
+            it has.
+
+    Raises:
+        UnknownNameError: No such robot, or a type that none of them has; lists those they have.
+    """
+    specs = [spec_of(robot) for robot in robots]
+    if keep is None:
+        return specs
+    kinds = {kind.lower() for kind in keep if isinstance(kind, str)}
+    extra = tuple(mount for mount in keep if isinstance(mount, Mount))
+    there = {mount.kind.lower(): mount.kind for spec in specs for mount in spec.sensors}
+    if missing := kinds - set(there):
+        known = ", ".join(sorted(there.values())) or "none"
+        raise UnknownNameError(
+            f"none of the robots has a sensor {', '.join(sorted(missing))}; they have: {known}"
+        )
+    return [
+        replace(spec, sensors=(*(m for m in spec.sensors if m.kind.lower() in kinds), *extra))
+        for spec in specs
+    ]

@@ -1,0 +1,243 @@
+"""What a task is: data, and small pure functions of one world, which `env.Env` maps over a batch.
+
+`observe` sees what real sensors and the radio give; `judge` and `privileged` may see where everything
+truly is.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links
+from usarmjx.comms.mail import Mail, MailSettings
+from usarmjx.engines import PhysicsState
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.variation import Variation
+from usarmjx.models.build.victims import VictimTable
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.sensors.base import Reading
+from usarmjx.sim.radio import boxes
+from usarmjx.sim.scene import Scene, build_scene
+from usarmjx.sim.site import start_poses, victims_of
+from usarmjx.sim.world import World, episode_key, team_states, time_of
+from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.recipe import Arenas, Generated, equipped, resolve, spec_of
+
+TASK_STREAM, ACT_STREAM = 5, 6
+"""First folds of a world's key: numbers that a task draws at an episode's start, and at its steps."""
+
+
+class View(struct.PyTreeNode, kw_only=True):
+    """What one world offers to a task's functions at one moment. Teams are numbered as `scene.teams`.
+
+    Attributes:
+        world: Everything but the physics: arena, commands, sensors' memory, links, mail, status.
+        physics: Positions and velocities.
+        readings: Per team and sensor what it last reported; leading axis over the team's robots.
+        scene: What the world is made from.
+    """
+
+    world: World
+    physics: PhysicsState
+    readings: tuple[tuple[Reading, ...], ...]
+    scene: Scene = struct.field(pytree_node=False)
+
+    @property
+    def time(self) -> jax.Array:
+        """Simulated time since the episode began [s] ()."""
+        return time_of(self.scene, self.world)
+
+    @property
+    def key(self) -> jax.Array:
+        """A random key of this moment, for tasks that draw at every step."""
+        return jax.random.fold_in(episode_key(self.world, ACT_STREAM), self.world.step)
+
+    def sensor(self, team: int, kind: str) -> jax.Array:
+        """Return what the first sensor of a type last reported (robots, ...), as `sensors` says.
+
+        Raises:
+            UnknownNameError: The robots have none, or the task does not ask for it; lists those there are.
+        """
+        return self.readings[team][self.scene.teams[team].suite.place(kind)].value
+
+    def fresh(self, team: int, kind: str) -> jax.Array:
+        """Return whether that was measured now, not at an earlier scan (robots,)."""
+        return self.readings[team][self.scene.teams[team].suite.place(kind)].fresh
+
+    def robots(self, team: int) -> RobotState:
+        """Return where a team's robots truly are; leading axis over them. Not for `observe`."""
+        return team_states(self.scene.teams[team], self.physics)
+
+    @property
+    def links(self) -> Links:
+        """The radio links as they are now.
+
+        Raises:
+            SpecError: The task has no radio.
+        """
+        if self.world.links is None:
+            raise SpecError("this task has no radio: give it a radio=RadioSettings(...)")
+        return self.world.links
+
+    @property
+    def mail(self) -> Mail:
+        """What came since the last observation, by slot.
+
+        Raises:
+            UsageError: The task has no mail.
+        """
+        return boxes(self.scene, self.world)
+
+    @property
+    def starts(self) -> jax.Array:
+        """Start poses of the world's arena: x, y, z [m] above its floor, yaw [rad] (starts, 4)."""
+        return start_poses(self.scene, self.world.site)
+
+    @property
+    def victims(self) -> VictimTable:
+        """The victims of the world's arena. Not for `observe`."""
+        return victims_of(self.scene, self.world.site)
+
+
+class Verdict(NamedTuple):
+    """What a task says of a step.
+
+    Attributes:
+        memory: The task's memory from now on.
+        reward: Per group (robots,).
+        terminated: Whether the episode is over, for a reason other than time ().
+        score: The task's score of the episode so far ().
+        metrics: Numbers to look at, the same names always, () each.
+    """
+
+    memory: Any
+    reward: tuple[jax.Array, ...]
+    terminated: jax.Array
+    score: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """A task: its fields are what `make` lets one override; its functions are pure and of one world.
+
+    Groups are the robots of one class that are agents, in the order of `scene.teams`.
+
+    Attributes:
+        about: What it is, in a sentence.
+        arena: Its arenas: a name or description of one, several of them, `Generated`, the name of a kind of
+            generated arenas (`maze`), or `floor`, which is empty.
+        sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
+        physics: Solver and time settings.
+        repeat: Control steps per action.
+        episode_steps: Actions until the time is up.
+        radio: Constants of the robots' radios; None: they have none.
+        mail: Sizes of the messages over it; None: there are none.
+        shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
+        vary: What else differs between worlds and episodes: domain randomisation; None: nothing.
+    """
+
+    about: ClassVar[str] = ""
+
+    arena: Arenas = "floor"
+    sensors: tuple[str | Mount, ...] | None = None
+    physics: Physics = field(default_factory=Physics)
+    repeat: int = 10
+    episode_steps: int = 100
+    radio: RadioSettings | None = None
+    mail: MailSettings | None = None
+    shuffle: bool = True
+    vary: Variation | None = None
+
+    @property
+    @abstractmethod
+    def robots(self) -> Sequence[str | RobotSpec]:
+        """The roster: class names or descriptions, in slot order."""
+
+    @property
+    def equipment(self) -> Sequence[str | Mount] | None:
+        """The sensors that are read: types that each robot keeps, mounts that it is given; None: all."""
+        return self.sensors
+
+    @property
+    def arenas(self) -> Arenas:
+        """The arenas, names that only tasks know resolved; generated ones are for the first robot."""
+        return resolve(self.arena, spec_of(self.robots[0]).name)
+
+    @property
+    def scripted(self) -> Sequence[str]:
+        """Classes of robots that are no agents: those that cannot drive, unless a task says more."""
+        return ("ComStation",)
+
+    def scene(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            UsageError: See `build_scene`.
+        """
+        robots = equipped(self.robots, self.equipment)
+        arenas = self.arenas
+        if isinstance(arenas, Generated):
+            arenas = arenas.arenas()
+        return build_scene(arenas, robots, self.physics, radio=self.radio, mail=self.mail, vary=self.vary)
+
+    def groups(self, scene: Scene) -> tuple[int, ...]:
+        """Return the teams whose robots are agents."""
+        idle = {name.lower() for name in self.scripted}
+        return tuple(t for t, team in enumerate(scene.teams) if team.robot.name.lower() not in idle)
+
+    def action_sizes(self, scene: Scene) -> tuple[int, ...]:
+        """Return how many numbers from -1 to 1 an action of each group has."""
+        return tuple(len(drive_keys(scene.teams[team].robot)) for team in self.groups(scene))
+
+    def act(self, view: View, memory: Any, actions: tuple[jax.Array, ...]) -> Orders:  # noqa: ANN401
+        """Return what the robots are told until the next action; by default each key of DRIVE is a share.
+
+        Args:
+            view: The world.
+            memory: The task's memory.
+            actions: Per group (robots, action_size), finite and from -1 to 1.
+        """
+        del memory
+        groups = zip(self.groups(view.scene), actions, strict=True)
+        return Orders(drive={team: drive_all(view.scene.teams[team].robot, told) for team, told in groups})
+
+    def privileged(self, view: View, memory: Any) -> jax.Array:  # noqa: ANN401
+        """Return what only critics see (privileged_size,); by default nothing."""
+        del view, memory
+        return jnp.zeros(0)
+
+    @abstractmethod
+    def start(self, view: View, key: jax.Array) -> Any:  # noqa: ANN401
+        """Return the task's memory at the start of an episode, from a key of that episode."""
+
+    @abstractmethod
+    def observe(self, view: View, memory: Any) -> tuple[jax.Array, ...]:  # noqa: ANN401
+        """Return what the agents see: per group (robots, obs_size)."""
+
+    @abstractmethod
+    def judge(self, view: View, memory: Any) -> Verdict:  # noqa: ANN401
+        """Return what the step that ended with this view was worth."""
+
+
+def drive_keys(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the keys of DRIVE that do something to a robot, in their order."""
+    return tuple(key for key, limit in robot.drive.full.items() if limit > 0)
+
+
+def drive_all(robot: RobotSpec, actions: jax.Array) -> dict[str, jax.Array]:
+    """Return numbers for `drive_keys` (...) from actions from -1 to 1 (..., keys)."""
+    full = robot.drive.full
+    return {key: actions[..., i] * full[key] for i, key in enumerate(drive_keys(robot))}
+
+
+TASKS: Registry[Task] = Registry("task")

@@ -1,0 +1,165 @@
+"""Whether the radio matters in a task: a good policy with its radio, with a perfect one, and with none.
+
+    python -m usarmjx.train.evaluation.radio_matters explore --worlds 12 --seeds 5 --engine c
+
+With a perfect radio the policy's score must be higher, without messages lower, by 10 % of its score with the
+task's own radio, and the 95 % intervals over the seeds must not overlap; and with its own radio at least 20 %
+of the pairs of robots must have no link, counted over all steps.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.recipe import Generated
+from usarmjx.train.envs.task import TASKS
+from usarmjx.train.evaluation.evaluate import Interval, interval
+from usarmjx.train.make import make_task
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import PERFECT
+
+GAIN, UNLINKED = 0.1, 0.2
+"""What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""
+VARIANTS = ("perfect", "real", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One variant of a task.
+
+    Attributes:
+        name: One of `VARIANTS`.
+        score: Over the seeds' means.
+        seeds: Mean score of each seed.
+        metrics: Means of the task's metrics at the ends of the episodes.
+    """
+
+    name: str
+    score: Interval
+    seeds: tuple[float, ...]
+    metrics: dict[str, float]
+
+
+def variants(task: TeamTask) -> dict[str, TeamTask]:
+    """Return a task with a perfect radio, with its own, and with messages to nobody but the base."""
+    quiet = replace(task, talk="base" if task.reports else "none")
+    return {"perfect": replace(task, radio=PERFECT), "real": task, "none": quiet}
+
+
+def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
+    """Return a task with as many generated arenas as worlds, of all levels alike: each world has its own.
+
+    Raises:
+        UsageError: Worlds that are no multiple of the levels.
+    """
+    arena = task.arena
+    if not isinstance(arena, Generated):
+        return task
+    if worlds % len(arena.levels):
+        raise UsageError(f"{worlds} worlds for {len(arena.levels)} levels of arenas: expected a multiple")
+    return replace(task, arena=replace(arena, count=worlds // len(arena.levels)))
+
+
+def play(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out."""
+    policy = BASELINES.get(name)(env)
+    act, memory, state = jax.jit(policy.act), policy.start(env.worlds), env.reset(seed)
+    good, score, metrics = np.ones(env.worlds, bool), np.zeros(env.worlds), {}
+    for step in range(env.episode_steps):
+        memory, actions = act(memory, state.obs, jax.random.fold_in(jax.random.key(seed), step))
+        state = env.step(state, actions)
+        good &= ~np.asarray(state.bad)
+        score = np.asarray(state.final_score)
+        metrics = {key: np.asarray(value) for key, value in state.metrics.items()}
+    return score[good], {key: value[good] for key, value in metrics.items()}
+
+
+def measure(
+    name: str,
+    worlds: int,
+    seeds: Sequence[int],
+    engine: str = "auto",
+    **overrides: Any,  # noqa: ANN401
+) -> tuple[Row, ...]:
+    """Return what the task's baseline scores in each variant.
+
+    Args:
+        name: Of the task.
+        worlds: Episodes of each seed, one in each of as many arenas, which are the same for all seeds.
+        seeds: The seeds.
+        engine: See `make`.
+        overrides: Fields of the task to set otherwise.
+
+    Raises:
+        UnknownNameError: No such task, or a field that it does not have.
+        UsageError: A task without a radio; worlds that are no multiple of the levels of generated arenas.
+    """
+    team, rows = make_task(name, **overrides), []
+    if not isinstance(team, TeamTask):
+        raise UsageError(f"{name} is no task for a team: its robots have no radio")
+    for variant, task in variants(few_arenas(team, worlds)).items():
+        env = Env(task, worlds, name=name, engine=engine)
+        runs = [play(env, name, seed) for seed in seeds]
+        means = [float(scores.mean()) for scores, _ in runs]
+        ends = {key: float(np.mean([m[key].mean() for _, m in runs])) for key in runs[0][1]}
+        rows.append(Row(name=variant, score=interval(np.array(means)), seeds=tuple(means), metrics=ends))
+    return tuple(rows)
+
+
+def holds(rows: Sequence[Row]) -> dict[str, bool]:
+    """Return what of the check holds: see the module."""
+    perfect, real, none = (next(row for row in rows if row.name == name) for name in VARIANTS)
+    return {
+        "a perfect radio is worth it": perfect.score.mean >= (1 + GAIN) * real.score.mean
+        and perfect.score.low > real.score.high,
+        "no messages cost it": none.score.mean <= (1 - GAIN) * real.score.mean
+        and none.score.high < real.score.low,
+        "links are lost": real.metrics["unlinked"] >= UNLINKED,
+    }
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as a Markdown table."""
+    names = list(rows[0].metrics)
+    lines = [" | ".join(["| radio", "score", "95 % interval", *names]) + " |"]
+    lines.append("|---" * (3 + len(names)) + "|")
+    for row in rows:
+        span = f"{row.score.low:.1f} to {row.score.high:.1f}"
+        cells = [row.name, f"{row.score.mean:.1f}", span, *(f"{row.metrics[key]:.2f}" for key in names)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print the table, and return 0 if the check holds."""
+    names = [name for name, task in TASKS if isinstance(task, TeamTask)]
+    parser = argparse.ArgumentParser(description="Whether the radio matters in a task.")
+    parser.add_argument("task", choices=names)
+    parser.add_argument("--worlds", type=int, default=12, help="episodes of each seed, each in an arena")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--engine", default="auto")
+    parser.add_argument("--steps", type=int, help="actions of an episode")
+    parser.add_argument("--json", help="file to write the rows to")
+    told = parser.parse_args(arguments)
+    overrides = {} if told.steps is None else {"episode_steps": told.steps}
+    rows = measure(told.task, told.worlds, range(told.seeds), told.engine, **overrides)
+    verdict = holds(rows)
+    print(table(rows))
+    print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in verdict.items()))
+    if told.json:
+        content = {"task": told.task, "rows": [vars(row) | {"score": vars(row.score)} for row in rows]}
+        with open(told.json, "w", encoding="utf-8") as file:
+            json.dump(content | {"holds": verdict}, file, indent=1)
+    return 0 if all(verdict.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

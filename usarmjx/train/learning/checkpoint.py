@@ -1,0 +1,235 @@
+"""Checkpoints: all that a run needs to go on as if it had never stopped.
+
+`checkpoints/00000020/` holds what was learned after 20 iterations (`learner`) and the worlds of all processes
+(`worlds`), both in orbax's format, lists of what each process put there with checksums, and `meta.json`. It
+is written under another name and renamed when it is complete, so whatever has that name is whole.
+"""
+
+import json
+import shutil
+import zlib
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+from usarmjx.train.learning.record import RunRecord, load_record
+from usarmjx.train.learning.train_state import make_learner, make_networks, policy_params
+from usarmjx.train.processes.group import Team
+
+FOLDER = "checkpoints"
+FORMAT = 1
+PARTIAL = ".partial"
+
+
+def _is_key(leaf: Any) -> bool:  # noqa: ANN401 - any leaf
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _arrays(tree: Any) -> dict[str, np.ndarray]:  # noqa: ANN401 - any tree
+    """Return a tree's leaves by their path, as NumPy arrays; random keys as their numbers."""
+    leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+    plain = [(path, jax.random.key_data(leaf) if _is_key(leaf) else leaf) for path, leaf in leaves]
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in plain}
+
+
+def _described(arrays: dict[str, np.ndarray]) -> list[list[Any]]:
+    return [[path, list(array.shape), str(array.dtype)] for path, array in arrays.items()]
+
+
+def _checksum(array: np.ndarray) -> int:
+    return zlib.crc32(np.ascontiguousarray(array).tobytes())
+
+
+def _flat(array: np.ndarray) -> np.ndarray:
+    """Return the same bits in a row, in a type that JAX has: it halves 64-bit numbers otherwise."""
+    row = np.ascontiguousarray(array).reshape(-1)
+    return row.view(np.uint32) if row.itemsize == 8 else row
+
+
+def _write(folder: Path, name: str, tree: Any, team: Team) -> None:  # noqa: ANN401
+    """Write what this process has of a tree; all processes do, into one array with a row of each."""
+    arrays = _arrays(tree)
+    rows = {f"{i:05d}": _flat(array)[None] for i, array in enumerate(arrays.values()) if array.size}
+    with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as saver:
+        saver.save((folder / name).absolute(), team.whole(jax.device_put(rows, team.device), 0))
+    content = {"leaves": _described(arrays), "checksums": [_checksum(array) for array in arrays.values()]}
+    (folder / f"{name}_{team.index}.json").write_text(json.dumps(content))
+
+
+def _read(folder: Path, name: str, wanted: dict[str, np.ndarray], index: int) -> list[np.ndarray]:
+    """Return the arrays that a process put there; what has no elements was not written, and is as wanted."""
+    as_numpy = {
+        f"{i:05d}": ocp.RestoreArgs(restore_type=np.ndarray)
+        for i, array in enumerate(wanted.values())
+        if array.size
+    }
+    with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
+        path, how = (folder / name).absolute(), ocp.args.PyTreeRestore(restore_args=as_numpy)
+        rows = reader.restore(path, args=how)
+    return [
+        np.array(rows[f"{i:05d}"][index]).view(array.dtype).reshape(array.shape) if array.size else array
+        for i, array in enumerate(wanted.values())
+    ]
+
+
+def read_part(folder: Path, name: str, template: Any, index: int = 0) -> Any:  # noqa: ANN401 - as the template
+    """Return a part of a checkpoint.
+
+    Args:
+        folder: The checkpoint.
+        name: `learner` or `worlds`.
+        template: A tree of the same shapes; its leaves also say what is NumPy's and what is JAX's.
+        index: Of the process whose part it is.
+
+    Raises:
+        UsageError: The checkpoint is broken, or of something else.
+    """
+    wanted = _arrays(template)
+    try:
+        content = json.loads((folder / f"{name}_{index}.json").read_text())
+        there, checksums = content["leaves"], content["checksums"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"checkpoint {folder} is broken: {name}_{index}.json does not read: {error}"
+        ) from error
+    if there != _described(wanted):
+        raise UsageError(f"checkpoint {folder} is of another run: {_misfit(there, _described(wanted))}")
+    try:
+        found = _read(folder, name, wanted, index)
+    except Exception as error:  # whatever a damaged file makes the reader do
+        raise UsageError(
+            f"checkpoint {folder} is broken: {name} does not read; delete it: {error}"
+        ) from error
+    for path, array, checksum in zip(wanted, found, checksums, strict=True):
+        if _checksum(array) != checksum:
+            raise UsageError(f"checkpoint {folder} is broken: {name}{path} has another checksum; delete it")
+    leaves, shape = jax.tree.flatten(template)
+    return jax.tree.unflatten(shape, [_like(leaf, one) for leaf, one in zip(leaves, found, strict=True)])
+
+
+def _like(leaf: Any, array: np.ndarray) -> Any:  # noqa: ANN401 - as the leaf
+    """Return an array as what the leaf is."""
+    if _is_key(leaf):
+        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
+    return jnp.asarray(array) if isinstance(leaf, jax.Array) else np.array(array)
+
+
+def _misfit(there: list[list[Any]], wanted: list[list[Any]]) -> str:
+    for one, other in zip(there, wanted, strict=False):
+        if one != other:
+            return f"it holds {one}, expected {other}"
+    return f"it holds {len(there)} arrays, expected {len(wanted)}"
+
+
+class Checkpoints:
+    """The checkpoints of a run.
+
+    Args:
+        run: Folder of the run.
+        team: All processes; None: only this one, to read.
+        keep: Latest ones that are kept; the best one is kept too.
+    """
+
+    def __init__(self, run: Path, team: Team | None = None, keep: int = 1) -> None:
+        self.run, self.folder = Path(run), Path(run) / FOLDER
+        self.team, self.keep = team, keep
+
+    def all(self) -> list[Path]:
+        """Return all that are whole, the oldest first."""
+        return sorted(p for p in self.folder.glob("*") if p.name.isdecimal() and p.is_dir())
+
+    def find(self, which: str = "last") -> Path:
+        """Return a checkpoint: `last`, `best`, or the number of an iteration.
+
+        Raises:
+            UsageError: No such one; lists those there are.
+        """
+        there = self.all()
+        known = ", ".join(str(int(path.name)) for path in there) or "none"
+        if which == "last" and there:
+            return there[-1]
+        if which == "best" and there:
+            return max(there, key=self._rank)
+        for path in there:
+            if which.isdecimal() and int(path.name) == int(which):
+                return path
+        raise UsageError(
+            f"no checkpoint {which!r} in {self.folder}; there are: {known}, besides last and best"
+        )
+
+    def meta(self, path: Path) -> dict[str, Any]:
+        """Return what is said of a checkpoint: `iteration`, `agent_steps`, `score`, `processes`.
+
+        Raises:
+            UsageError: It is broken, or was written by another version.
+        """
+        try:
+            meta = json.loads((path / "meta.json").read_text())
+            if meta["format"] != FORMAT or meta["iteration"] != int(path.name):
+                raise UsageError(f"checkpoint {path} is of another version of usarmjx, or was renamed")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"checkpoint {path} is broken: meta.json does not read: {error}") from error
+        return meta
+
+    def _rank(self, path: Path) -> tuple[float, str]:
+        score = self.meta(path)["score"]
+        return (float("-inf") if score is None else score, path.name)
+
+    def save(self, iteration: int, learner: Any, worlds: Any, note: dict[str, Any]) -> None:  # noqa: ANN401
+        """Write a checkpoint, unless there is one of that iteration, and drop old ones; all processes do.
+
+        Args:
+            iteration: After which.
+            learner: The same in all processes.
+            worlds: Of this process.
+            note: For `meta`; must have `score`, a number or None.
+        """
+        team, name = self.team or Team(), f"{iteration:08d}"
+        if (self.folder / name).exists():
+            return
+        fresh = self.folder / (name + PARTIAL)
+        if team.index == 0:
+            shutil.rmtree(fresh, ignore_errors=True)
+            fresh.mkdir(parents=True)
+        team.meet(f"begin {name}")
+        _write(fresh, "learner", learner, team)
+        _write(fresh, "worlds", worlds, team)
+        team.meet(f"written {name}")
+        if team.index == 0:
+            meta = {"format": FORMAT, "iteration": iteration, "processes": team.count, **note}
+            (fresh / "meta.json").write_text(json.dumps(meta))
+            fresh.rename(self.folder / name)
+            self._drop_old()
+        team.meet(f"done {name}")
+
+    def _drop_old(self) -> None:
+        there = self.all()
+        kept = {*there[-self.keep :], max(there, key=self._rank)}
+        for path in (*(p for p in there if p not in kept), *self.folder.glob(f"*{PARTIAL}")):
+            gone = path.with_name(path.name + PARTIAL) if path.name.isdecimal() else path
+            if gone != path:
+                path.rename(gone)  # so that a half deleted one is not taken for a checkpoint
+            shutil.rmtree(gone, ignore_errors=True)
+
+
+def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyParams, RunRecord]:
+    """Return the policy of a run.
+
+    Args:
+        run: Folder of the run.
+        which: `best`, `last`, or the number of an iteration.
+
+    Raises:
+        UsageError: No run, no such checkpoint, or a broken one.
+    """
+    record = load_record(run)
+    path = Checkpoints(run).find(which)
+    networks = make_networks(record.groups, record.privileged_size, record.config)
+    learner = read_part(path, "learner", make_learner(networks, record.config))
+    return networks.policy, policy_params(learner), record

@@ -1,0 +1,247 @@
+"""How a policy is trained: hyper-parameters, those of each task, and how they are set on a command line."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+
+SCHEDULES = ("constant", "linear", "adaptive")
+
+# Settings, what they must be, and that in words.
+_BOUNDS: tuple[tuple[tuple[str, ...], Callable[[Any], bool], str], ...] = (
+    (
+        ("steps", "worlds", "rollout", "epochs", "minibatches", "blocks", "checkpoint_every", "keep"),
+        lambda value: value >= 1,
+        "at least 1",
+    ),
+    (("imitate",), lambda value: value >= 0, "at least 0"),
+    (("discount", "trace", "curriculum"), lambda value: 0.0 <= value <= 1.0, "from 0 to 1"),
+    (
+        ("learning_rate", "target_kl", "clip", "max_gradient", "reward_scale"),
+        lambda value: value > 0.0,
+        "above 0",
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Settings of a run; the defaults suit a small task on a CPU.
+
+    Attributes:
+        steps: Agent steps in all: robots times worlds times actions. The last iteration is a whole one.
+        worlds: Worlds in all, of all processes.
+        seed: Of all random numbers.
+        rollout: Actions of every robot between two updates.
+        epochs: How often an update goes through what was collected.
+        minibatches: Parts that an epoch is divided into, by worlds.
+        blocks: Most blocks that the worlds are shuffled in, each for itself; the number of processes must
+            divide it, and then it does not matter how many there are.
+        learning_rate: Of Adam, at the start.
+        schedule: `constant`; `linear`, down to 0 at the last step; or `adaptive`, so that an update changes
+            the policy by about `target_kl`.
+        target_kl: Divergence of the new policy from the old one that `adaptive` aims at.
+        discount: Of the next step's value.
+        trace: Lambda of the advantage estimate: 0 trusts the critic, 1 the sum of rewards.
+        clip: How far the ratio of new to old probability may be from 1 before it stops to count.
+        entropy: Weight of the entropy bonus.
+        value: Weight of the critic's loss.
+        max_gradient: Longer gradients are cut to this length.
+        reward_scale: Rewards are multiplied by this.
+        layers: Widths of the policy's hidden layers.
+        critic_layers: Widths of the critic's hidden layers.
+        memory: Units of the GRU behind the hidden layers of policy and critic; 0: no memory.
+        shared: All classes of robots have one policy; it tells them apart by an offset of its first layer.
+        normalise_obs: Shift and scale what the networks see by its running mean and deviation.
+        normalise_values: Let the critic learn values shifted and scaled in the same way.
+        stagger: Begin the first episodes at random times, so that the worlds' time-outs do not coincide.
+        imitate: Agent steps at the start in which the policy learns to do what the task's baseline would do;
+            0: PPO from the first step.
+        curriculum: Share of the run in which generated arenas get harder, from the easiest to all; 0: all
+            of them from the start.
+        checkpoint_every: Iterations between checkpoints; there is always one at the end.
+        keep: Latest checkpoints that are kept; the best one is kept too.
+    """
+
+    steps: int = 1_000_000
+    worlds: int = 64
+    seed: int = 0
+    rollout: int = 32
+    epochs: int = 4
+    minibatches: int = 4
+    blocks: int = 8
+    learning_rate: float = 3e-4
+    schedule: str = "adaptive"
+    target_kl: float = 0.01
+    discount: float = 0.99
+    trace: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.003
+    value: float = 0.5
+    max_gradient: float = 1.0
+    reward_scale: float = 1.0
+    layers: tuple[int, ...] = (64, 64)
+    critic_layers: tuple[int, ...] = (64, 64)
+    memory: int = 0
+    shared: bool = False
+    normalise_obs: bool = True
+    normalise_values: bool = True
+    stagger: bool = True
+    imitate: int = 0
+    curriculum: float = 0.0
+    checkpoint_every: int = 20
+    keep: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be trained with.
+
+        Raises:
+            UsageError: Names the setting, and what it may be.
+        """
+        for names, fine, words in _BOUNDS:
+            for name in names:
+                if not fine(getattr(self, name)):
+                    raise UsageError(f"{name} is {getattr(self, name)}; it must be {words}")
+        if self.schedule not in SCHEDULES:
+            raise UsageError(f"schedule is {self.schedule!r}; it may be {', '.join(SCHEDULES)}")
+        if self.memory < 0 or min((*self.layers, *self.critic_layers, 1)) < 1 or not self.layers:
+            raise UsageError(
+                f"layers {self.layers}, critic_layers {self.critic_layers}, memory {self.memory}: the policy "
+                "needs a hidden layer, widths are at least 1, memory at least 0"
+            )
+        if not self.critic_layers:
+            raise UsageError("critic_layers is empty; the critic needs a hidden layer")
+        if self.worlds % self.minibatches:
+            raise UsageError(f"{self.worlds} worlds cannot be divided into {self.minibatches} minibatches")
+
+    @property
+    def shuffled_blocks(self) -> int:
+        """Blocks that the worlds are shuffled in: each minibatch takes as many worlds of each of them."""
+        share = self.worlds // self.minibatches
+        return max(n for n in range(1, min(self.blocks, share) + 1) if share % n == 0)
+
+    def check_processes(self, processes: int) -> None:
+        """Refuse numbers of processes that the worlds cannot be shared out to.
+
+        Raises:
+            UsageError: Says what to change.
+        """
+        if self.shuffled_blocks % processes:
+            raise UsageError(
+                f"{self.worlds} worlds in {self.minibatches} minibatches are shuffled in "
+                f"{self.shuffled_blocks} blocks, which {processes} processes cannot share: set blocks to a "
+                f"multiple of {processes} that divides {self.worlds // self.minibatches}"
+            )
+
+    def iterations(self, agents: int) -> int:
+        """Return the number of rollouts and updates, with that many robots in a world."""
+        return -(-self.steps // (self.rollout * self.worlds * agents))
+
+    def imitations(self, agents: int) -> int:
+        """Return in how many of them the policy imitates the baseline."""
+        return -(-self.imitate // (self.rollout * self.worlds * agents))
+
+
+_TEAM: dict[str, Any] = {
+    "entropy": 0.0,
+    "target_kl": 0.02,
+    "discount": 0.97,
+    "trace": 0.9,
+    "layers": (256, 128),
+    "critic_layers": (256, 128),
+}
+# What each task is trained with, where it differs from the defaults. Keys are task names in lower case.
+HYPERPARAMETERS: dict[str, dict[str, Any]] = {
+    "drive-to-goal": {"discount": 0.98, "learning_rate": 1e-3, "entropy": 0.002},
+    "explore": _TEAM,
+    "victim-search": _TEAM,
+}
+
+
+def task_config(task: str, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
+    """Return the settings for a task, some of them set otherwise.
+
+    Raises:
+        UnknownNameError: No such setting; lists those there are.
+        UsageError: A value that it may not have.
+    """
+    known = [field.name for field in fields(Config)]
+    if bad := sorted(set(settings) - set(known)):
+        raise UnknownNameError(f"unknown setting {', '.join(bad)}; known: {', '.join(known)}")
+    return Config(**{**HYPERPARAMETERS.get(task.lower(), {}), **settings})
+
+
+def from_record(record: Mapping[str, Any]) -> Config:
+    """Return the settings from what `asdict` gave, read back from JSON."""
+    values = {key: tuple(value) if isinstance(value, list) else value for key, value in record.items()}
+    return task_config("", **values)
+
+
+def differences(old: Config, new: Config, but: tuple[str, ...] = ()) -> list[str]:
+    """Return in words which settings differ, but for some."""
+    before, after = asdict(old), asdict(new)
+    return [
+        f"{key}: {before[key]} -> {after[key]}"
+        for key in before
+        if before[key] != after[key] and key not in but
+    ]
+
+
+def _truth(text: str) -> bool:
+    values = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+    return values[text.lower()]
+
+
+def _widths(text: str) -> tuple[int, ...]:
+    return tuple(int(float(width)) for width in text.strip("[]() ,").split(",") if width.strip())
+
+
+# bool before int: a bool is an int.
+_READERS: dict[type, Callable[[str], Any]] = {
+    bool: _truth,
+    int: int,
+    float: float,
+    tuple: _widths,
+    str: str,
+}
+
+
+def read_as(example: Any, text: str) -> Any:  # noqa: ANN401 - of the example's type
+    """Return a value of the same type as the example.
+
+    Raises:
+        ValueError: The text does not read as that.
+        KeyError: The text is no truth value.
+    """
+    kind = next((kind for kind in _READERS if isinstance(example, kind)), str)
+    if kind is tuple and example and isinstance(example[0], str):
+        return tuple(word.strip() for word in text.split(",") if word.strip())
+    return _READERS[kind](text)
+
+
+def parse_settings(pairs: Iterable[str], examples: Mapping[str, Any], what: str) -> dict[str, Any]:
+    """Return settings given as `key=value`, each of the type of its example.
+
+    Args:
+        pairs: As typed; tuples are numbers or words with commas between them.
+        examples: What may be set, with a value of its type.
+        what: What they are settings of, for messages.
+
+    Raises:
+        UnknownNameError: A key that may not be set; lists those that may.
+        UsageError: A pair or value that does not read.
+    """
+    found = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise UsageError(f"{pair!r} is not of the form key=value")
+        if key not in examples:
+            raise UnknownNameError(f"{what} has no setting {key!r}; it has: {', '.join(examples)}")
+        try:
+            found[key] = read_as(examples[key], text)
+        except (KeyError, ValueError) as error:
+            kind = type(examples[key]).__name__
+            raise UsageError(f"{key}={text}: {what} needs a value of type {kind} there") from error
+    return found

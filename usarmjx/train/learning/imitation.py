@@ -1,0 +1,60 @@
+"""Learning to do what a policy written by hand does, before PPO makes it better.
+
+The learner acts, the teacher says what he would have done (DAgger; Ross, Gordon and Bagnell 2011), so that
+the states are those that the learner gets into. Meanwhile the critic learns what the learner's own actions
+bring.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.training.distribution import NormalTanhDistribution
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
+
+DEVIATION = 0.3
+"""Deviation of actions before they are squashed that PPO is to begin with."""
+
+
+def teacher_of(env: Env) -> Policy:
+    """Return the baseline of an environment's task.
+
+    Raises:
+        UsageError: The task has none; lists those that have.
+    """
+    if env.name not in BASELINES:
+        raise UsageError(
+            f"{env.name} has no policy by hand to imitate: set imitate to 0, or add one to BASELINES, which "
+            f"has {', '.join(BASELINES.names())}"
+        )
+    return BASELINES.get(env.name)(env)
+
+
+def restart(teacher: Policy, memory: Any, done: jax.Array) -> Any:  # noqa: ANN401 - the teacher's own
+    """Return a teacher's memory with that of worlds where the episode is over (worlds,) as at the start."""
+    blank = teacher.start(len(done))
+
+    def one(start: jax.Array, now: jax.Array) -> jax.Array:
+        return jnp.where(done.reshape(-1, *[1] * (now.ndim - 1)), start, now)
+
+    return jax.tree.map(one, blank, memory)
+
+
+def imitation_loss(kind: NormalTanhDistribution, logits: jax.Array, shown: jax.Array) -> jax.Array:
+    """Return how far the most probable actions are from those shown, and their deviation from `DEVIATION`.
+
+    Args:
+        kind: The family of distributions.
+        logits: Its parameters (..., 2 action_size).
+        shown: What the teacher would have done, from -1 to 1 (..., action_size).
+
+    Returns:
+        Half the sum of the squares of both (...).
+    """
+    off = kind.mode(logits) - jnp.clip(shown, -1.0, 1.0)
+    spread = kind.create_dist(logits).scale - DEVIATION
+    return 0.5 * (off**2 + spread**2).sum(-1)

@@ -1,0 +1,112 @@
+"""What a run tells of itself: a line of JSON per iteration, TensorBoard, a bar in the terminal."""
+
+import json
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from tensorboardX import SummaryWriter
+
+from usarmjx.base.errors import UsageError
+
+PER_EPISODE = ("return", "score", "length")
+
+
+def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]:
+    """Return means from sums over an iteration; None where no episode ended.
+
+    Args:
+        sums: As `Rollout` counts them, and the update's own numbers (`loss/...`).
+        world_steps: Steps of all worlds in the iteration.
+    """
+    episodes = sums["episodes"]
+
+    def mean(value: float) -> float | None:
+        return value / episodes if episodes else None
+
+    record: dict[str, float | None] = {"episodes": episodes}
+    for name in PER_EPISODE:
+        record[name] = mean(sums[name])
+    record["timeouts"] = mean(sums["timeouts"])
+    record["bad"] = sums["bad"] / world_steps
+    for name, value in sorted(sums.items()):
+        if name.startswith("end/"):
+            record[name] = mean(value)
+        elif name.startswith("step/"):
+            record[name] = value / world_steps
+        elif name.startswith("loss/"):
+            record[name] = value
+    return {key: None if one is None or not math.isfinite(one) else one for key, one in record.items()}
+
+
+def read_lines(file: Path) -> list[dict[str, Any]]:
+    """Return the records of a run, without a last line that was cut off."""
+    records = []
+    for line in file.read_text().splitlines(keepends=True) if file.exists() else []:
+        if not line.endswith("\n"):
+            break
+        try:
+            records.append(json.loads(line))
+        except json.JSONDecodeError as error:
+            raise UsageError(f"{file}: line {len(records) + 1} is no JSON: {error}") from error
+    return records
+
+
+class Log:
+    """Writes down each iteration.
+
+    Args:
+        folder: Of the run.
+        iterations: In all.
+        after: Iterations that are behind already; what was written of later ones is dropped.
+        bar: Show a bar in the terminal.
+        console: Where; None: the standard error stream.
+    """
+
+    def __init__(
+        self, folder: Path, iterations: int, after: int = 0, bar: bool = True, console: Console | None = None
+    ) -> None:
+        file = folder / "metrics.jsonl"
+        kept = [record for record in read_lines(file) if record["iteration"] <= after]
+        fresh = folder / "metrics.jsonl.new"
+        fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
+        fresh.replace(file)
+        self._file = file.open("a", buffering=1)
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=after + 1)
+        self._shown: dict[str, float] = {}
+        self._bar = Progress(
+            TextColumn("{task.completed}/{task.total}"),
+            BarColumn(),
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(),
+            console=console or Console(stderr=True),
+            disable=not bar,
+        )
+        self._task: TaskID = self._bar.add_task("compiling", total=iterations, completed=after)
+
+    def __enter__(self) -> "Log":
+        """Begin."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the files."""
+        self._bar.stop()
+        self._file.close()
+        self._board.close()
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Write down an iteration: `iteration`, `agent_steps`, `steps_per_s` and what `summary` returns."""
+        self._file.write(json.dumps(record) + "\n")
+        for name, value in record.items():
+            if isinstance(value, int | float) and name not in ("iteration", "agent_steps"):
+                self._board.add_scalar(name, value, record["iteration"])
+                self._shown[name] = value
+        shown = {name: self._shown.get(name, math.nan) for name in ("steps_per_s", "return", "score", "bad")}
+        text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
+        self._bar.update(self._task, completed=record["iteration"], description=text.format(**shown))

@@ -1,0 +1,229 @@
+"""Policies and critics: one of each for every group of robots, shared by the robots of the group."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.training.distribution import NormalTanhDistribution
+from flax import linen as nn
+from flax import struct
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.learning.statistics import normalise
+
+Params = Any
+"""A tree of weights."""
+
+MIN_STD = 0.01
+"""Least deviation of an action before it is squashed."""
+ROOT_TWO = 2.0**0.5
+SMALL = 0.01
+"""Scale of the policy's last layer at the start: the first actions are about 0, with a deviation of 0.7."""
+
+
+class Network(nn.Module):
+    """Hidden layers, a GRU behind them if there is memory, and a linear layer.
+
+    Attributes:
+        layers: Widths of the hidden layers.
+        memory: Units of the GRU; 0: none.
+        outputs: Numbers that come out.
+        scale: Of the last layer's weights at the start.
+        robots: Robots that are told apart, as a critic does; 0: all are alike.
+    """
+
+    layers: tuple[int, ...]
+    memory: int
+    outputs: int
+    scale: float = 1.0
+    robots: int = 0
+
+    @nn.compact
+    def __call__(
+        self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, fresh: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return what comes out for a sequence of steps, and what is remembered after it.
+
+        Args:
+            seen: Of each robot (steps, worlds, robots, n).
+            shared: What all robots of a world have in common (steps, worlds, m); None: nothing.
+            carry: What is remembered before the first step (worlds, robots, memory).
+            fresh: Whether everything is forgotten before the step (steps, worlds).
+        """
+        x = nn.Dense(self.layers[0], kernel_init=nn.initializers.orthogonal(ROOT_TWO), name="layer_0")(seen)
+        if shared is not None and shared.shape[-1]:
+            # The same product for all robots of a world is computed once.
+            x = x + nn.Dense(self.layers[0], use_bias=False, name="shared")(shared)[..., None, :]
+        if self.robots > 1:
+            x = x + self.param("robot", nn.initializers.zeros, (self.robots, self.layers[0]))
+        x = nn.elu(x)
+        for i, width in enumerate(self.layers[1:], start=1):
+            init = nn.initializers.orthogonal(ROOT_TWO)
+            x = nn.elu(nn.Dense(width, kernel_init=init, name=f"layer_{i}")(x))
+        if self.memory:
+            x, carry = self._remember(x, carry, fresh)
+        init = nn.initializers.orthogonal(self.scale)
+        return nn.Dense(self.outputs, kernel_init=init, name="head")(x), carry
+
+    def _remember(self, x: jax.Array, carry: jax.Array, fresh: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Run the GRU (Cho et al. 2014): only the part that needs its own past is done step by step."""
+        told = nn.Dense(3 * self.memory, name="gates")(x)
+        weights = self.param("recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
+        bias = self.param("recurrent_bias", nn.initializers.zeros, (self.memory,))
+
+        def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            told, fresh = now
+            carry = jnp.where(fresh[:, None, None], 0.0, carry)
+            reset, update, new = jnp.split(told, 3, axis=-1)
+            own_reset, own_update, own_new = jnp.split(carry @ weights, 3, axis=-1)
+            update = nn.sigmoid(update + own_update)
+            new = jnp.tanh(new + nn.sigmoid(reset + own_reset) * (own_new + bias))
+            carry = (1.0 - update) * new + update * carry
+            return carry, carry
+
+        carry, x = jax.lax.scan(step, carry, (told, fresh))
+        return x, carry
+
+
+class PolicyParams(struct.PyTreeNode, kw_only=True):
+    """All that a policy is, besides its shape.
+
+    Attributes:
+        weights: Per group a tree of weights.
+        mean: Of the observations so far, per group (obs_size,).
+        std: Their deviation, per group (obs_size,).
+    """
+
+    weights: tuple[Params, ...]
+    mean: tuple[jax.Array, ...]
+    std: tuple[jax.Array, ...]
+
+
+@dataclass(frozen=True)
+class LearnedPolicy:
+    """What robots do: from observations, and what each remembers, to actions.
+
+    Attributes:
+        groups: The agents.
+        layers: Widths of the hidden layers.
+        memory: Units of memory of each robot; 0: none.
+    """
+
+    groups: tuple[AgentGroup, ...]
+    layers: tuple[int, ...]
+    memory: int = 0
+
+    def network(self, group: int) -> Network:
+        """Return the network of a group."""
+        outputs = 2 * self.groups[group].action_size
+        return Network(self.layers, self.memory, outputs, scale=SMALL)
+
+    def distribution(self, group: int) -> NormalTanhDistribution:
+        """Return the family of distributions that a group's actions are drawn from."""
+        return NormalTanhDistribution(self.groups[group].action_size, min_std=MIN_STD)
+
+    def init(self, key: jax.Array) -> tuple[Params, ...]:
+        """Return weights to begin with, per group."""
+        return tuple(
+            init_network(self.network(g), jax.random.fold_in(key, g), group, None)
+            for g, group in enumerate(self.groups)
+        )
+
+    def start(self, worlds: int) -> tuple[jax.Array, ...]:
+        """Return what robots remember at the start of an episode, per group (worlds, robots, memory)."""
+        return tuple(jnp.zeros((worlds, len(group.agents), self.memory)) for group in self.groups)
+
+    @staticmethod
+    def forget(carry: tuple[jax.Array, ...], done: jax.Array) -> tuple[jax.Array, ...]:
+        """Return the memories with those of worlds where the episode is over (worlds,) blank."""
+        return tuple(jnp.where(done[:, None, None], 0.0, memory) for memory in carry)
+
+    def parameters(
+        self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]
+    ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+        """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and memories."""
+        found = []
+        for g, seen in enumerate(obs):
+            x = normalise(params.mean[g], params.std[g], seen)[None]
+            fresh = jnp.zeros((1, len(seen)), bool)
+            out, after = self.network(g).apply(params.weights[g], x, None, carry[g], fresh)
+            found.append((out[0], after))
+        return tuple(out for out, _ in found), tuple(after for _, after in found)
+
+    def act(
+        self,
+        params: PolicyParams,
+        obs: Sequence[jax.Array],
+        carry: Sequence[jax.Array],
+        key: jax.Array | None = None,
+        deterministic: bool = False,
+    ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+        """Return actions and what is remembered after them.
+
+        Args:
+            params: Weights and statistics.
+            obs: Per group (worlds, robots, obs_size).
+            carry: What the robots remember, per group (worlds, robots, memory).
+            key: Of the random numbers; worlds fold in their place. Not needed if deterministic.
+            deterministic: Take the most probable actions instead of drawing them.
+
+        Returns:
+            Per group (worlds, robots, action_size), each number from -1 to 1, and memories as `carry`.
+
+        Raises:
+            UsageError: Neither a key nor deterministic.
+        """
+        if key is None and not deterministic:
+            raise UsageError("actions are drawn with a key: give one, or ask for deterministic ones")
+        logits, carry = self.parameters(params, obs, carry)
+        kinds = [self.distribution(g) for g in range(len(self.groups))]
+        if key is None or deterministic:
+            return tuple(kind.mode(told) for kind, told in zip(kinds, logits, strict=True)), carry
+        keys = fold_each(key, jnp.arange(len(obs[0])))
+        raw = draw(self, logits, keys)
+        return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry
+
+    def actor(self, params: PolicyParams, deterministic: bool = True) -> Policy:
+        """Return the policy with its parameters, as evaluation and adapters want it."""
+
+        def act(
+            carry: tuple[jax.Array, ...], obs: tuple[jax.Array, ...], key: jax.Array
+        ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+            actions, carry = self.act(params, obs, carry, key, deterministic)
+            return carry, actions
+
+        return Policy(start=self.start, act=act)
+
+
+def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Return a key for each number (worlds,)."""
+    return jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
+
+
+def draw(policy: LearnedPolicy, logits: Sequence[jax.Array], keys: jax.Array) -> tuple[jax.Array, ...]:
+    """Draw actions, before they are squashed, with a key for each world (worlds,)."""
+    return tuple(
+        jax.vmap(policy.distribution(g).sample_no_postprocessing)(told, fold_all(keys, g))
+        for g, told in enumerate(logits)
+    )
+
+
+def fold_all(keys: jax.Array, number: int) -> jax.Array:
+    """Fold a number into each of several keys."""
+    return jax.vmap(lambda key: jax.random.fold_in(key, number))(keys)
+
+
+def init_network(network: Network, key: jax.Array, group: AgentGroup, shared: int | None) -> Params:
+    """Return weights to begin with, for a group's observations and `shared` numbers besides."""
+    robots = len(group.agents)
+    return network.init(
+        key,
+        jnp.zeros((1, 1, robots, group.obs_size)),
+        None if shared is None else jnp.zeros((1, 1, shared)),
+        jnp.zeros((1, robots, network.memory)),
+        jnp.zeros((1, 1), bool),
+    )

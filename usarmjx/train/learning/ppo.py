@@ -1,0 +1,260 @@
+"""Proximal policy optimisation (Schulman et al. 2017): one update from what was collected.
+
+The update runs in every process at once, on a mesh with one device of each, over worlds that are local to
+a process. Sums over worlds, gradients among them, cross; so all processes learn the same. Worlds are
+shuffled within blocks (`Config.blocks`) that belong to one process: each minibatch is the same set of
+worlds however many processes there are, and only the order of summation differs.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.gae import advantages
+from usarmjx.train.learning.imitation import imitation_loss
+from usarmjx.train.learning.networks import fold_all, fold_each
+from usarmjx.train.learning.statistics import normalise, update
+from usarmjx.train.learning.train_state import (
+    UPDATE_STREAM,
+    Learner,
+    Networks,
+    Weights,
+    judge,
+    make_optimiser,
+)
+from usarmjx.train.learning.trajectory import Bounds, Steps
+from usarmjx.train.processes.group import AXIS
+
+MOST_LOG_RATIO = 20.0
+FASTEST, SLOWEST = 1e-2, 1e-5
+"""Bounds of the learning rate that `adaptive` sets."""
+
+
+class Lesson(struct.PyTreeNode, kw_only=True):
+    """What is learned from: the steps, and what became of them.
+
+    Attributes:
+        steps: What happened (steps, worlds, ...).
+        bounds: What was known at the ends (worlds, ...).
+        advantage: Normalised, per group (steps, worlds, robots).
+        target: What the critics should have said, in their own scale, per group (steps, worlds, robots).
+    """
+
+    steps: Steps
+    bounds: Bounds
+    advantage: tuple[jax.Array, ...]
+    target: tuple[jax.Array, ...]
+
+    def some(self, worlds: jax.Array) -> "Lesson":
+        """Return that of some worlds only (places,)."""
+        timed = (self.steps, self.advantage, self.target)
+        steps, advantage, target = jax.tree.map(lambda leaf: leaf[:, worlds], timed)
+        bounds = jax.tree.map(lambda leaf: leaf[worlds], self.bounds)
+        return Lesson(steps=steps, bounds=bounds, advantage=advantage, target=target)
+
+
+def _total(values: jax.Array) -> jax.Array:
+    return jax.lax.psum(values.sum(), AXIS)
+
+
+def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: float) -> jax.Array:
+    """Return the clipped surrogate objective of actions: what is to be made large."""
+    ratio = jnp.exp(jnp.clip(log_prob - old, -MOST_LOG_RATIO, MOST_LOG_RATIO))
+    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
+
+
+def study(
+    networks: Networks, learner: Learner, steps: Steps, bounds: Bounds, config: Config
+) -> tuple[Lesson, tuple[jax.Array, ...]]:
+    """Return the lesson of what happened, and the returns that were estimated, in rewards."""
+    ends = tuple(one[..., None] for one in (steps.done, steps.truncated, steps.bad))
+    normal, targets, returns = [], [], []
+    for g in range(len(networks.groups)):
+        found = advantages(
+            steps.reward[g],
+            steps.value[g],
+            steps.bootstrap[g],
+            bounds.last_value[g],
+            ends,
+            config.discount,
+            config.trace,
+        )
+        valid = jnp.broadcast_to(~ends[2], found.shape)
+        count = jnp.maximum(_total(valid), 1)
+        mean = _total(jnp.where(valid, found, 0.0)) / count
+        deviation = jnp.sqrt(_total(jnp.where(valid, (found - mean) ** 2, 0.0)) / count)
+        normal.append(jnp.where(valid, (found - mean) / (deviation + 1e-8), 0.0))
+        returns.append(found + steps.value[g])
+        scale = learner.value[g]
+        targets.append((returns[g] - scale.mean) / scale.std)
+    lesson = Lesson(steps=steps, bounds=bounds, advantage=tuple(normal), target=tuple(targets))
+    return lesson, tuple(returns)
+
+
+def loss(
+    weights: Weights, networks: Networks, learner: Learner, lesson: Lesson, key: jax.Array, config: Config
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Return the sum of the losses of a lesson's steps, and of what is worth knowing of them.
+
+    Bad steps count as 0. To be divided by `weight` of all processes.
+
+    Args:
+        weights: What the loss is a function of.
+        networks: Shapes.
+        learner: Statistics that observations are normalised by; its weights are not used.
+        lesson: Some worlds.
+        key: Of the random numbers that the entropy is estimated with.
+        config: Settings.
+    """
+    steps, bounds = lesson.steps, lesson.bounds
+    keys = fold_each(key, bounds.number)
+    learner = learner.replace(weights=weights)
+    values, _ = judge(networks, learner, (steps.obs, steps.privileged), bounds.critic, steps.fresh)
+    sums: dict[str, Any] = {}
+    imitating, policies = networks.imitating(learner, config), weights.policies
+    for g, raw in enumerate(steps.raw):
+        seen = normalise(learner.obs[g].mean, learner.obs[g].std, steps.obs[g])
+        logits, _ = networks.policy.network(g).apply(policies[g], seen, None, bounds.policy[g], steps.fresh)
+        kind = networks.policy.distribution(g)
+        log_prob = kind.log_prob(logits, raw)
+        # Entropy of a squashed action has no closed form: it is estimated from one drawn per step.
+        entropy = jax.vmap(kind.entropy, in_axes=(1, 0), out_axes=1)(logits, fold_all(keys, g))
+        change = jnp.clip(log_prob - steps.log_prob[g], -MOST_LOG_RATIO, MOST_LOG_RATIO)
+        ratio = jnp.exp(change)
+        found = {
+            "policy": -surrogate(log_prob, steps.log_prob[g], lesson.advantage[g], config.clip),
+            "value": 0.5 * (values[g] - lesson.target[g]) ** 2,
+            "entropy": entropy,
+            "divergence": ratio - 1.0 - change,  # an estimate of the Kullback-Leibler divergence
+            "clipped": (jnp.abs(ratio - 1.0) > config.clip).astype(jnp.float32),
+            "weight": jnp.ones_like(ratio),
+        }
+        if steps.shown:
+            found["imitation"] = imitation_loss(kind, logits, steps.shown[g])
+            found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
+        valid = ~steps.bad[..., None]
+        for name, one in found.items():
+            sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
+    whole = sums["policy"] + config.value * sums["value"] - config.entropy * sums["entropy"]
+    return whole, sums
+
+
+def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibatches: int) -> jax.Array:
+    """Return which of this process's worlds are in which minibatch (minibatches, worlds / minibatches).
+
+    Args:
+        key: Of the epoch.
+        worlds: Of this process.
+        blocks: Of this process.
+        first: Number of its first block.
+        minibatches: How many.
+    """
+    size = worlds // blocks
+    keys = fold_each(key, first + jnp.arange(blocks))
+    order = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)
+    order = order + size * jnp.arange(blocks)[:, None]
+    return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
+
+
+def learn(
+    networks: Networks, config: Config, processes: int, learner: Learner, lesson: Lesson, key: jax.Array
+) -> tuple[Learner, dict[str, jax.Array]]:
+    """Go through a lesson, `epochs` times, and return what is worth knowing of it, means over minibatches."""
+    optimiser = make_optimiser(config)
+    worlds, blocks = lesson.steps.done.shape[1], config.shuffled_blocks // processes
+    if config.schedule == "linear":
+        left = 1.0 - learner.iteration / config.iterations(networks.agents)
+        learner = learner.replace(rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32))
+
+    def minibatch(learner: Learner, now: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
+        places, key = now
+        gradient, sums = jax.grad(loss, has_aux=True)(
+            learner.weights, networks, learner, lesson.some(places), key, config
+        )
+        gradient, sums = jax.lax.psum((gradient, sums), AXIS)
+        weight = jnp.maximum(sums.pop("weight"), 1.0)
+        gradient, known = jax.tree.map(lambda one: one / weight, (gradient, sums))
+        length = optax.tree.norm(gradient)
+        sound = jnp.isfinite(length)
+        steps, moments = optimiser.update(gradient, learner.optimiser)
+        weights = jax.tree.map(lambda old, step: old - learner.rate * step, learner.weights, steps)
+        new = learner.replace(weights=weights, optimiser=moments)
+        new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, learner)
+        if config.schedule == "adaptive":
+            rate = _adapt(learner.rate, known["divergence"], config)
+            new = new.replace(rate=jnp.where(networks.imitating(learner, config), learner.rate, rate))
+        return new, {**known, "gradient": jnp.where(sound, length, 0.0), "skipped": 1.0 - sound}
+
+    def epoch(learner: Learner, number: jax.Array) -> tuple[Learner, dict[str, jax.Array]]:
+        now = jax.random.fold_in(key, number)
+        first = jax.lax.axis_index(AXIS) * blocks
+        places = _shuffle(now, worlds, blocks, first, config.minibatches)
+        keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.minibatches))
+        return jax.lax.scan(minibatch, learner, (places, keys))
+
+    learner, known = jax.lax.scan(epoch, learner, jnp.arange(config.epochs))
+    return learner, jax.tree.map(jnp.mean, known)
+
+
+def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
+    """Return a slower rate if the policy changed by much more than wanted, a faster one if by much less."""
+    slower = jnp.where(divergence > 2.0 * config.target_kl, rate / 1.5, rate)
+    faster = jnp.where(divergence < 0.5 * config.target_kl, rate * 1.5, slower)
+    return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), SLOWEST, FASTEST)
+
+
+def improve(
+    networks: Networks,
+    config: Config,
+    processes: int,
+    learner: Learner,
+    experience: tuple[Steps, Bounds, dict[str, jax.Array]],
+) -> tuple[Learner, dict[str, jax.Array]]:
+    """Return the learner after an update, and what is worth knowing; in every process at once.
+
+    Args:
+        networks: Shapes.
+        config: Settings.
+        processes: How many share the worlds.
+        learner: The same in all.
+        experience: Of this process: what happened (steps, worlds, ...), what was known at the ends
+            (worlds, ...), and sums for the log (1,).
+    """
+    steps, bounds, sums = experience
+    stream = jax.random.fold_in(jax.random.key(config.seed), UPDATE_STREAM)
+    key = jax.random.fold_in(stream, learner.iteration)
+    lesson, returns = study(networks, learner, steps, bounds, config)
+    old = learner
+    learner, known = learn(networks, config, processes, learner, lesson, key)
+    good = ~steps.bad
+    everyone: list[jax.Array] = [jnp.broadcast_to(good[..., None], one.shape) for one in returns]
+    if config.normalise_obs:
+        obs = tuple(
+            update(one, seen, who, AXIS) for one, seen, who in zip(old.obs, steps.obs, everyone, strict=True)
+        )
+        learner = learner.replace(obs=obs, privileged=update(old.privileged, steps.privileged, good, AXIS))
+    if config.normalise_values:
+        value = tuple(update(one, v, w, AXIS) for one, v, w in zip(old.value, returns, everyone, strict=True))
+        learner = learner.replace(value=value)
+    known = {f"loss/{name}": one for name, one in known.items()}
+    known["loss/explained"] = _explained(steps, returns, everyone)
+    known["loss/rate"] = learner.rate
+    totals = {name: jax.lax.psum(one.sum(), AXIS) for name, one in sums.items()}
+    return learner.replace(iteration=learner.iteration + 1), {**known, **totals}
+
+
+def _explained(steps: Steps, returns: tuple[jax.Array, ...], valid: list[jax.Array]) -> jax.Array:
+    """Return the share of the returns' variance that the critics foresaw."""
+    count = jnp.maximum(sum(_total(one) for one in valid), 1)
+
+    def variance(values: list[jax.Array]) -> jax.Array:
+        pairs = list(zip(values, valid, strict=True))
+        mean = sum(_total(jnp.where(who, one, 0.0)) for one, who in pairs) / count
+        return sum(_total(jnp.where(who, (one - mean) ** 2, 0.0)) for one, who in pairs) / count
+
+    missed = [now - then for now, then in zip(returns, steps.value, strict=True)]
+    return 1.0 - variance(missed) / jnp.maximum(variance(list(returns)), 1e-8)

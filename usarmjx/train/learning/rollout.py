@@ -1,0 +1,226 @@
+"""Robots act for a while under the present policy; what they see and get is written down."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.imitation import restart
+from usarmjx.train.learning.networks import draw, fold_each
+from usarmjx.train.learning.train_state import (
+    STAGGER_STREAM,
+    Learner,
+    Networks,
+    in_reward,
+    judge,
+    policy_params,
+)
+from usarmjx.train.learning.trajectory import Bounds, Collector, Decision, Groups, Seen, Steps, look
+
+
+def _stacked(rows: list[tuple[Steps, dict[str, jax.Array]]]) -> tuple[Steps, dict[str, jax.Array]]:
+    """Return steps with a leading axis over them, and what they sum up to."""
+    steps, sums = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+    return steps, jax.tree.map(lambda one: one.sum(0), sums)
+
+
+class Rollout:
+    """Lets robots act.
+
+    Args:
+        env: The worlds of this process.
+        networks: Shapes of policy and critics.
+        config: Settings.
+        first: Number of the first world.
+        teacher: Whom to imitate for the first `config.imitate` agent steps.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        networks: Networks,
+        config: Config,
+        first: int = 0,
+        teacher: Policy | None = None,
+    ) -> None:
+        self.env, self.networks, self.config, self.first = env, networks, config, first
+        self.teacher = teacher
+        self._decide = jax.jit(self._decided)
+        self._account = jax.jit(self._accounted)
+        self._stack = jax.jit(_stacked)
+        self._bound = jax.jit(self._bounded)
+        self.collect: Callable[..., tuple[Collector, Steps, Bounds, dict[str, jax.Array]]] = (
+            jax.jit(self._scan) if env.traceable else self._loop
+        )
+        """From learner, worlds and key to worlds, what happened, and sums over it for the log."""
+
+    def start(self, level: float) -> Collector:
+        """Return the worlds at the start of their first episodes, some of which will be short."""
+        config = self.config
+        generated = {} if not config.curriculum else {"level": level}
+        env = self.env.reset(config.seed, **generated)
+        number, late, blank = jax.jit(self._opened)()
+        if config.stagger:
+            env = env.replace(length=late.astype(env.length.dtype))
+        return Collector(
+            env=env,
+            number=number,
+            policy=blank,
+            critic=blank,
+            teacher=() if self.teacher is None else self.teacher.start(self.env.worlds),
+            gained=jnp.zeros(self.env.worlds),
+            fresh=jnp.ones(self.env.worlds, bool),
+        )
+
+    def _opened(self) -> tuple[jax.Array, jax.Array, Groups]:
+        """Return the worlds' numbers, how late their first episodes are, and blank memories."""
+        number = self.first + jnp.arange(self.env.worlds)
+        keys = fold_each(jax.random.fold_in(jax.random.key(self.config.seed), STAGGER_STREAM), number)
+        late = jax.vmap(lambda key: jax.random.randint(key, (), 0, self.env.episode_steps))(keys)
+        return number, late, self.networks.policy.start(self.env.worlds)
+
+    def _decided(
+        self,
+        learner: Learner,
+        seen: Seen,
+        memory: tuple[Groups, Groups, Any],
+        worlds: jax.Array,
+        key: Any,  # noqa: ANN401
+    ) -> tuple[Groups, Decision]:
+        """Return actions, and what led to them; `key` is the rollout's and the number of the step."""
+        policy = self.networks.policy
+        logits, after = policy.parameters(policy_params(learner), seen.obs, memory[0])
+        raw = draw(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
+        kinds = [policy.distribution(g) for g in range(len(raw))]
+        value, critic = self._value(learner, seen.obs, seen.privileged, memory[1])
+        teacher, shown = self._taught(learner, seen.obs, memory[2], jax.random.fold_in(*key))
+        return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
+            raw=raw,
+            log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
+            value=value,
+            shown=shown,
+            policy=after,
+            critic=critic,
+            teacher=teacher,
+        )
+
+    def _taught(self, learner: Learner, obs: Groups, memory: Any, key: jax.Array) -> tuple[Any, Groups]:  # noqa: ANN401
+        """Return what the teacher remembers and would do; zeros when nobody imitates him any more."""
+        teacher, groups = self.teacher, self.networks.groups
+        if teacher is None:
+            return memory, ()
+        nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
+        return jax.lax.cond(
+            self.networks.imitating(learner, self.config),
+            lambda: teacher.act(memory, obs, key),
+            lambda: (memory, nothing),
+        )
+
+    def _value(
+        self, learner: Learner, obs: Groups, privileged: jax.Array, carry: Groups
+    ) -> tuple[Groups, Groups]:
+        seen = tuple(one[None] for one in obs)
+        no = jnp.zeros((1, len(privileged)), bool)
+        value, after = judge(self.networks, learner, (seen, privileged[None]), carry, no)
+        return in_reward(learner, tuple(one[0] for one in value)), after
+
+    def _accounted(
+        self,
+        learner: Learner,
+        told: tuple[jax.Array, jax.Array],
+        decision: Decision,
+        before: Seen,
+        after: Seen,
+    ) -> tuple[Steps, tuple[Groups, Groups, Any], jax.Array, dict[str, jax.Array]]:
+        """Write down a step; `told` is what was gained in the episode, and whether it began with the step."""
+        gained, fresh = told
+        seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
+        sound = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in seen]).all(0)
+        bad = after.bad | ~sound
+        done = after.done | bad
+        truncated = after.truncated & ~bad
+        blank = tuple(jnp.zeros_like(value) for value in decision.value)
+        bootstrap = jax.lax.cond(
+            truncated.any(),
+            lambda: self._value(learner, after.final_obs, after.final_privileged, decision.critic)[0],
+            lambda: blank,
+        )
+        reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
+        robots = sum(one.shape[1] for one in reward)
+        gained = gained + sum(one.sum(1) for one in reward) / robots
+        ended = done & ~bad
+        forget = self.networks.policy.forget
+        step = Steps(
+            obs=before.obs,
+            privileged=before.privileged,
+            raw=decision.raw,
+            log_prob=decision.log_prob,
+            value=decision.value,
+            reward=tuple(one * self.config.reward_scale for one in reward),
+            bootstrap=bootstrap,
+            fresh=fresh,
+            done=done,
+            truncated=truncated,
+            bad=bad,
+            shown=decision.shown,
+        )
+        sums = {
+            "episodes": ended.sum(),
+            "return": jnp.where(ended, gained, 0.0).sum(),
+            "score": jnp.where(ended, after.final_score, 0.0).sum(),
+            "length": jnp.where(ended, before.length + 1, 0).sum(),
+            "timeouts": truncated.sum(),
+            "bad": bad.sum(),
+            **{f"step/{name}": jnp.where(bad, 0.0, one).sum() for name, one in after.metrics.items()},
+            **{f"end/{name}": jnp.where(ended, one, 0.0).sum() for name, one in after.metrics.items()},
+        }
+        sums = {name: jnp.asarray(one, jnp.float32) for name, one in sums.items()}
+        teacher = decision.teacher if self.teacher is None else restart(self.teacher, decision.teacher, done)
+        memory = (forget(decision.policy, done), forget(decision.critic, done), teacher)
+        return step, memory, jnp.where(done, 0.0, gained), sums
+
+    def _bounded(self, learner: Learner, before: tuple[Groups, Groups], after: Any, seen: Seen) -> Bounds:  # noqa: ANN401
+        """Return what is known at the ends; `after` is the worlds' numbers, and the critics' memories."""
+        last, _ = self._value(learner, seen.obs, seen.privileged, after[1])
+        return Bounds(number=after[0], policy=before[0], critic=before[1], last_value=last)
+
+    def _step(
+        self,
+        learner: Learner,
+        now: Collector,
+        key: jax.Array,
+        step: Any,  # noqa: ANN401 - int32 of any make
+    ) -> tuple[Collector, tuple[Steps, Any]]:
+        before = look(now.env)
+        memory = (now.policy, now.critic, now.teacher)
+        actions, decision = self._decide(learner, before, memory, now.number, (key, step))
+        env = self.env.step(now.env, actions)
+        row, (policy, critic, teacher), gained, sums = self._account(
+            learner, (now.gained, now.fresh), decision, before, look(env)
+        )
+        now = now.replace(
+            env=env, policy=policy, critic=critic, teacher=teacher, gained=gained, fresh=row.done
+        )
+        return now, (row, sums)
+
+    def _scan(self, learner: Learner, start: Collector, key: jax.Array) -> Any:  # noqa: ANN401
+        numbers = jnp.arange(self.config.rollout)
+        now, (steps, sums) = jax.lax.scan(lambda now, i: self._step(learner, now, key, i), start, numbers)
+        return now, steps, self._ends(learner, start, now), jax.tree.map(lambda one: one.sum(0), sums)
+
+    def _loop(self, learner: Learner, start: Collector, key: jax.Array) -> Any:  # noqa: ANN401
+        now, rows = start, []
+        for step in range(self.config.rollout):
+            now, row = self._step(learner, now, key, np.int32(step))
+            rows.append(row)
+        steps, sums = self._stack(rows)
+        return now, steps, self._ends(learner, start, now), sums
+
+    def _ends(self, learner: Learner, start: Collector, end: Collector) -> Bounds:
+        after = (end.number, end.critic)
+        return self._bound(learner, (start.policy, start.critic), after, look(end.env))

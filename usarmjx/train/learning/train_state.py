@@ -1,0 +1,196 @@
+"""What is learned, and what actors are told of it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.networks import LearnedPolicy, Network, Params, PolicyParams, init_network
+from usarmjx.train.learning.statistics import Statistics, blank, normalise
+
+POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = range(5)
+"""First folds of the run's key."""
+
+
+class Weights(struct.PyTreeNode, kw_only=True):
+    """Weights of the networks.
+
+    Attributes:
+        policy: Per group; of a policy that all share only one.
+        critic: Per group.
+        classes: What a shared policy adds to its first layer for each group (width,); else nothing.
+    """
+
+    policy: tuple[Params, ...]
+    critic: tuple[Params, ...]
+    classes: tuple[jax.Array, ...] = ()
+
+    @property
+    def policies(self) -> tuple[Params, ...]:
+        """Those of each group's policy."""
+        if not self.classes:
+            return self.policy
+        params = self.policy[0]["params"]
+        first = params["layer_0"]
+        return tuple(
+            {"params": {**params, "layer_0": {**first, "bias": first["bias"] + own}}} for own in self.classes
+        )
+
+
+class Learner(struct.PyTreeNode, kw_only=True):
+    """All that an update changes; the same in every process.
+
+    Attributes:
+        weights: Of all networks.
+        optimiser: Adam's moments.
+        obs: Statistics of the observations, per group (obs_size,).
+        privileged: Those of what critics see besides (privileged_size,).
+        value: Those of the returns, per group ().
+        rate: Learning rate ().
+        iteration: Updates so far ().
+    """
+
+    weights: Weights
+    optimiser: Any
+    obs: tuple[Statistics, ...]
+    privileged: Statistics
+    value: tuple[Statistics, ...]
+    rate: jax.Array
+    iteration: jax.Array
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Shapes of all networks.
+
+    Attributes:
+        policy: The policy.
+        critic_layers: Widths of the critic's hidden layers.
+        privileged_size: Numbers that only critics see.
+        shared: Whether all groups have one policy.
+    """
+
+    policy: LearnedPolicy
+    critic_layers: tuple[int, ...]
+    privileged_size: int
+    shared: bool = False
+
+    @property
+    def groups(self) -> tuple[AgentGroup, ...]:
+        """The agents."""
+        return self.policy.groups
+
+    def critic(self, group: int) -> Network:
+        """Return the critic of a group, which knows its robots apart."""
+        robots = len(self.groups[group].agents)
+        return Network(self.critic_layers, self.policy.memory, 1, robots=robots)
+
+    @property
+    def agents(self) -> int:
+        """Robots of a world that learn."""
+        return sum(len(group.agents) for group in self.groups)
+
+    def imitating(self, learner: "Learner", config: Config) -> jax.Array:
+        """Return whether the learner still imitates a teacher ()."""
+        return learner.iteration < config.imitations(self.agents)
+
+    def init(self, key: jax.Array) -> Weights:
+        """Return weights to begin with."""
+        policy, critic = (jax.random.fold_in(key, s) for s in (POLICY_STREAM, CRITIC_STREAM))
+        policies = self.policy.init(policy)
+        none = jnp.zeros(self.policy.layers[0])
+        return Weights(
+            policy=policies[:1] if self.shared else policies,
+            classes=tuple(none for _ in self.groups) if self.shared else (),
+            critic=tuple(
+                init_network(self.critic(g), jax.random.fold_in(critic, g), group, self.privileged_size)
+                for g, group in enumerate(self.groups)
+            ),
+        )
+
+
+def make_networks(groups: tuple[AgentGroup, ...], privileged_size: int, config: Config) -> Networks:
+    """Return the networks for some agents.
+
+    Raises:
+        UsageError: They are to share a policy, but what they see or do differs in size.
+    """
+    if config.shared and len({(group.obs_size, group.action_size) for group in groups}) > 1:
+        sizes = ", ".join(f"{one.name} sees {one.obs_size} and does {one.action_size}" for one in groups)
+        raise UsageError(f"these cannot share a policy, they see and do different numbers: {sizes}")
+    policy = LearnedPolicy(groups, config.layers, config.memory)
+    return Networks(policy, config.critic_layers, privileged_size, shared=config.shared)
+
+
+def make_optimiser(config: Config) -> optax.GradientTransformation:
+    """Return the optimiser, whose steps are still to be multiplied by minus the learning rate."""
+    return optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.scale_by_adam(eps=1e-5))
+
+
+def make_learner(networks: Networks, config: Config) -> Learner:
+    """Return a learner that has learned nothing."""
+    return jax.jit(lambda: _blank_learner(networks, config))()  # one compilation instead of dozens
+
+
+def _blank_learner(networks: Networks, config: Config) -> Learner:
+    weights: Any = networks.init(jax.random.key(config.seed))
+    return Learner(
+        weights=weights,
+        optimiser=make_optimiser(config).init(weights),
+        obs=tuple(blank(group.obs_size) for group in networks.groups),
+        privileged=blank(networks.privileged_size),
+        value=tuple(blank() for _ in networks.groups),
+        rate=jnp.float32(config.learning_rate),
+        iteration=jnp.int32(0),
+    )
+
+
+def policy_params(learner: Learner) -> PolicyParams:
+    """Return the policy alone."""
+    return PolicyParams(
+        weights=learner.weights.policies,
+        mean=tuple(one.mean for one in learner.obs),
+        std=tuple(one.std for one in learner.obs),
+    )
+
+
+def judge(
+    networks: Networks,
+    learner: Learner,
+    seen: tuple[tuple[jax.Array, ...], jax.Array],
+    carry: tuple[jax.Array, ...],
+    fresh: jax.Array,
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    """Return what the critics think of a sequence of steps.
+
+    Args:
+        networks: Shapes.
+        learner: Weights and statistics.
+        seen: Observations, per group (steps, worlds, robots, obs_size), and what critics see besides
+            (steps, worlds, privileged_size).
+        carry: What the critics remember before, per group (worlds, robots, memory).
+        fresh: Whether they forget that before the step (steps, worlds).
+
+    Returns:
+        Values in the critics' own scale (the `value` statistics of the learner undo it), per group
+        (steps, worlds, robots), and what the critics remember afterwards.
+    """
+    obs, privileged = seen
+    shared = normalise(learner.privileged.mean, learner.privileged.std, privileged)
+    found = []
+    for g, rows in enumerate(obs):
+        x = normalise(learner.obs[g].mean, learner.obs[g].std, rows)
+        value, after = networks.critic(g).apply(learner.weights.critic[g], x, shared, carry[g], fresh)
+        found.append((value[..., 0], after))
+    return tuple(value for value, _ in found), tuple(after for _, after in found)
+
+
+def in_reward(learner: Learner, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """Return the critics' values in the unit of rewards."""
+    return tuple(one * stats.std + stats.mean for one, stats in zip(values, learner.value, strict=True))

@@ -1,0 +1,233 @@
+"""Training: collect, update, write down, and start again where it was left."""
+
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.sharding import PartitionSpec
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import Env
+from usarmjx.train.learning.checkpoint import Checkpoints, read_part
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.imitation import teacher_of
+from usarmjx.train.learning.metrics import Log, read_lines, summary
+from usarmjx.train.learning.ppo import improve
+from usarmjx.train.learning.record import FILE, UNKNOWN, Origin, RunRecord, load_record, make_record
+from usarmjx.train.learning.rollout import Rollout
+from usarmjx.train.learning.train_state import ROLLOUT_STREAM, Learner, make_learner, make_networks
+from usarmjx.train.learning.trajectory import Collector
+from usarmjx.train.processes.group import AXIS, Team
+from usarmjx.train.processes.launch import check_parent
+
+Factory = Callable[[int, int], Env]
+"""From a number of worlds, and the number of the first of them, to an environment."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes:
+        run: Its folder.
+        iterations: Updates in all.
+        agent_steps: Steps of all robots in all.
+        last: What was written of the last iteration.
+    """
+
+    run: Path
+    iterations: int
+    agent_steps: int
+    last: dict[str, Any]
+
+
+class Trainer:
+    """A run in this process, together with the others if there are any.
+
+    Args:
+        env: The worlds of this process, or what makes them.
+        config: Settings.
+        team: All processes.
+    """
+
+    def __init__(self, env: Env | Factory, config: Config, team: Team) -> None:
+        config.check_processes(team.count)
+        share = config.worlds // team.count
+        if callable(env):
+            env = env(share, team.index * share)
+        if env.worlds != share:
+            raise UsageError(
+                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {team.count} processes "
+                f"need {share}"
+            )
+        if config.curriculum and not env.levels:
+            raise UsageError(
+                f"curriculum is {config.curriculum}, but {env.name} has no generated arenas that could get "
+                "harder: set arena=maze, or leave curriculum out"
+            )
+        self.env, self.config, self.team = env, config, team
+        self.networks = make_networks(env.groups, env.privileged_size, config)
+        self.agents = self.networks.agents
+        self.iterations = config.iterations(self.agents)
+        teacher = teacher_of(env) if config.imitate else None
+        self.rollout = Rollout(env, self.networks, config, team.index * share, teacher)
+        timed, once = PartitionSpec(None, AXIS), PartitionSpec(AXIS)
+        self._improve = jax.jit(
+            jax.shard_map(
+                partial(improve, self.networks, config, team.count),
+                mesh=team.mesh,
+                in_specs=(PartitionSpec(), (timed, once, once)),
+                out_specs=(PartitionSpec(), PartitionSpec()),
+                check_vma=False,
+            )
+        )
+        self._key = team.keep(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
+        self._fold = jax.jit(jax.random.fold_in)
+        self._sums = jax.jit(lambda sums: jax.tree.map(lambda one: one[None], sums))
+
+    def start(self) -> tuple[Learner, Collector]:
+        """Return a learner that has learned nothing, and worlds at their start."""
+        return self.team.keep((make_learner(self.networks, self.config), self.rollout.start(self.level(0))))
+
+    def level(self, iteration: int) -> float:
+        """Return how difficult the arenas in play are before an iteration, counted from 0."""
+        share = self.config.curriculum * self.iterations
+        return min(1.0, iteration / share) if share else 1.0
+
+    def iterate(self, learner: Learner, worlds: Collector, iteration: int) -> Any:  # noqa: ANN401
+        """Let the robots act and learn from it.
+
+        Args:
+            learner: So far.
+            worlds: Of this process.
+            iteration: Number of this one, from 0.
+
+        Returns:
+            Learner and worlds, and sums for the log.
+        """
+        if self.config.curriculum:
+            worlds = worlds.replace(env=self.env.at_level(worlds.env, self.level(iteration)))
+        key = self._fold(self._key, iteration)
+        worlds, steps, bounds, sums = self.rollout.collect(learner, worlds, key)
+        whole = self.team.whole
+        experience = (whole(steps, 1), whole(bounds, 0), whole(self._sums(sums), 0))
+        learner, known = self.team.part(self._improve(whole(learner, None), experience))
+        return learner, worlds, known
+
+
+def train(
+    env: Env | Factory,
+    config: Config,
+    out: str | Path,
+    resume: bool = False,
+    *,
+    origin: Origin = UNKNOWN,
+    progress: bool = True,
+    watch: Callable[[dict[str, Any]], None] | None = None,
+) -> Outcome:
+    """Train a policy; in every process at once, if there are several (see `distributed`).
+
+    Args:
+        env: An environment; or what makes one of a number of worlds and the number of the first of them,
+            which it must be if there are several processes.
+        config: Settings.
+        out: Folder of the run.
+        resume: Go on where the run in that folder was left; from the start if it had no checkpoint yet.
+        origin: For the record: what the environment was made with.
+        progress: Show a bar in the terminal.
+        watch: Called with what is written of each iteration.
+
+    Raises:
+        UsageError: The folder has a run already, or none to resume, or one that was started otherwise; a
+            broken checkpoint; numbers of worlds, minibatches and processes that do not fit.
+    """
+    out, team = Path(out), Team()
+    if resume and not (out / FILE).exists():
+        raise UsageError(f"nothing to resume in {out}: it has no {FILE}")
+    if not resume and (out / FILE).exists():
+        raise UsageError(f"{out} has a run already; resume it, or choose another folder")
+    team.meet("look for a run")  # before anyone writes one
+    trainer = Trainer(env, config, team)
+    record = make_record(trainer.env, config, team.count, origin)
+    if resume:
+        record.check_resumes(load_record(out), out)
+    _prepare(out, record, team)
+    checkpoints = Checkpoints(out, team, config.keep)
+    learner, worlds, before = _where_left(trainer, checkpoints)
+    log = Log(out, trainer.iterations, before, bar=progress) if team.index == 0 else None
+    return _run(trainer, checkpoints, (learner, worlds, before), log, watch)
+
+
+def _prepare(out: Path, record: RunRecord, team: Team) -> None:
+    if team.index == 0:
+        out.mkdir(parents=True, exist_ok=True)
+        record.save(out)
+    team.meet("prepared")
+
+
+def _where_left(trainer: Trainer, checkpoints: Checkpoints) -> tuple[Learner, Collector, int]:
+    learner, worlds = trainer.start()
+    if not checkpoints.all():
+        return learner, worlds, 0
+    path, index = checkpoints.find("last"), trainer.team.index
+    meta = checkpoints.meta(path)
+    if meta["processes"] != trainer.team.count:
+        raise UsageError(f"{path} is of {meta['processes']} processes, these are {trainer.team.count}")
+    learner = read_part(path, "learner", learner, index)
+    worlds = read_part(path, "worlds", worlds, index)
+    return *trainer.team.keep((learner, worlds)), meta["iteration"]
+
+
+def _mean_score(lines: list[dict[str, Any]]) -> float | None:
+    """Return the mean score of the episodes of some iterations; None where none ended."""
+    rows = [(line["episodes"], line["score"]) for line in lines if line["score"] is not None]
+    count = sum(episodes for episodes, _ in rows)
+    return sum(episodes * score for episodes, score in rows) / count if count else None
+
+
+def _run(
+    trainer: Trainer,
+    checkpoints: Checkpoints,
+    left: tuple[Learner, Collector, int],
+    log: Log | None,
+    watch: Callable[[dict[str, Any]], None] | None,
+) -> Outcome:
+    """Iterate to the end, from where it was left."""
+    learner, worlds, before = left
+    config, iterations, out = trainer.config, trainer.iterations, checkpoints.run
+    world_steps = config.rollout * config.worlds
+    lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
+    line: dict[str, Any] = {}
+    with log or nullcontext():
+        for iteration in range(before + 1, iterations + 1):
+            began = time.perf_counter()
+            learner, worlds, known = trainer.iterate(learner, worlds, iteration - 1)
+            sums = {name: float(one) for name, one in jax.device_get(known).items()}
+            agent_steps = iteration * world_steps * trainer.agents
+            seconds = time.perf_counter() - began
+            rate = world_steps * trainer.agents / seconds
+            line = {
+                "iteration": iteration,
+                "agent_steps": agent_steps,
+                "steps_per_s": rate,
+                "level": trainer.level(iteration - 1),
+                **summary(sums, world_steps),
+            }
+            lines.append(line)
+            if log:
+                log.write(line)
+            if iteration % config.checkpoint_every == 0 or iteration == iterations:
+                note = {"agent_steps": agent_steps, "score": _mean_score(lines)}
+                checkpoints.save(iteration, learner, worlds, note)
+                lines.clear()
+            if watch:
+                watch(line)
+            check_parent()
+    if not line:  # the run was over already
+        line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
+    return Outcome(out, iterations, iterations * world_steps * trainer.agents, line)

@@ -1,0 +1,188 @@
+"""Maps that robots draw of what their scanners see: squares that are unknown, free or a wall.
+
+Pure functions of one map; map them over robots. A square's middle lies at `low + cell * (i, j)`, so that the
+walls of generated arenas, which stand 1.2 m apart, run through the middles of squares of 0.3 m.
+"""
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Array
+from usarmjx.models.build.reach import Size, reach_map
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.sensors.ranging import ScannerSettings
+
+UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
+"""What a square is known to be; a mark is something that was looked for, as a victim."""
+SURE = 4
+"""So often is a square seen as free, or as a wall, until further looks count no more."""
+SMOOTH = 1.0
+"""Two neighbouring beams that end closer to each other than this met one surface [m]."""
+PER_NUMBER = 12
+"""Squares in a number of a message: 2 bits each, in the 24 bits that single precision holds exactly."""
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """Where the squares of a map are.
+
+    Attributes:
+        low: Middle of the square (0, 0) [m].
+        cell: Side of a square [m].
+        shape: Squares along x and y.
+    """
+
+    low: tuple[float, float]
+    cell: float
+    shape: tuple[int, int]
+
+    @property
+    def squares(self) -> int:
+        """How many there are."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers of a message a map takes."""
+        return -(-self.squares // PER_NUMBER)
+
+    @property
+    def middles(self) -> np.ndarray:
+        """The middles of all squares [m] (i, j, 2)."""
+        steps = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1)
+        return (np.array(self.low) + self.cell * steps).astype(np.float32)
+
+    def index(self, place: Array) -> jax.Array:
+        """Return the square that places [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
+        steps = jnp.round((jnp.asarray(place) - np.array(self.low, np.float32)) / self.cell)
+        return jnp.clip(steps.astype(jnp.int32), 0, np.array(self.shape) - 1)
+
+
+def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
+    """Return a grid over all of some arenas' extents.
+
+    Raises:
+        UsageError: A side of a square that is not above 0.
+    """
+    if cell <= 0:
+        raise UsageError(f"squares of {cell} m, expected a side above 0")
+    extents = np.array([arena.extent for arena in arenas])  # (arenas, x or y, low or high)
+    low, high = extents[..., 0].min(0), extents[..., 1].max(0)
+    counts = np.round((high - low) / cell).astype(int) + 1
+    return MapGrid(low=(float(low[0]), float(low[1])), cell=cell, shape=(int(counts[0]), int(counts[1])))
+
+
+def reachable_squares(arena: ArenaSpec, grid: MapGrid, size: Size) -> np.ndarray:
+    """Return in which squares' middles a robot's middle can be, from the first start pose (i, j)."""
+    there = reach_map(arena, size.radius, size.step, height=size.height, cell=grid.cell / 6)
+    flat = [there.reachable(float(x), float(y)) for x, y in grid.middles.reshape(-1, 2)]
+    return np.array(flat).reshape(grid.shape)
+
+
+def look(grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array) -> tuple[jax.Array, jax.Array]:
+    """Return which squares a scan shows to be free, and which to be a wall, (i, j) each.
+
+    For each square the two beams on either side of its middle are looked up. Where both met one surface, that
+    is taken to be flat between them. A square is free if its middle is nearer than that, or than both beams'
+    ends, by more than half a square. It is a wall if its middle is within half a square of the surface, or of
+    the end of the beam that passes it closer by. Squares within one and a half of the scanner are free: the
+    robot stands there.
+
+    Args:
+        grid: The squares.
+        scanner: The scanner's settings; it scans in the x-y plane.
+        pose: Where it is, or believes to be: x, y [m] and yaw [rad] (3,).
+        ranges: What it measured [m] (beams,).
+    """
+    away = grid.middles - pose[:2]
+    distance = jnp.sqrt((away**2).sum(-1))
+    bearing = jnp.arctan2(away[..., 1], away[..., 0]) - pose[2]
+    bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
+    step, beams = scanner.resolution, scanner.beams
+    place = (bearing + scanner.scan_fov / 2) / step
+    first = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, max(beams - 2, 0))
+    seen = (place > -0.5) & (place < beams - 0.5)
+    one, two = ranges[first], ranges[jnp.minimum(first + 1, beams - 1)]
+    share = jnp.clip(place - first, 0.0, 1.0) * step
+    # The polar equation of the straight line through the ends of both beams.
+    flat = math.sin(step) / (
+        jnp.sin(step - share) / jnp.maximum(one, 1e-3) + jnp.sin(share) / jnp.maximum(two, 1e-3)
+    )
+    apart = jnp.sqrt(jnp.maximum(one**2 + two**2 - 2 * one * two * math.cos(step), 0.0))
+    smooth = (apart < SMOOTH) & (jnp.maximum(one, two) < scanner.max_range)
+    near = jnp.where(place - first < 0.5, one, two)
+    end, half = jnp.where(smooth, flat, near), grid.cell / 2
+    wall = seen & (end < scanner.max_range) & (jnp.abs(distance - end) <= half)
+    free = seen & (distance < jnp.where(smooth, flat, jnp.minimum(one, two)) - half)
+    free = free | (distance < 1.5 * grid.cell)
+    return free, wall & ~free
+
+
+def weigh(evidence: Array, free: Array, wall: Array) -> jax.Array:
+    """Return how sure a robot is of squares after a look: below 0 free, above 0 a wall, int8 (i, j).
+
+    What moves, as other robots, so is forgotten after some looks.
+    """
+    change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
+    return jnp.clip(evidence + change, -SURE, SURE).astype(jnp.int8)
+
+
+def known(evidence: Array, marked: Array, told: Array) -> jax.Array:
+    """Return what a robot knows of squares, uint8 (i, j): what it has seen itself goes before hearsay.
+
+    Args:
+        evidence: See `weigh`.
+        marked: Where it has put marks.
+        told: What others told it of, as this function returns it.
+    """
+    own = jnp.where(evidence < 0, FREE, jnp.where(evidence > 0, WALL, told))
+    return jnp.where(marked | (told == MARK), MARK, own).astype(jnp.uint8)
+
+
+def hear(told: Array, news: Array) -> jax.Array:
+    """Return hearsay (i, j) after another map came in.
+
+    Marks go before all else, and what anybody has seen to be free before what another took for a wall: that
+    may have been a robot.
+    """
+    ranks = np.array([0, 2, 1, 3])  # unknown, free, wall, mark
+    return jnp.where(jnp.asarray(ranks)[news] > jnp.asarray(ranks)[told], news, told).astype(jnp.uint8)
+
+
+def pack(squares: Array) -> jax.Array:
+    """Return a map (i, j) as numbers of a message, float32 (numbers,), of `PER_NUMBER` squares each."""
+    flat = jnp.ravel(squares).astype(jnp.int32)
+    rows = jnp.pad(flat, (0, -flat.shape[0] % PER_NUMBER)).reshape(-1, PER_NUMBER)
+    return (rows * 4 ** np.arange(PER_NUMBER)).sum(-1).astype(jnp.float32)
+
+
+def unpack(numbers: Array, shape: tuple[int, int]) -> jax.Array:
+    """Return the map of that shape that was packed, uint8."""
+    whole = jnp.asarray(numbers).astype(jnp.int32)
+    rows = (whole[:, None] >> (2 * np.arange(PER_NUMBER))) & 3
+    return jnp.ravel(rows)[: shape[0] * shape[1]].reshape(shape).astype(jnp.uint8)
+
+
+def around(grid: MapGrid, squares: Array, pose: Array, width: int, spacing: float) -> jax.Array:
+    """Return a map as seen from a robot: x ahead, y to the left, the robot in the middle (width, width).
+
+    Args:
+        grid: The squares.
+        squares: The map (i, j).
+        pose: x, y [m] and yaw [rad] (3,).
+        width: Places along a side.
+        spacing: Between two places [m]; each shows the square that it lies in. Off the map all is wall.
+    """
+    line = (np.arange(width) - (width - 1) / 2) * spacing
+    ahead, aside = np.meshgrid(line, line, indexing="ij")
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    place = jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
+    steps = jnp.round((place - np.array(grid.low, np.float32)) / grid.cell).astype(jnp.int32)
+    inside = ((steps >= 0) & (steps < np.array(grid.shape))).all(-1)
+    there = grid.index(place)
+    return jnp.where(inside, squares[there[..., 0], there[..., 1]], WALL)

@@ -1,0 +1,226 @@
+"""A policy as one small file, and its inference in plain NumPy: what a robot's client needs, and no more.
+
+The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layers), the other arrays are
+`mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on, in single precision or
+the weights in half. This module imports neither JAX nor anything that needs it.
+"""
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+    from usarmjx.train.learning.record import RunRecord
+
+FORMAT = 1
+LIMIT = 10.0  # as in `statistics`
+MIN_STD = 0.01  # as in `networks`
+
+Vector = np.ndarray
+Weights = Mapping[str, Any]
+
+
+def _sigmoid(x: Vector) -> Vector:
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+def _elu(x: Vector) -> Vector:
+    return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
+
+
+def _dense(layer: Weights, x: Vector) -> Vector:
+    return x @ layer["kernel"] + layer["bias"]
+
+
+def forward(weights: Weights, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
+    """Return what a policy's network says (..., outputs), and what is remembered after it (..., memory).
+
+    Args:
+        weights: Of the network, by layer.
+        layers: Number of hidden layers.
+        x: Normalised observations (..., n).
+        carry: What is remembered (..., memory).
+    """
+    for i in range(layers):
+        x = _elu(_dense(weights[f"layer_{i}"], x))
+    if "gates" in weights:
+        reset, update, new = np.split(_dense(weights["gates"], x), 3, axis=-1)
+        own_reset, own_update, own_new = np.split(carry @ weights["recurrent"], 3, axis=-1)
+        update = _sigmoid(update + own_update)
+        new = np.tanh(new + _sigmoid(reset + own_reset) * (own_new + weights["recurrent_bias"]))
+        x = carry = (1.0 - update) * new + update * carry
+    return _dense(weights["head"], x), carry
+
+
+class NumpyPolicy:
+    """A policy from a file.
+
+    Args:
+        file: Written by `save_policy`.
+
+    Attributes:
+        task: Name of the task that it was trained for.
+        period: Simulated time between two actions [s].
+        groups: Of each group `name`, `agents`, `obs_size`, `action_size`.
+        memory: Units of memory of each robot; 0: none.
+        overrides: Fields of the task that were set otherwise in training, as typed.
+        layers: Number of hidden layers.
+        weights: Per group a tree of weights.
+        mean: Of the observations in training, per group (obs_size,).
+        std: Their deviation, per group (obs_size,).
+
+    Raises:
+        UsageError: The file is no policy, or is broken.
+    """
+
+    def __init__(self, file: str | Path) -> None:
+        try:
+            with np.load(file, allow_pickle=False) as held:
+                about = json.loads(str(held["about"]))
+                arrays = {name: held[name].astype(np.float32) for name in held.files if name != "about"}
+            if about["format"] != FORMAT:
+                raise UsageError(f"{file} was written by another version of usarmjx")
+            self.task, self.period = about["task"], about["period"]
+            self.overrides: dict[str, str] = about["overrides"]
+            self.groups: list[dict[str, Any]] = about["groups"]
+            self.memory, self.layers = about["memory"], about["layers"]
+            self.mean = [arrays[f"mean/{g}"] for g in range(len(self.groups))]
+            self.std = [arrays[f"std/{g}"] for g in range(len(self.groups))]
+            self.weights = [_tree(arrays, f"weights/{g}/") for g in range(len(self.groups))]
+        except (
+            OSError,
+            KeyError,
+            ValueError,
+            TypeError,
+            AttributeError,
+            EOFError,
+            zipfile.BadZipFile,
+        ) as error:
+            raise UsageError(f"{file} is no policy of usarmjx: {error}") from error
+
+    def group(self, name: str) -> int:
+        """Return the number of the group of a robot class, case ignored.
+
+        Raises:
+            UsageError: The policy has none; lists those it has.
+        """
+        known = [one["name"] for one in self.groups]
+        for place, one in enumerate(known):
+            if one.lower() == name.lower():
+                return place
+        raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
+
+    def start(self, group: int, *shape: int) -> Vector:
+        """Return what robots of a group remember at first (*shape, memory)."""
+        return np.zeros((*shape, self.memory), np.float32)
+
+    def act(
+        self, group: int, obs: Vector, carry: Vector, draw: np.random.Generator | None = None
+    ) -> tuple[Vector, Vector]:
+        """Return actions of robots of a group, and what is remembered after them.
+
+        Args:
+            group: Number of the group.
+            obs: What they see (..., obs_size).
+            carry: What they remember (..., memory).
+            draw: Where random numbers come from; None: the most probable actions are taken.
+
+        Raises:
+            UsageError: Observations of another size.
+        """
+        obs, mean, std = np.asarray(obs, np.float32), self.mean[group], self.std[group]
+        if obs.shape[-1:] != mean.shape:
+            raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
+        seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -LIMIT, LIMIT)
+        told, carry = forward(self.weights[group], self.layers, seen, carry)
+        loc, scale = np.split(told, 2, axis=-1)
+        if draw is not None:
+            deviation = np.logaddexp(scale, 0.0) + MIN_STD
+            loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
+        return np.tanh(loc), carry
+
+
+def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
+    """Return the arrays whose names begin so, nested by the parts of their names."""
+    found: dict[str, Any] = {}
+    for name, array in arrays.items():
+        if name.startswith(start):
+            *path, last = name.removeprefix(start).split("/")
+            place = found
+            for part in path:
+                place = place.setdefault(part, {})
+            place[last] = array
+    return found
+
+
+def _flat(tree: Weights, start: str) -> dict[str, Vector]:
+    found = {}
+    for name, value in tree.items():
+        nested = isinstance(value, Mapping)
+        found.update(_flat(value, f"{start}{name}/") if nested else {f"{start}{name}": np.asarray(value)})
+    return found
+
+
+def save_policy(
+    file: str | Path,
+    policy: "LearnedPolicy",
+    params: "PolicyParams",
+    record: "RunRecord",
+    half: bool = False,
+) -> None:
+    """Write a policy to a file, which `NumpyPolicy` reads.
+
+    Args:
+        file: To write.
+        policy: Its network.
+        params: Weights and statistics.
+        record: What it was trained for.
+        half: Write weights as numbers of 16 bits, rounded by up to 2^-11 of themselves.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
+    about = {
+        "format": FORMAT,
+        "task": record.task,
+        "overrides": record.overrides,
+        "period": record.period,
+        "groups": [vars(group) for group in policy.groups],
+        "layers": len(policy.layers),
+        "memory": policy.memory,
+    }
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
+    for g in range(len(policy.groups)):
+        arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
+        weights = _flat(params.weights[g]["params"], f"weights/{g}/")
+        arrays |= {name: array.astype(np.float16) if half else array for name, array in weights.items()}
+    names: Sequence[str] = sorted(arrays)
+    try:
+        with Path(file).open("wb") as out:
+            np.savez_compressed(out, **{name: arrays[name] for name in names})
+    except OSError as error:
+        raise UsageError(f"cannot write {file}: {error}") from error
+
+
+def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
+    """Write the policy of a run to a file.
+
+    Args:
+        run: Folder of the run.
+        file: To write.
+        which: Checkpoint: `best`, `last`, or the number of an iteration.
+        half: See `save_policy`.
+
+    Raises:
+        UsageError: No run, no such checkpoint, a broken one, or a file that cannot be written.
+    """
+    from usarmjx.train.learning.checkpoint import load_policy
+
+    save_policy(file, *load_policy(Path(run), which), half=half)

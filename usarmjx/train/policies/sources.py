@@ -1,0 +1,153 @@
+"""Policies from wherever they are: the folder of a run, an exported file, the package, or written by hand."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import AgentGroup, Env
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.config import parse_settings
+from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+from usarmjx.train.make import make, make_task
+from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.export import NumpyPolicy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A policy that was found.
+
+    Attributes:
+        name: What it is called in reports.
+        task: Name of the task that it is for.
+        overrides: Fields of the task that were set otherwise when it was trained, as text.
+        learned: Its network and weights; None: the baseline of `name`.
+    """
+
+    name: str
+    task: str
+    overrides: Mapping[str, str] = field(default_factory=dict)
+    learned: tuple[LearnedPolicy, PolicyParams] | None = None
+
+    def policy(self, env: Env) -> Policy:
+        """Return the policy for an environment: the most probable actions.
+
+        Raises:
+            UsageError: It was trained for other robots, observations or actions.
+        """
+        if self.learned is None:
+            return BASELINES.get(self.name)(env)
+        policy, params = self.learned
+        mine, theirs = _shapes(policy.groups), _shapes(env.groups)
+        if mine != theirs:
+            raise UsageError(
+                f"{self.name} is for robots (class, numbers in observation and action) {mine}; {env.name} "
+                f"as it is set up has {theirs}"
+            )
+        return policy.actor(params)
+
+    def env(
+        self, settings: Sequence[str] = (), *, worlds: int = 1, engine: str = "auto", seed: int = 0
+    ) -> tuple[Env, Policy, list[str]]:
+        """Return its task as it was trained on, the policy for it, and notes on what could not be set so.
+
+        Args:
+            settings: Fields of the task to set otherwise, `key=value` each.
+            worlds: How many.
+            engine: `warp`, `jax`, `c`, or `auto`.
+            seed: Of all random numbers.
+
+        Raises:
+            UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
+                not for.
+            UnknownNameError: No such task, or field of it; lists those there are.
+        """
+        overrides, notes = task_settings(self.task, self.overrides, settings)
+        env = make(self.task, worlds=worlds, engine=engine, seed=seed, **overrides)
+        return env, self.policy(env), notes
+
+
+def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
+    return [(group.name, group.obs_size, group.action_size) for group in groups]
+
+
+def task_settings(
+    task: str, trained: Mapping[str, str], settings: Sequence[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """Return fields of a task as a policy was trained and as asked for, and notes on those left out.
+
+    Fields that are not words, numbers or lists of them (`physics`, `radio`, `vary`) cannot be read back.
+
+    Raises:
+        UsageError: A setting that does not read.
+        UnknownNameError: No such task, or field that can be set; lists those there are.
+    """
+    chosen = make_task(task)
+    own = {one.name: getattr(chosen, one.name) for one in fields(chosen)}
+    simple = {
+        name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
+    }
+    notes = [
+        f"trained with {name}={text}, which is not read back: {task} has its own here"
+        for name, text in trained.items()
+        if name not in simple
+    ]
+    before = [f"{name}={text}" for name, text in trained.items() if name in simple]
+    return parse_settings([*before, *settings], simple, task), notes
+
+
+def find_source(what: str, checkpoint: str = "best") -> Source:
+    """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
+
+    Args:
+        what: Folder, file, or task.
+        checkpoint: Of a run: `best`, `last`, or the number of an iteration.
+
+    Raises:
+        UsageError: What is there is no run or policy, or broken.
+        UnknownNameError: Nothing is there, and no packaged policy has that name; lists those there are.
+    """
+    path = Path(what)
+    if path.is_dir():
+        policy, params, record = load_policy(path, checkpoint)
+        return Source(name=what, task=record.task, overrides=record.overrides, learned=(policy, params))
+    if path.exists():
+        return exported(path)
+    if what in POLICIES:
+        return exported(POLICIES.get(what))
+    known = ", ".join(POLICIES.names()) or "none"
+    raise UnknownNameError(f"{what} is no folder of a run, no exported policy, nor a packaged one: {known}")
+
+
+def exported(file: Path) -> Source:
+    """Return the policy of a file that `usarmjx export` has written.
+
+    Raises:
+        UsageError: It is no policy, or broken.
+    """
+    told = NumpyPolicy(file)
+    groups = tuple(AgentGroup(**{**one, "agents": tuple(one["agents"])}) for one in told.groups)
+    widths = tuple(told.weights[0][f"layer_{i}"]["kernel"].shape[1] for i in range(told.layers))
+    params = PolicyParams(
+        weights=tuple({"params": weights} for weights in told.weights),
+        mean=tuple(map(jnp.asarray, told.mean)),
+        std=tuple(map(jnp.asarray, told.std)),
+    )
+    learned = LearnedPolicy(groups, widths, told.memory), params
+    return Source(name=str(file), task=told.task, overrides=told.overrides, learned=learned)
+
+
+def baseline(name: str, task: str | None = None) -> Source:
+    """Return the policy written by hand for a task, to be tried on that task or another one.
+
+    Raises:
+        UnknownNameError: No such baseline; lists those there are.
+    """
+    BASELINES.get(name)
+    return Source(name=name, task=task or name)

@@ -1,0 +1,135 @@
+"""Several processes train together: one for each device, each with worlds of its own.
+
+Only gradients and sums cross between processes; checkpoints are written by all of them to one folder, which
+all hosts must share.
+"""
+
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.train.processes.launch import Place, place_of
+
+AXIS = "process"
+"""Axis of the mesh of all processes."""
+
+
+def join(environment: Mapping[str, str] | None = None) -> Place:
+    """Join the other processes, if there are any; before anything runs on a device.
+
+    Raises:
+        UsageError: The environment variables contradict each other, or JAX runs already.
+    """
+    place = place_of(os.environ if environment is None else environment)
+    if place is None:
+        return Place(1, 0, 0)
+    if jax.distributed.is_initialized():
+        return place
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    told: dict[str, Any] = {"num_processes": place.count, "process_id": place.index}
+    if place.coordinator:
+        told["coordinator_address"] = place.coordinator
+    try:
+        jax.distributed.initialize(**told, local_device_ids=None if _chosen() else [place.local])
+    except (RuntimeError, ValueError) as error:
+        raise UsageError(f"process {place.index} of {place.count} cannot join the others: {error}") from error
+    return place
+
+
+@contextmanager
+def together() -> Iterator[Place]:
+    """Join the other processes, and fail at once if this one fails: else they would wait for each other.
+
+    JAX has each process wait for all others at its end, for minutes, while those wait for what this one
+    was to add. So the process ends without goodbye, and `spawn`, or the launcher, ends the others.
+
+    Raises:
+        UsageError: See `join`.
+    """
+    place = join()
+    try:
+        yield place
+    except BaseException as error:
+        if place.count == 1:
+            raise
+        ours = isinstance(error, UsarmjxError)
+        if ours:
+            sys.stderr.write(f"usarmjx: {error}\n")
+        else:
+            traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(2 if ours else 1)
+
+
+def _chosen() -> bool:
+    """Return whether the device has been chosen already: a CPU, or the only GPU that is shown."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return os.environ.get("JAX_PLATFORMS") == "cpu" or (shown is not None and "," not in shown)
+
+
+class Team:
+    """All processes, as the update sees them.
+
+    Attributes:
+        count: How many there are.
+        index: Which this is.
+        device: What this one computes on.
+        mesh: One device of each.
+    """
+
+    def __init__(self) -> None:
+        self.count, self.index = jax.process_count(), jax.process_index()
+        firsts: dict[int, Any] = {}
+        for device in jax.devices():
+            firsts.setdefault(device.process_index, device)
+        self.device = firsts[self.index]
+        self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (AXIS,))
+
+    def keep(self, tree: Any) -> Any:  # noqa: ANN401 - any tree
+        """Return a tree with its JAX arrays placed on this process's device; others stay as they are."""
+        # Without weak types, so that the second iteration finds what the first one compiled.
+        return jax.tree.map(
+            lambda leaf: jax.device_put(_strong(leaf), self.device) if isinstance(leaf, jax.Array) else leaf,
+            tree,
+        )
+
+    def whole(self, tree: Any, axis: int | None) -> Any:  # noqa: ANN401
+        """Return arrays that all processes see, of which this one has the part `tree`.
+
+        Args:
+            tree: Arrays of this process.
+            axis: Which the parts are joined along; None: all processes have the same.
+        """
+        spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, AXIS)
+        sharding = NamedSharding(self.mesh, spec)
+
+        def join_up(leaf: jax.Array) -> jax.Array:
+            shape = list(leaf.shape)
+            if axis is not None:
+                shape[axis] *= self.count
+            return jax.make_array_from_single_device_arrays(tuple(shape), sharding, [leaf])
+
+        return jax.tree.map(join_up, tree)
+
+    @staticmethod
+    def part(tree: Any) -> Any:  # noqa: ANN401
+        """Return the part of arrays that this process has."""
+        return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
+
+    def meet(self, name: str) -> None:
+        """Wait for all others to come here."""
+        if self.count > 1:
+            multihost_utils.sync_global_devices(name)
+
+
+def _strong(leaf: jax.Array) -> jax.Array:
+    return leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf

@@ -1,0 +1,180 @@
+"""How far robots truly are from what stands around them, in the plane: for judges, not for policies.
+
+A robot is the upright box around all its solids with its joints at 0. Obstacles are the arena's upright
+solids that reach into its height, less what its wheels drive over, and the other robots. Tilted solids,
+meshes, terrain, doors, victims and loose objects are none.
+"""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import Array, quat_from_angles
+from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import RobotSpec, Shape
+from usarmjx.train.envs.task import View
+
+LOW = 0.1
+"""What reaches no higher than this above a robot's wheels is for driving over, as boards are [m]."""
+UPRIGHT = 0.999
+"""Cosine of the tilt from which a solid counts as a ramp."""
+FREE = 1e3
+"""Clearance where there is nothing at all [m]."""
+
+Kind = mujoco.mjtGeom
+
+
+class Boxes(struct.PyTreeNode, kw_only=True):
+    """Upright boxes.
+
+    Attributes:
+        centre: In the world, x and y [m] (..., 2).
+        half: Half lengths along their own axes [m] (..., 2).
+        yaw: How they are turned [rad] (...,).
+        low: Height of the lower face [m] (...,).
+        high: Of the upper one [m] (...,).
+    """
+
+    centre: Array
+    half: Array
+    yaw: Array
+    low: Array
+    high: Array
+
+
+def apart(one: Boxes, others: Boxes) -> jax.Array:
+    """Return the distance in the plane of a box from others (n,) [m] (n,); 0 where they overlap."""
+    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], np.float32)
+    turn, turns = _turn(one.yaw), _turn(others.yaw)  # own axes to the world's
+    hull = one.centre + (signs * one.half) @ turn.T
+    corners = others.centre[:, None] + jnp.einsum("nij,ncj->nci", turns, signs * others.half[:, None])
+    # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
+    seen = jnp.einsum("nji,ncj->nci", turns, hull - others.centre[:, None])
+    near = jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - others.half[:, None], 0.0), axis=-1).min(-1)
+    seen = (corners - one.centre) @ turn
+    near = jnp.minimum(near, jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - one.half, 0.0), axis=-1).min(-1))
+    axes = jnp.concatenate([jnp.broadcast_to(turn.T, turns.shape), jnp.swapaxes(turns, -1, -2)], 1)
+    ours, theirs = jnp.einsum("nai,ci->nac", axes, hull), jnp.einsum("nai,nci->nac", axes, corners)
+    split = (ours.max(-1) < theirs.min(-1)) | (theirs.max(-1) < ours.min(-1))
+    return jnp.where(split.any(-1), near, 0.0)
+
+
+def _turn(yaw: Array) -> jax.Array:
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    return jnp.stack([jnp.stack([cos, -sin], -1), jnp.stack([sin, cos], -1)], -2)
+
+
+@cache
+def hull_of(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest corner of a robot in its own axes, joints at 0 [m] (3,), (3,)."""
+    plan = body_plan(robot)
+    # With all joints at 0 most parts are not turned; those that are count by their turned axes.
+    turns = [np.eye(3)]
+    for body in range(1, len(plan.parent)):
+        turns.append(turns[plan.parent[body]] @ plan.turn[body])
+    mat = np.array(turns)[plan.geom_body]
+    pos = plan.rest_pos[plan.geom_body] + np.einsum("gij,gj->gi", mat, plan.geom_pos)
+    reach = _reach(plan.geom_type, plan.geom_size, mat @ plan.geom_mat)
+    return (pos - reach).min(0), (pos + reach).max(0)
+
+
+def _reach(kind: np.ndarray, size: np.ndarray, mat: np.ndarray) -> np.ndarray:
+    """Return how far geoms reach from their centres along the axes [m] (geoms, 3)."""
+    along = np.abs(mat[:, :, 2])
+    radius, length = size[:, :1], size[:, 1:2]
+    reaches = {
+        Kind.mjGEOM_BOX: (np.abs(mat) * size[:, None]).sum(-1),
+        Kind.mjGEOM_SPHERE: np.broadcast_to(radius, along.shape),
+        Kind.mjGEOM_CAPSULE: radius + length * along,
+        Kind.mjGEOM_CYLINDER: radius * np.sqrt(np.maximum(0.0, 1 - along**2)) + length * along,
+        Kind.mjGEOM_ELLIPSOID: np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
+    }
+    masks = [np.broadcast_to((kind == int(k))[:, None], along.shape) for k in reaches]
+    return np.select(masks, list(reaches.values()), np.linalg.norm(size, axis=-1, keepdims=True))
+
+
+def _upright(shapes: tuple[Shape, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return boxes around solids: centre, half lengths (n, 6), and quaternions (n, 4); MuJoCo's sizes."""
+    rows, quats = [], []
+    for shape in shapes:
+        if shape.kind in ("mesh", "hfield"):
+            continue
+        radius, half = shape.size[0], shape.size[1] if len(shape.size) > 1 else 0.0
+        size = {
+            "box": shape.size,
+            "ellipsoid": shape.size,
+            "sphere": (radius,) * 3,
+            "cylinder": (radius, radius, half),
+            "capsule": (radius, radius, radius + half),
+        }[shape.kind]
+        rows.append((*shape.at, *size))
+        quats.append(quat_from_angles(*shape.rotation))
+    return np.array(rows, np.float32).reshape(-1, 6), np.array(quats, np.float32).reshape(-1, 4)
+
+
+@cache
+def _standing(arena: ArenaSpec) -> tuple[np.ndarray, np.ndarray]:
+    return _upright(arena.shapes)
+
+
+def solids(view: View) -> Boxes:
+    """Return the arena's solids as upright boxes; those that are tilted have no height."""
+    site, floor = view.world.site, view.scene.arena.floor
+    if site is None:
+        rows, quat = _standing(view.scene.arena)
+        pos, size, quat = jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:]), jnp.asarray(quat)
+    else:
+        pos, size, quat = site.pos, site.size, site.quat
+    mat = mat_from_quat(quat)
+    upright = mat[:, 2, 2] >= UPRIGHT
+    height = jnp.where(upright, size[:, 2], -1.0)
+    return Boxes(
+        centre=pos[:, :2],
+        half=size[:, :2],
+        yaw=jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0]),
+        low=pos[:, 2] - height + floor,
+        high=pos[:, 2] + height + floor,
+    )
+
+
+def hulls(view: View, team: int) -> Boxes:
+    """Return a team's robots as upright boxes; those that are not in use have no height."""
+    robots, (low, high) = view.robots(team), hull_of(view.scene.teams[team].robot)
+    mat = mat_from_quat(robots.quat)
+    yaw = jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0])
+    middle = np.array((low[:2] + high[:2]) / 2, np.float32)
+    used = view.world.teams[team].active
+    return Boxes(
+        centre=robots.pos[:, :2] + jnp.einsum("nij,j->ni", _turn(yaw), middle),
+        half=jnp.broadcast_to(jnp.array((high - low)[:2] / 2, jnp.float32), (len(yaw), 2)),
+        yaw=yaw,
+        low=jnp.where(used, robots.pos[:, 2] + low[2], jnp.inf),
+        high=jnp.where(used, robots.pos[:, 2] + high[2], -jnp.inf),
+    )
+
+
+def clearance(view: View) -> tuple[jax.Array, ...]:
+    """Return how far each robot is from the nearest obstacle, per team [m] (robots,); 0: they overlap."""
+    walls, teams = solids(view), [hulls(view, team) for team in range(len(view.scene.teams))]
+    # Another robot stands on the ground as this one does: all of it is in the way.
+    others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *teams)
+    rows, first = [], 0
+    for team in teams:
+        mine = jnp.arange(len(team.yaw)) + first
+        rows.append(jax.vmap(lambda one, me: _least(one, me, walls, others))(team, mine))
+        first += len(team.yaw)
+    return tuple(rows)
+
+
+def _least(one: Boxes, me: jax.Array, walls: Boxes, others: Boxes) -> jax.Array:
+    in_the_way = (walls.high > one.low + LOW) & (walls.low < one.high)
+    near = jnp.where(in_the_way, apart(one, walls), FREE)
+    meets = (others.high > one.low) & (others.low < one.high) & (jnp.arange(len(others.yaw)) != me)
+    beside = jnp.where(meets, apart(one, others), FREE)
+    return jnp.concatenate([near, beside]).min(initial=FREE)

@@ -1,0 +1,167 @@
+"""What soccer robots know of the game: from their scanners, and from what their mates write."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.transforms import Array, mat_from_angles
+from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, Mail
+from usarmjx.models.arenas.soccer import BALL_RADIUS
+from usarmjx.train.tasks.pitch import BEAMS, COVER, HIGH, LOW, REACH, beams, depth_inside
+
+UPPER, LOWER = "IRScanner", "RangeScanner"
+"""Types of the two scanners."""
+STEP = 0.15
+"""So much farther must the upper scanner see than the lower one where a ball is [m]."""
+GROUND = 0.04
+"""Hits that are no higher than this may be of the floor [m]."""
+OFF = 0.1
+"""What is nearer to a board or a goal than this may be one [m]."""
+SMOOTH = 0.4
+"""Share of a new velocity of the ball in what is known of it."""
+RECENT = 0.35
+"""Velocities are told from two looks that are no farther apart [s]."""
+FASTEST = 2.0
+"""Balls are no faster than this in each direction [m/s]."""
+NEVER = -1e3
+"""When what never happened did [s]."""
+NUMBERS = 8
+"""Of a message: the sender's x, y, yaw; the ball's x, y and its velocity; when it was seen."""
+
+
+class Sight(struct.PyTreeNode, kw_only=True):
+    """What each robot knows, in the world's axes; leading axis over robots.
+
+    Attributes:
+        pose: Where it is: x, y [m] and yaw [rad] (robots, 3).
+        others: How far away another robot is along each upper beam, `REACH` for none [m] (robots, beams).
+        ball: Where the ball was seen last, by the robot or its mate [m] (robots, 2).
+        velocity: How fast it was then [m/s] (robots, 2).
+        seen: When that was [s] (robots,).
+        mate: What its mate said of its own pose (robots, 3).
+        heard: When it said so [s] (robots,).
+    """
+
+    pose: Array
+    others: Array
+    ball: Array
+    velocity: Array
+    seen: Array
+    mate: Array
+    heard: Array
+
+
+def nothing(robots: int) -> Sight:
+    """Return what robots know that have just woken up."""
+    none, never = jnp.zeros((robots, 2)), jnp.full(robots, NEVER)
+    pose = jnp.zeros((robots, 3))
+    return Sight(
+        pose=pose,
+        others=jnp.full((robots, BEAMS), REACH),
+        ball=none,
+        velocity=none,
+        seen=never,
+        mate=pose,
+        heard=never,
+    )
+
+
+def find_ball(pose: Array, low: Array, high: Array) -> tuple[jax.Array, jax.Array]:
+    """Return where a robot sees the ball [m] (2,), and whether it does ().
+
+    The ball is what the lower scanner meets and the upper one does not, within the boards. As the robot
+    tilts when it brakes, only beams count that are then above the floor, and above the ball and below the
+    top of robots.
+
+    Args:
+        pose: Where the robot is: x, y, z [m], roll, pitch, yaw [rad] (6,).
+        low: Ranges of the lower scanner [m] (beams,).
+        high: Those of the upper one (beams,).
+    """
+    along = _directions(pose)
+    rise, flat = low * along[:, 2], jnp.linalg.norm(along[:, :2], axis=-1)
+    upper = HIGH + rise
+    level = (LOW + rise > GROUND) & (upper > 2 * BALL_RADIUS) & (upper < COVER[1])
+    middle = pose[:2] + (low * flat + BALL_RADIUS)[:, None] * along[:, :2] / flat[:, None]
+    met = (high > low + STEP) & level & (depth_inside(middle) > BALL_RADIUS / 2)
+    nearest = jnp.where(met, low, jnp.inf).min()
+    # Beams that pass the ball's middle meet it first; those beside are on both sides.
+    mine = met & (low < nearest + BALL_RADIUS)
+    way = jnp.where(mine[:, None], along[:, :2], 0.0).sum(0)
+    way = way / jnp.maximum(jnp.linalg.norm(way), 1e-6)
+    return pose[:2] + (jnp.where(met.any(), nearest, 0.0) + BALL_RADIUS) * way, met.any()
+
+
+def find_others(pose: Array, high: Array) -> jax.Array:
+    """Return how far away robots are along the upper beams, `REACH` for none [m] (beams,).
+
+    They are what is neither board nor goal.
+    """
+    along = _directions(pose)
+    hit = pose[:2] + high[:, None] * along[:, :2]
+    return jnp.where((high < REACH) & (depth_inside(hit) > OFF), high, REACH)
+
+
+def _directions(pose: Array) -> jax.Array:
+    """Return the directions of a scanner's beams in the world (beams, 3)."""
+    angle = beams()
+    lines = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
+    return lines @ mat_from_angles(pose[3], pose[4], pose[5], jnp).T
+
+
+class Look(NamedTuple):
+    """What the robots' sensors tell (robots, ...).
+
+    Attributes:
+        pose: Where they are: x, y, z [m], roll, pitch, yaw [rad] (robots, 6).
+        low: Ranges of the lower scanners [m] (robots, beams).
+        high: Those of the upper ones (robots, beams).
+        fresh: Whether these are of now (robots,).
+    """
+
+    pose: Array
+    low: Array
+    high: Array
+    fresh: Array
+
+
+def look(sight: Sight, told: Look, time: Array) -> Sight:
+    """Return what robots know after they looked, at a time [s] ()."""
+    ball, there = jax.vmap(find_ball)(told.pose, told.low, told.high)
+    others = jax.vmap(find_others)(told.pose, told.high)
+    there = there & told.fresh
+    gap = time - sight.seen
+    moved = jnp.clip((ball - sight.ball) / jnp.maximum(gap, 1e-3)[:, None], -FASTEST, FASTEST)
+    moved = (1 - SMOOTH) * sight.velocity + SMOOTH * moved
+    moved = jnp.where((gap < RECENT)[:, None], moved, 0.0)
+    return sight.replace(
+        pose=told.pose[:, (0, 1, 5)],
+        others=jnp.where(told.fresh[:, None], others, sight.others),
+        ball=jnp.where(there[:, None], ball, sight.ball),
+        velocity=jnp.where(there[:, None], moved, sight.velocity),
+        seen=jnp.where(there, time, sight.seen),
+    )
+
+
+def listen(sight: Sight, mail: Mail) -> Sight:
+    """Return what robots know after they read their mail: whoever saw the ball later is believed."""
+    last, rows = jnp.maximum(mail.count - 1, 0), jnp.arange(len(sight.seen))
+    told, got = mail.payload[rows, last], mail.count > 0
+    newer = got & (told[:, 7] > sight.seen)
+    return sight.replace(
+        ball=jnp.where(newer[:, None], told[:, 3:5], sight.ball),
+        velocity=jnp.where(newer[:, None], told[:, 5:7], sight.velocity),
+        seen=jnp.where(newer, told[:, 7], sight.seen),
+        mate=jnp.where(got[:, None], told[:, :3], sight.mate),
+        heard=jnp.where(got, mail.time[rows, last], sight.heard),
+    )
+
+
+def letters(sight: Sight, to: Array) -> Letters:
+    """Return what robots write to others (robots, robots)."""
+    payload = jnp.concatenate([sight.pose, sight.ball, sight.velocity, sight.seen[:, None]], -1)
+    length = jnp.full(len(payload), BYTES_PER_NUMBER * NUMBERS, jnp.int32)
+    return Letters(to=to, payload=payload, length=length)
