@@ -18,7 +18,7 @@ from pathlib import Path
 from usarsim_client import Message, UsarsimClient
 
 import usarmjx
-from usarmjx.models.roads.geodesy import metres_of
+from usarmjx.models.roads.geodesy import to_local_xy
 from usarmjx.models.roads.network import FOOT, RouteNetwork
 from usarmjx.models.roads.rndf import read_rndf
 
@@ -79,7 +79,7 @@ class Way:
 def lane_path(network: RouteNetwork, segment: int, lane: int, origin: Point = ORIGIN) -> Way:
     """Return the way along a lane; it is closed if its last waypoint leads to its first."""
     found = network.lane(segment, lane)
-    metres = [metres_of(origin, at) for at in found.waypoints]
+    metres = [to_local_xy(origin, at) for at in found.waypoints]
     closed = (len(metres), (segment, lane, 1)) in found.exits
     return Way([(x, -y) for x, y in metres], closed)
 
@@ -223,7 +223,7 @@ class LaneFollower:
             self.log.satellites = min(self.log.satellites, int(message.value("Satellites")))
             if message.value("Fix") == "1":
                 at = degrees(message.value("Latitude")), degrees(message.value("Longitude"))
-                x, y = metres_of(ORIGIN, at)
+                x, y = to_local_xy(ORIGIN, at)
                 self.fix = (x, -y)
         elif kind == "GroundTruth":
             self.truth = message.pose()

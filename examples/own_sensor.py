@@ -25,8 +25,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import GLASS, SKY, Mount, Shape
 from usarmjx.models.spec.settings import POSITIVE
-from usarmjx.sensors.base import SENSORS, Measuring, Sensor
-from usarmjx.sensors.noise import Curve, noisy, output_curve
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor
+from usarmjx.sensors.noise import OutputCurve, apply_output_curve, noisy
 from usarmjx.sensors.quantities import Quantity
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -35,14 +35,14 @@ RAYS = 128
 
 
 @dataclass(frozen=True)
-class LightSettings(Measuring):
+class LightSettings(NoisySensorSettings):
     """The keys of `[USARBot.LightMeter]`: Daylight, OutputCurve; Noise and others that all sensors have."""
 
     with_time_stamp: bool = True
     scan_interval: float = 0.2  # s
     noise: float = 0.02
     daylight: Annotated[float, POSITIVE] = 10_000.0  # lx on the ground in the open
-    output_curve: Curve = ()
+    output_curve: OutputCurve = ()
 
 
 def dome() -> np.ndarray:
@@ -74,7 +74,7 @@ class LightMeter(Sensor):
     def read(self, sight, memory, key):
         bright = jnp.isinf(sight.hits.distance)  # the sky is where a ray meets nothing
         light = self.settings[0].daylight * bright.mean()
-        told = output_curve(noisy(key, light[None], self.settings), self.settings[0].output_curve)
+        told = apply_output_curve(noisy(key, light[None], self.settings), self.settings[0].output_curve)
         _, along = self.rays(sight.bodies)
         way = (sight.bodies.mat[0] * (along * bright[:, None]).sum(0)[:, None]).sum(0)  # on the chassis
         way = way / jnp.maximum(jnp.linalg.norm(way), 1e-6)  # no light comes from nowhere
@@ -103,7 +103,7 @@ PLACES = ("in the open", "a wall on the left", "at the edge of a roof", "under i
 def main():
     batch = Batch(build_scene(YARD, ["LightP2AT"] * len(PLACES)), worlds=2, engine="c", seed=1)
     _, readings = batch.observe(batch.reset())
-    light = readings[0][batch.scene.teams[0].suite.place("LightMeter")]
+    light = readings[0][batch.scene.groups[0].suite.index("LightMeter")]
     for place, lux, x, y, z in zip(PLACES, *np.asarray(light.value[0]).T, strict=True):
         print(f"{place:22} {lux:6.0f} lx from {x:5.2f} {y:5.2f} {z:5.2f}")
 

@@ -62,18 +62,18 @@ class Baseline:
 
         from usarmjx.models.build.compose import Physics
         from usarmjx.models.robots import ROBOTS
-        from usarmjx.train.baselines.goal import toward, unwalled
+        from usarmjx.train.baselines.goal import bug_action, initial_bug_carry
         from usarmjx.train.tasks.drive_to_goal import DriveToGoal
         from usarmjx.train.tasks.ranges import range_lines
 
         spec = ROBOTS.get(robot)
         self.period = DriveToGoal.repeat * Physics().period
         self.groups = [{"obs_size": 4 + len(range_lines(spec, (ranges,))[1])}]
-        self.first = unwalled()
-        self.decide = jax.jit(lambda seen, memory: toward(spec, (ranges,), memory, seen))
+        self.first = initial_bug_carry()
+        self.decide = jax.jit(lambda seen, memory: bug_action(spec, (ranges,), memory, seen))
         self.decide(np.ones(self.groups[0]["obs_size"], np.float32), self.first)  # compiled before it drives
 
-    def start(self, group: int):
+    def initial_carry(self, group: int):
         """Return what it remembers at first."""
         del group
         return self.first
@@ -108,7 +108,7 @@ class PolicyDriver:
     ):
         self.robot, self.policy, self.group, self.goal = robot, policy, group, goal
         self.kinds, self.pose, self.ranges = (pose, ranges), None, None
-        self.memory: Any = policy.start(group)
+        self.memory: Any = policy.initial_carry(group)
         self.needs_ranges = policy.groups[group]["obs_size"] > 4
         self.now, self.began, self.acted = 0.0, 0.0, -math.inf
 

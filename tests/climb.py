@@ -46,7 +46,7 @@ FOLDED = flippers(-math.pi / 2, math.pi / 2)
 
 def nose(rig):
     """Return how far the robot's wheels reach ahead of its origin [m]."""
-    model, ours = rig.model, np.isin(rig.model.geom_bodyid, rig.indices[0].body)
+    model, ours = rig.model, np.isin(rig.model.geom_bodyid, rig.indices[0].body_ids)
     wheels = ours & (model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER)
     return (rig.data.geom_xpos[:, 0] + model.geom_size[:, 0])[wheels].max() - rig.data.qpos[0]
 
@@ -70,7 +70,7 @@ class Climb:
         rig = Rig(name, *solids, places=((x, 0.0, 0.0),))
         names = joint_names(rig.robot)
         for joint, angle in pose.items():
-            rig.data.qpos[rig.indices[0].qpos[names.index(joint)]] = angle
+            rig.data.qpos[rig.indices[0].qposadr[names.index(joint)]] = angle
         rig.move(pose).run(1.0)
         return rig
 

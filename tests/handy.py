@@ -6,12 +6,12 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from usarmjx.models.effecters import effecters_of, no_tags
+from usarmjx.models.effecters import effecters_of, no_dropped_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.arena import LooseObject
 from usarmjx.models.spec.robot import Link, MissionPackage, Motor, Mount, Shape, options
-from usarmjx.sim.operate import Load, Operation, perform
+from usarmjx.sim.operate import EffecterState, Operation, apply_operation
 
 LIFT = MissionPackage(
     name="Lift",  # a slide in front of the robot: negative is up
@@ -68,21 +68,23 @@ def known(*robots):
 def block(at, half=(0.03, 0.03, 0.03), mass=0.3, name="block"):
     """A loose box that lies on the floor at (x, y), or at (x, y, z)."""
     x, y, z = at if len(at) == 3 else (*at, half[2])
-    return Loose(name=name, at=(x, y, z), shapes=(Shape(kind="box", size=half, mass=mass, surface="loose"),))
+    return LooseObject(
+        name=name, at=(x, y, z), shapes=(Shape(kind="box", size=half, mass=mass, surface="loose"),)
+    )
 
 
 def operate(rig, name, opcode, value=0.0):
     """Let the robot of a rig operate an effecter without stock; return whether that was done."""
     effecter = next(e for e in effecters_of(rig.robot) if e.mount.name == name)
-    load, outcome = perform(
+    load, outcome = apply_operation(
         Operation(rig.robot, effecter, effecter.opcode(opcode)),
         np.array([value]),
-        Load(
+        EffecterState(
             command=jax.tree.map(lambda x: x[None], rig.commands[0]),
             stock=np.zeros(1, int),
-            tags=no_tags(np),
+            tags=no_dropped_tags(np),
         ),
-        asked=np.array([True]),
+        mask=np.array([True]),
         ground=lambda: np.full((1, 3), np.inf),
         xp=np,
     )

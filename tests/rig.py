@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.build.body_plan import body_plan, lowest_point, robot_state
+from usarmjx.models.build.body_plan import kinematic_tree_of, lowest_point, robot_state
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.sim.control import Circumstances, Order, drive, idle, steer
+from usarmjx.sim.control import ControlMode, DriveConditions, compute_actuation, idle_command, set_drive
 from usarmjx.sim.scene import START_GAP, build_scene
 from usarmjx.sim.world import depth_in_water
 
@@ -25,7 +25,7 @@ BARE = ArenaSpec(name="track", starts=(), extent=((-3, 3), (-3, 3)))
 @cache
 def control_of(name):
     """The product's control function of a class, compiled once per process."""
-    return jax.jit(partial(drive, body_plan(ROBOTS.get(name)), period=PERIOD))
+    return jax.jit(partial(compute_actuation, kinematic_tree_of(ROBOTS.get(name)), period=PERIOD))
 
 
 class Rig:
@@ -52,36 +52,36 @@ class Rig:
         )
         arena = replace(arena, starts=starts, shapes=(*arena.shapes, *solids), **contents)
         scene = build_scene(arena, [name] * len(places))
-        self.arena, self.robot, self.model = arena, scene.teams[0].robot, scene.model
-        self.plan, self.indices = scene.teams[0].plan, scene.teams[0].indices
+        self.arena, self.robot, self.model = arena, scene.groups[0].robot, scene.model
+        self.plan, self.indices = scene.groups[0].plan, scene.groups[0].indices
         self.model.opt.gravity[:] = 9.81 * np.array([-math.sin(tilt), 0.0, -math.cos(tilt)])
         self.data = mujoco.MjData(self.model)
         for index, (x, y, yaw, *ground) in zip(self.indices, places, strict=True):
-            root = slice(index.root_qpos, index.root_qpos + 7)
+            root = slice(index.root_qposadr, index.root_qposadr + 7)
             self.data.qpos[root] = (x, y, height or 0.0, *quat_from_angles(roll, 0.0, yaw))
             if height is None:
                 mujoco.mj_kinematics(self.model, self.data)
-                low = lowest_point(self.model, self.data, np.isin(self.model.geom_bodyid, index.body))
-                self.data.qpos[index.root_qpos + 2] = arena.floor + sum(ground) + START_GAP - low
-        self.commands = [jax.tree.map(np.array, idle(self.robot)) for _ in places]
+                low = lowest_point(self.model, self.data, np.isin(self.model.geom_bodyid, index.body_ids))
+                self.data.qpos[index.root_qposadr + 2] = arena.floor + sum(ground) + START_GAP - low
+        self.commands = [jax.tree.map(np.array, idle_command(self.robot)) for _ in places]
         self.powered = True
         self._control = control_of(name)
 
     def tell(self, robot=0, flip_until=None, **values):
         """Set keys of DRIVE, as `tell(Left=1, Right=1)`."""
-        told = steer(self.robot, self.commands[robot], values, np)
+        told = set_drive(self.robot, self.commands[robot], values, np)
         if flip_until is not None:
             told = told.replace(flip_until=np.float32(flip_until))
         self.commands[robot] = told
         return self
 
-    def move(self, targets, order=Order.POSITION, robot=0):
+    def move(self, targets, order=ControlMode.POSITION, robot=0):
         """Give joints by name an order."""
         names, told = joint_names(self.robot), self.commands[robot]
-        target, orders = told.target.copy(), told.order.copy()
+        target, orders = told.target.copy(), told.mode.copy()
         for name, value in targets.items():
             target[names.index(name)], orders[names.index(name)] = value, order
-        self.commands[robot] = told.replace(target=target, order=orders)
+        self.commands[robot] = told.replace(target=target, mode=orders)
         return self
 
     def state(self, robot=0):
@@ -90,25 +90,28 @@ class Rig:
 
     def joint(self, name, robot=0):
         """Position of a joint [rad or m]."""
-        return float(self.data.qpos[self.indices[robot].qpos[joint_names(self.robot).index(name)]])
+        return float(self.data.qpos[self.indices[robot].qposadr[joint_names(self.robot).index(name)]])
 
     def step(self):
         data = self.data
         for i, (index, command) in enumerate(zip(self.indices, self.commands, strict=True)):
-            targets, state = list(index.activation), self.state(i)
+            targets, state = list(index.actadr), self.state(i)
             depth = depth_in_water(self.arena, state.pos) if self.arena.waters else np.float32(-1e3)
-            now = Circumstances(
+            now = DriveConditions(
                 time=np.float32(data.time), powered=np.bool_(self.powered), depth=np.float32(depth)
             )
             told = self._control(command, state, data.act[targets].astype(np.float32), now)
-            data.ctrl[list(index.actuator)], data.ctrl[list(index.hold)] = told.ctrl, told.hold
+            data.ctrl[list(index.actuator_ids)], data.ctrl[list(index.hold_actuator_ids)] = (
+                told.ctrl,
+                told.hold,
+            )
             data.act[targets] = told.act
-            data.xfrc_applied[index.body[0]] = told.wrench
+            data.xfrc_applied[index.body_ids[0]] = told.wrench
         mujoco.mj_step(self.model, data, nstep=Physics().substeps)
 
     def run(self, seconds):
         """Return position, velocity and turning rate of the first robot after each control step (n, 9)."""
-        q, v = self.indices[0].root_qpos, self.indices[0].root_dof
+        q, v = self.indices[0].root_qposadr, self.indices[0].root_dofadr
         rows = []
         for _ in range(round(seconds / PERIOD)):
             self.step()
@@ -118,7 +121,7 @@ class Rig:
     @property
     def up(self):
         """How upright the robots are: 1 on their wheels, -1 upside down (robots,)."""
-        return np.array([self.data.xmat[index.body[0]][8] for index in self.indices])
+        return np.array([self.data.xmat[index.body_ids[0]][8] for index in self.indices])
 
     def mat(self, part):
         return self.data.body(f"r0/{part}").xmat.reshape(3, 3)

@@ -13,7 +13,7 @@ def deepest(arena, name, starts=None):
     """Return how deep a robot of that class is in the arena at each start [m], by tag; 0 where clear."""
     scene = build_scene(arena, [name])
     model, data = scene.model, mujoco.MjData(scene.model)
-    ours = np.isin(model.geom_bodyid, scene.teams[0].indices[0].body)
+    ours = np.isin(model.geom_bodyid, scene.groups[0].indices[0].body_ids)
     found = {}
     for start in starts or arena.starts:
         mujoco.mj_resetData(model, data)

@@ -50,7 +50,7 @@ def deepest(rig):
 
 def roots(rig):
     """Return the poses of all robots' chassis (robots, 7)."""
-    return np.array([rig.data.qpos[i.root_qpos : i.root_qpos + 7] for i in rig.indices])
+    return np.array([rig.data.qpos[i.root_qposadr : i.root_qposadr + 7] for i in rig.indices])
 
 
 def loose_qpos(rig):

@@ -9,7 +9,7 @@ from tests.arenas import COURSE
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from usarmjx.engines import choose_engine
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 pytestmark = pytest.mark.gpu
 
@@ -31,8 +31,8 @@ def test_warp_on_the_gpu_drives_as_c_mujoco_does():
         state = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 4.0})
         for _ in range(50):
             state = batch.step(state)
-        batch.check(state)
-        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.teams[0].root_qpos[:, :3]]
+        batch.check_overflow(state)
+        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.groups[0].root_qposadr[:, :3]]
     np.testing.assert_allclose(poses["warp"], np.broadcast_to(poses["c"], poses["warp"].shape), atol=PARITY)
 
 
@@ -40,17 +40,17 @@ def test_scans_on_the_gpu_are_full_single_precision():
     scene = build_scene("yellow", ["P2AT"])
     batch = Batch(scene, 8, engine="warp")
     state, readings = batch.observe(batch.reset())
-    team = scene.teams[0]
-    scan = np.asarray(readings[0][team.suite.place("RangeScanner")].value)[0, 0]
+    team = scene.groups[0]
+    scan = np.asarray(readings[0][team.suite.index("RangeScanner")].value)[0, 0]
     data = mujoco.MjData(scene.model)
     data.qpos[:] = np.asarray(batch.physics(state).qpos[0])
     mujoco.mj_forward(scene.model, data)
     mount = team.robot.sensors[16]
-    origin = data.qpos[team.root_qpos[0, :3]] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
+    origin = data.qpos[team.root_qposadr[0, :3]] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
     for beam in range(0, 181, 20):
         angle = -np.pi / 2 + beam * np.pi / 180
         along = np.array([np.cos(angle), np.sin(angle), 0.0])
-        own = team.indices[0].body
+        own = team.indices[0].body_ids
         start, travelled = origin.copy(), 0.0
         geom = np.zeros(1, np.int32)
         while True:
@@ -64,18 +64,18 @@ def test_scans_on_the_gpu_are_full_single_precision():
 
 def test_a_client_claims_a_robot_of_a_batch_on_the_gpu():
     from usarmjx.models.robots import ROBOTS
-    from usarmjx.server.worlds.batch_world import ClaimedWorld
+    from usarmjx.server.worlds.batch_world import BatchWorld
 
-    scene = build_scene("yellow", [Entry("P2AT", parked=True)] * 2)
-    world = ClaimedWorld(Batch(scene, 16, engine="warp"), 3)
+    scene = build_scene("yellow", [RosterEntry("P2AT", parked=True)] * 2)
+    world = BatchWorld(Batch(scene, 16, engine="warp"), 3)
     robot = world.spawn(ROBOTS.get("P2AT"), "R1", (4.5, -1.9, -1.8), (0.0, 0.0, 0.0))
     target = robot.command.target.copy()
     target[:4] = 2.0
-    world.tell(robot, robot.command.replace(target=target))
+    world.set_command(robot, robot.command.replace(target=target))
     for _ in range(50):
         world.step()
     world.observe([robot])
-    truth = robot.pending[robot.suite.place("GroundTruth")]
+    truth = robot.pending[robot.suite.index("GroundTruth")]
     assert truth[0] == pytest.approx(4.5 + 0.26 * 0.95, abs=0.03)
     assert len(jax.devices("gpu")) >= 1
 
@@ -87,9 +87,9 @@ def test_worlds_with_arenas_of_their_own_agree_with_c():
     for engine in ("c", "warp"):
         batch = Batch(scene, 3 if engine == "c" else 64, engine=engine)
         state, readings = drive(batch)
-        batch.check(state)
-        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.teams[0].root_qpos]
-        place = scene.teams[0].suite.place("RangeScanner")
+        batch.check_overflow(state)
+        poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.groups[0].root_qposadr]
+        place = scene.groups[0].suite.index("RangeScanner")
         scans[engine] = np.asarray(readings[0][place].value)
     turns = np.arange(64) % 3
     np.testing.assert_allclose(poses["warp"], poses["c"][turns], atol=TOLERANCE["warp"])

@@ -9,18 +9,27 @@ import jax.numpy as jnp
 import pytest
 
 from usarmjx.engines.base import Inputs, PhysicsState
-from usarmjx.models.build.body_plan import Bodies, body_plan, body_poses
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.sensors.base import Reading, Sight
+from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.motion import InsMemory
-from usarmjx.sensors.rays.raycast import Hits, cast
-from usarmjx.sensors.rays.targets import Block, gather
-from usarmjx.sensors.suite import Memory
+from usarmjx.sensors.rays.raycast import Hits, cast_rays
+from usarmjx.sensors.rays.targets import GeomBlock, make_geoms
+from usarmjx.sensors.suite import SensorMemory
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.control import Circumstances, Command, Driven, drive, idle
+from usarmjx.sim.control import ActuatorInputs, DriveConditions, RobotCommand, compute_actuation, idle_command
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import Status, TeamState, World, control, look, observe, team_states, time_of
+from usarmjx.sim.world import (
+    FaultCounts,
+    GroupState,
+    World,
+    compute_inputs,
+    observe,
+    robot_states,
+    sense,
+    time_of,
+)
 
 ROBOTS, WORLDS = 2, 3
 JOINTS, BODIES, SENSORS = 6, 7, 6  # of a P2AT: four wheels, two links; plus the chassis
@@ -77,7 +86,7 @@ def scene():
 def built(scene):
     """A world and what is made from it; traced, not compiled: shapes are the same."""
     batch = Batch(scene, WORLDS, engine="c")
-    state = jax.eval_shape(batch._first, batch._keys, batch._numbers, None)[0]
+    state = jax.eval_shape(batch._init, batch._keys, batch._numbers, None)[0]
     world = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state)
     physics = PhysicsState(
         qpos=jax.ShapeDtypeStruct((scene.model.nq,), jnp.float32),
@@ -97,30 +106,30 @@ def test_the_physics_of_a_real_batch(scene, built):
 def test_world_team_and_status(scene, built):
     _, world, _ = built
     check(world, (), {})
-    check(world.status, (), {})
-    (team,) = world.teams
+    check(world.faults, (), {})
+    (team,) = world.groups
     assert isinstance(world, World)
-    assert isinstance(team, TeamState)
-    assert isinstance(world.status, Status)
+    assert isinstance(team, GroupState)
+    assert isinstance(world.faults, FaultCounts)
     check(team, (), {"n": ROBOTS})
     check(team.command, (ROBOTS,), {"joints": JOINTS, "keys": 2})
     check(team.memory, (ROBOTS,), {"sensors": SENSORS})
-    assert isinstance(team.command, Command)
-    assert isinstance(team.memory, Memory)
+    assert isinstance(team.command, RobotCommand)
+    assert isinstance(team.memory, SensorMemory)
 
 
 def test_robot_state_bodies_and_sight(scene, built):
     _, world, physics = built
-    (team,) = scene.teams
-    states = jax.eval_shape(partial(team_states, team), physics)
+    (team,) = scene.groups
+    states = jax.eval_shape(partial(robot_states, team), physics)
     assert isinstance(states, RobotState)
     check(states, (ROBOTS,), {"joints": JOINTS})
-    one = jax.eval_shape(lambda p: jax.tree.map(lambda x: x[0], team_states(team, p)), physics)
-    bodies = jax.eval_shape(partial(body_poses, team.plan), one)
-    assert isinstance(bodies, Bodies)
+    one = jax.eval_shape(lambda p: jax.tree.map(lambda x: x[0], robot_states(team, p)), physics)
+    bodies = jax.eval_shape(partial(forward_kinematics, team.plan), one)
+    assert isinstance(bodies, BodyPoses)
     check(bodies, (), {"bodies": BODIES})
-    (sight,) = jax.eval_shape(partial(look, scene), world, physics)
-    assert isinstance(sight, Sight)
+    (sight,) = jax.eval_shape(partial(sense, scene), world, physics)
+    assert isinstance(sight, SensorInput)
     assert sight.time.shape == jax.eval_shape(partial(time_of, scene), world).shape == ()
     check(sight.bodies, (ROBOTS,), {"bodies": BODIES})
     check(sight.hits, (ROBOTS,), {"rays": sum(team.suite.ray_counts)})
@@ -135,16 +144,16 @@ def test_readings_and_memories(scene, built):
         check(reading, (ROBOTS,), {})
     expected = {"Sonar": (16,), "RangeScanner": (181,), "Odometry": (3,), "INS": (6,), "GroundTruth": (6,)}
     expected["RFID"] = (16, 5)
-    for sensor, reading in zip(scene.teams[0].suite.sensors, readings, strict=True):
+    for sensor, reading in zip(scene.groups[0].suite.sensors, readings, strict=True):
         assert reading.value.shape == (ROBOTS, *expected[sensor.kind])
-    ins = after.teams[0].memory.own[scene.teams[0].suite.place("INS")]
+    ins = after.groups[0].memory.own[scene.groups[0].suite.index("INS")]
     assert isinstance(ins, InsMemory)
     check(ins, (ROBOTS,), {})
 
 
 def test_what_the_engine_is_told(scene, built):
     _, world, physics = built
-    _, inputs = jax.eval_shape(partial(control, scene), world, physics)
+    _, inputs = jax.eval_shape(partial(compute_inputs, scene), world, physics)
     assert isinstance(inputs, Inputs)
     model = scene.model
     sizes = {"nu": model.nu, "na": model.na, "nbody": model.nbody, "nq": model.nq, "nv": model.nv}
@@ -153,7 +162,7 @@ def test_what_the_engine_is_told(scene, built):
 
 
 def test_a_robots_drive():
-    plan = body_plan(P2AT)
+    plan = kinematic_tree_of(P2AT)
     state = RobotState(
         pos=jnp.zeros(3),
         quat=jnp.array([1.0, 0, 0, 0]),
@@ -162,21 +171,23 @@ def test_a_robots_drive():
         joint_pos=jnp.zeros(JOINTS),
         joint_vel=jnp.zeros(JOINTS),
     )
-    now = Circumstances(time=jnp.zeros(()), powered=jnp.ones((), bool), depth=jnp.zeros(()))
-    told = jax.eval_shape(lambda s: drive(plan, idle(P2AT), s, jnp.zeros(JOINTS), now, 0.02), state)
-    assert isinstance(told, Driven)
+    now = DriveConditions(time=jnp.zeros(()), powered=jnp.ones((), bool), depth=jnp.zeros(()))
+    told = jax.eval_shape(
+        lambda s: compute_actuation(plan, idle_command(P2AT), s, jnp.zeros(JOINTS), now, 0.02), state
+    )
+    assert isinstance(told, ActuatorInputs)
     check(told, (), {"actuators": JOINTS})
 
 
 def test_blocks_and_hits(scene):
-    geoms, n = scene.fixed_look, len(scene.fixed_look.kind)
-    sorted_geoms = gather(geoms.kind, geoms.pos, geoms.mat, geoms.size, jnp.zeros(n))
+    geoms, n = scene.fixed_geoms, len(scene.fixed_geoms.kind)
+    sorted_geoms = make_geoms(geoms.kind, geoms.pos, geoms.mat, geoms.size, jnp.zeros(n))
     assert sum(len(block.pos) for block in sorted_geoms.blocks) == n
     for block in sorted_geoms.blocks:
-        assert isinstance(block, Block)
+        assert isinstance(block, GeomBlock)
         check(block, (), {})
     rays = jnp.ones((5, 3))
-    hits = jax.eval_shape(cast, sorted_geoms, rays, rays, jnp.int32(0))
+    hits = jax.eval_shape(cast_rays, sorted_geoms, rays, rays, jnp.int32(0))
     assert isinstance(hits, Hits)
     check(hits, (), {"rays": 5})
 

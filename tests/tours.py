@@ -22,8 +22,8 @@ class Tour:
         self.rig = rig
         self.touched = self.deepest = 0.0
         self._rows = []
-        self._root = rig.indices[0].root_qpos
-        robot = np.isin(rig.model.geom_bodyid, rig.indices[0].body)
+        self._root = rig.indices[0].root_qposadr
+        robot = np.isin(rig.model.geom_bodyid, rig.indices[0].body_ids)
         self._robot = robot
         self._wall = ~robot & np.array([rig.model.geom(g).name != "floor" for g in range(rig.model.ngeom)])
 

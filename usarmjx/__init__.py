@@ -7,7 +7,7 @@ from usarmjx.base import threads
 if TYPE_CHECKING:
     from usarmjx.train.make import make
 
-threads.guard()
+threads.ensure_pool_size()
 
 __all__ = ["make"]
 

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from usarmjx.bench.step import Case, measure
+from usarmjx.bench.step import StepCase, measure_step
 
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "results.jsonl"
-    case = Case(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4)
-    summary = measure(case, file)
+    case = StepCase(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4)
+    summary = measure_step(case, file)
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
 

@@ -9,7 +9,7 @@ import pytest
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.bench.camera import CameraCase, measure_camera
 from usarmjx.bench.peer import with_camera
-from usarmjx.cameras.mounts import cameras_of, find_camera
+from usarmjx.cameras.mounts import camera_index, cameras_of
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
@@ -33,14 +33,14 @@ def test_the_record_says_what_was_measured_where(tmp_path):
 
 def test_the_peer_looks_from_the_same_place_at_the_same_scene():
     scene = build_scene("soccer", ["P2AT"])
-    batch, robot = Batch(scene, 1, engine="c"), scene.teams[0].robot
-    state, camera = batch.reset(), cameras_of(robot)[find_camera(robot)]
+    batch, robot = Batch(scene, 1, engine="c"), scene.groups[0].robot
+    state, camera = batch.reset(), cameras_of(robot)[camera_index(robot)]
     model = with_camera(scene, camera, (16, 8))
     data = mujoco.MjData(model)
     data.qpos[:] = np.asarray(batch.physics(state).qpos[0])
     mujoco.mj_forward(model, data)
     right, up, back = data.cam_xmat[0].reshape(3, 3).T
-    seen, own = batch.photo(state, 0, 0, None, 16, 8), set(scene.teams[0].indices[0].body)
+    seen, own = batch.render_robot(state, 0, 0, None, 16, 8), set(scene.groups[0].indices[0].body_ids)
     angle = np.radians(model.cam_fovy[0]) / 2
     for row, column in ((5, 3), (6, 8), (7, 13)):
         across = (2 * (column + 0.5) - 16) / 8 * np.tan(angle)
@@ -59,7 +59,7 @@ def test_the_peer_looks_from_the_same_place_at_the_same_scene():
 def test_cameras_that_the_peer_does_not_have_are_refused():
     scene = build_scene("soccer", ["OmniP2DX"])
     with pytest.raises(UsageError, match="needs a pinhole camera"):
-        with_camera(scene, cameras_of(scene.teams[0].robot)[0], (16, 8))
+        with_camera(scene, cameras_of(scene.groups[0].robot)[0], (16, 8))
 
 
 def test_the_record_has_the_peers_figures(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.comms.solids import Geom, Solids, slab_count
-from usarmjx.bench.radio import SIDE, RadioCase, measure_radio, random_walls
+from usarmjx.bench.radio import ARENA_SIDE, RadioCase, measure_radio, random_walls
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_the_walls_stand_in_the_way():
     block = random_walls(jax.random.key(1), 100).blocks[0]
     pos, mat, size = (np.asarray(x, float) for x in (block.pos, block.mat, block.size))
     walls = Solids(np.full(100, int(Geom.mjGEOM_BOX)), pos, mat, size)
-    assert (np.abs(pos[:, :2]) <= SIDE / 2).all()
+    assert (np.abs(pos[:, :2]) <= ARENA_SIDE / 2).all()
     np.testing.assert_allclose(pos[:, 2], size[:, 2])  # they stand on the floor
     np.testing.assert_allclose(mat @ mat.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6)
     ends = np.random.default_rng(0).uniform((-10, -10, 0.3), (10, 10, 1), (2, 500, 3))

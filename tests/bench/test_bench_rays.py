@@ -7,7 +7,7 @@ import pytest
 
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.rays import RayCase, measure_rays
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
 
 
@@ -23,7 +23,7 @@ def outcome(tmp_path_factory):
 
 def test_the_record_says_what_was_measured(outcome):
     record, _ = outcome
-    parts = len(body_plan(ROBOTS.get("P2DX")).geom_type)
+    parts = len(kinematic_tree_of(ROBOTS.get("P2DX")).geom_type)
     assert record["benchmark"] == "rays"
     assert record["geoms_per_world"] == 12 + 1 + 3 * parts
     assert record["rays_per_scan"] == 2 * 3 * 181

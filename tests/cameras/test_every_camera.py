@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from usarmjx.cameras.mounts import cameras_of
-from usarmjx.cameras.paint import ROBOT
-from usarmjx.cameras.picture import shoot, viewpoint
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.cameras.paint import ROBOT_LABEL
+from usarmjx.cameras.picture import camera_viewpoint, render_picture_jit
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.rays.targets import sort_places
-from usarmjx.server.worlds.dynamic_world_view import live_stage
+from usarmjx.sensors.rays.targets import indices_by_key
+from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
 from usarmjx.sim.scene import build_scene
 
 NAMES = [name for name in ROBOTS.names() if ROBOTS.get(name).cameras]
@@ -53,8 +53,8 @@ def posed(name):
     joints = [j for j in range(scene.model.njnt) if scene.model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
     data.qpos[scene.model.jnt_qposadr[joints]] = TURNED
     mujoco.mj_kinematics(scene.model, data)
-    pieces = pieces_of(scene.model, np.arange(scene.model.ngeom), materials_of(scene.model, STUDIO))
-    return scene, data, pieces, sort_places(pieces.kind, pieces.material.tolist())
+    pieces = ray_primitives_of(scene.model, np.arange(scene.model.ngeom), materials_of(scene.model, STUDIO))
+    return scene, data, pieces, indices_by_key(pieces.kind, pieces.material.tolist())
 
 
 @cache
@@ -67,11 +67,13 @@ def room():
 def picture(name, camera):
     """What a camera sees."""
     scene, data, pieces, places = posed(name)
-    index = scene.teams[0].indices[0]
-    stage = live_stage(STUDIO, data, pieces, places, room(), {0: index}, {})
-    body = list(index.body)
-    bodies = Bodies(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
-    return jax.device_get(shoot(stage, viewpoint(camera, bodies, 0, camera.default), WIDTH, HEIGHT))
+    index = scene.groups[0].indices[0]
+    stage = dynamic_render_scene(STUDIO, data, pieces, places, room(), {0: index}, {})
+    body = list(index.body_ids)
+    bodies = BodyPoses(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
+    return jax.device_get(
+        render_picture_jit(stage, camera_viewpoint(camera, bodies, 0, camera.default_fov), WIDTH, HEIGHT)
+    )
 
 
 def rolled(angles):
@@ -86,7 +88,7 @@ def rolled(angles):
 def ray(name, start, along):
     """How far MuJoCo's ray gets before it meets something other than the robot."""
     scene, data, *_ = posed(name)
-    own, gone, geom = set(scene.teams[0].indices[0].body), 0.0, np.zeros(1, np.int32)
+    own, gone, geom = set(scene.groups[0].indices[0].body_ids), 0.0, np.zeros(1, np.int32)
     while True:
         met = mujoco.mj_ray(scene.model, data, start + gone * along, along, None, 1, -1, geom)
         gone += met
@@ -106,20 +108,20 @@ def test_a_camera_sees_what_c_mujoco_meets_from_its_mount(name):
         if camera.lens != "pinhole":
             continue  # mirrors: tests/cameras/test_lenses.py
         seen = picture(name, camera)
-        part = scene.teams[0].plan.parts.index(camera.mount.parent)
-        body = scene.teams[0].indices[0].body[part]
+        part = scene.groups[0].plan.parts.index(camera.mount.parent)
+        body = scene.groups[0].indices[0].body_ids[part]
         turn = data.xmat[body].reshape(3, 3)
         axes = turn @ flip @ rolled(np.array(camera.mount.direction)) @ flip
-        wide = WIDTH // len(camera.eyes)
-        start = data.xpos[body] + turn @ flip @ np.array(camera.mount.at) + axes @ camera.eyes[0]
-        free = seen.segmentation[:, :wide] < ROBOT
+        wide = WIDTH // len(camera.eye_offsets)
+        start = data.xpos[body] + turn @ flip @ np.array(camera.mount.at) + axes @ camera.eye_offsets[0]
+        free = seen.segmentation[:, :wide] < ROBOT_LABEL
         assert free.mean() > 0.3, f"{camera.mount.name} looks at its own robot"
         for row in range(1, HEIGHT, 5):
             for column in range(1, wide, 5):
                 if not free[row, column]:
                     continue
-                left = np.tan(camera.default / 2) * (1 - 2 * (column + 0.5) / wide)
-                up = np.tan(camera.default / 2) * (HEIGHT - 2 * (row + 0.5)) / wide
+                left = np.tan(camera.default_fov / 2) * (1 - 2 * (column + 0.5) / wide)
+                up = np.tan(camera.default_fov / 2) * (HEIGHT - 2 * (row + 0.5)) / wide
                 along = axes @ np.array([1.0, left, up])
                 length = np.linalg.norm(along)
                 expected = ray(name, start, along / length) / length

@@ -11,7 +11,7 @@ from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sim.configure import item_settings
+from usarmjx.sim.configure import settings_by_kind
 
 # The manual's lines, joined; it has Z=0.09 where captures have z down, as our P2DX with this camera does.
 MOUNT = """[USARBot.P2AT]
@@ -41,7 +41,7 @@ def load(tmp_path):
         path.write_text(text)
         robots: Registry[RobotSpec] = Registry("robot")
         robots.add("P2AT", P2AT)
-        return load_robots([path], robots, settings=item_settings()).robots[0]
+        return load_robots([path], robots, settings=settings_by_kind()).robots[0]
 
     return from_text
 
@@ -64,7 +64,7 @@ def eye_height(robot: RobotSpec) -> float:
     body = data.body(f"r0/{camera.mount.parent}")
     mat = body.xmat.reshape(3, 3)
     np.testing.assert_allclose((mat @ camera.mat)[:, 0], (0, 0, 1), atol=1e-6)
-    return float((body.xpos + mat @ camera.at)[2]) - 1.0
+    return float((body.xpos + mat @ camera.pos)[2]) - 1.0
 
 
 def test_base_and_mirror_are_fixed_to_each_other_and_the_camera_looks_up_between_them(load):

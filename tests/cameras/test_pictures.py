@@ -10,24 +10,24 @@ import pytest
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.cameras.lenses import MIRROR_DISTANCE
-from usarmjx.cameras.mounts import cameras_of, find_camera, headlight_of
+from usarmjx.cameras.mounts import camera_index, cameras_of, headlight_of
 from usarmjx.cameras.paint import (
-    ARENA,
+    ARENA_LABEL,
     DOOR_LABEL,
-    FALSE_ALARM,
-    LOOSE_OBJECT,
-    OUTSIDE,
-    ROBOT,
+    FALSE_ALARM_LABEL,
+    LOOSE_LABEL,
+    OUTSIDE_LABEL,
+    ROBOT_LABEL,
     SKY_LABEL,
-    VICTIM,
+    VICTIM_LABEL,
 )
-from usarmjx.cameras.picture import Picture, shoot
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.cameras.picture import Picture, render_picture_jit
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.omni_pioneer import OMNI_P2DX
 from usarmjx.models.robots.pioneer import P2DX
-from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, Loose, StartPose, Victim
+from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, StartPose, Victim
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -53,7 +53,7 @@ ARENA_SPEC = ArenaSpec(
     starts=(StartPose(tag="A", at=(0.0, 0.0, 0.188)), StartPose(tag="B", at=(1.5, 0.2, 0.188), yaw=2.0)),
     extent=((-3.0, 4.0), (-3.0, 3.0)),
     loose=(
-        Loose(
+        LooseObject(
             name="crate",
             at=(1.3, -0.4, 0.15),
             shapes=(box((0, 0, 0), (0.15, 0.15, 0.15), mass=1.0, surface="loose"),),
@@ -99,7 +99,7 @@ def moved(batch: Batch):
 
 
 def picture_of(batch: Batch, state, eye: int, world: int, robot: int) -> Picture:
-    picture = batch.look(state, 0, eye, WIDTH, HEIGHT)
+    picture = batch.render(state, 0, eye, WIDTH, HEIGHT)
     return jax.tree.map(lambda x: np.asarray(x)[world, robot], picture)
 
 
@@ -114,9 +114,9 @@ def posed(batch: Batch, state, world: int) -> tuple[mujoco.MjModel, mujoco.MjDat
 
 def expected_label(name: str) -> int:
     if name.startswith("victim/"):
-        return VICTIM if int(name.split("/")[1]) < 11 else FALSE_ALARM
-    starts = {"floor": ARENA, "arena/": ARENA, "loose/": LOOSE_OBJECT, "door/": DOOR_LABEL}
-    starts |= {"r0/": ROBOT, "r1/": ROBOT + 1}
+        return VICTIM_LABEL if int(name.split("/")[1]) < 11 else FALSE_ALARM_LABEL
+    starts = {"floor": ARENA_LABEL, "arena/": ARENA_LABEL, "loose/": LOOSE_LABEL, "door/": DOOR_LABEL}
+    starts |= {"r0/": ROBOT_LABEL, "r1/": ROBOT_LABEL + 1}
     return next(label for start, label in starts.items() if name.startswith(start))
 
 
@@ -142,9 +142,9 @@ def traced(model, data, hidden: list[int], eye: np.ndarray, rays: np.ndarray) ->
 
 
 def hidden_geoms(batch: Batch, slot: int, eye: int) -> list[int]:
-    model, index = batch.scene.model, batch.scene.teams[0].indices[slot]
-    own = [g for g in range(model.ngeom) if model.geom_bodyid[g] in index.body]
-    return [g for g, hides in zip(own, cameras_of(ROBOT_SPEC)[eye].hides, strict=True) if hides]
+    model, index = batch.scene.model, batch.scene.groups[0].indices[slot]
+    own = [g for g in range(model.ngeom) if model.geom_bodyid[g] in index.body_ids]
+    return [g for g, hides in zip(own, cameras_of(ROBOT_SPEC)[eye].hidden_geoms, strict=True) if hides]
 
 
 @pytest.mark.oracle
@@ -173,9 +173,19 @@ def test_depth_and_segmentation_of_every_pixel_are_mj_rays(batch, moved, world, 
 
 def test_the_pictures_of_the_test_show_everything_there_is(batch, moved):
     """Else labels of doors and victims would not have been compared."""
-    seen = np.unique(np.asarray(batch.look(moved, 0, 0, WIDTH, HEIGHT).segmentation))
-    seen = {*seen, *np.unique(np.asarray(batch.look(moved, 0, "mirror", WIDTH, WIDTH).segmentation))}
-    wanted = {SKY_LABEL, ARENA, LOOSE_OBJECT, DOOR_LABEL, VICTIM, FALSE_ALARM, ROBOT, ROBOT + 1, OUTSIDE}
+    seen = np.unique(np.asarray(batch.render(moved, 0, 0, WIDTH, HEIGHT).segmentation))
+    seen = {*seen, *np.unique(np.asarray(batch.render(moved, 0, "mirror", WIDTH, WIDTH).segmentation))}
+    wanted = {
+        SKY_LABEL,
+        ARENA_LABEL,
+        LOOSE_LABEL,
+        DOOR_LABEL,
+        VICTIM_LABEL,
+        FALSE_ALARM_LABEL,
+        ROBOT_LABEL,
+        ROBOT_LABEL + 1,
+        OUTSIDE_LABEL,
+    }
     assert wanted <= seen
 
 
@@ -193,7 +203,7 @@ def test_an_omnidirectional_picture_is_what_mj_ray_meets_from_the_mirrors_focus(
     distance, names = traced(model, data, hidden_geoms(batch, 0, 2), eye, local @ mat.T)
     label = np.array([expected_label(name) if name else SKY_LABEL for name in names])
     inside = radius < HEIGHT / 2
-    assert (picture.segmentation.ravel() == OUTSIDE).tolist() == (~inside).tolist()
+    assert (picture.segmentation.ravel() == OUTSIDE_LABEL).tolist() == (~inside).tolist()
     same = (picture.segmentation.ravel() == label) & inside
     assert same.sum() > (1 - EDGE) * inside.sum()
     hit = same & (distance >= 0) & (distance < 10)
@@ -228,11 +238,11 @@ def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_ove
     """Manual 3.2.6.2: B = 2 StereoSpacing; the left eye's picture is in the left half."""
     one = Batch(build_scene(WALL_AHEAD, [ROBOT_SPEC]), 1, engine="c")
     state = one.reset()
-    pair = one.photo(state, 0, 0, "Stereo", 2 * WIDE, 16)
+    pair = one.render_robot(state, 0, 0, "Stereo", 2 * WIDE, 16)
     halves = (jax.tree.map(lambda x, i=i: np.split(np.asarray(x), 2, 1)[i], pair) for i in range(2))
     check_disparity(one, state, ROBOT_SPEC.cameras[1], 1.0, *halves)
     with pytest.raises(UsageError, match="even"):
-        one.photo(state, 0, 0, "Stereo", 33, 16)
+        one.render_robot(state, 0, 0, "Stereo", 33, 16)
 
 
 @pytest.mark.oracle
@@ -240,16 +250,16 @@ def test_the_two_cameras_of_a_stereo_p2at_do_so_too():
     """Manual 12.2.1."""
     one = Batch(build_scene(WALL_AHEAD, ["StereoP2AT"]), 1, engine="c")
     state, mounts = one.reset(), ROBOTS.get("StereoP2AT").cameras
-    before = shoot._cache_size()
-    left, right = (one.photo(state, 0, 0, mount.name, WIDE, 16) for mount in mounts)
-    assert shoot._cache_size() <= before + 1, "one compilation for both"
-    check_disparity(one, state, mounts[0], cameras_of(ROBOTS.get("StereoP2AT"))[0].default, left, right)
+    before = render_picture_jit._cache_size()
+    left, right = (one.render_robot(state, 0, 0, mount.name, WIDE, 16) for mount in mounts)
+    assert render_picture_jit._cache_size() <= before + 1, "one compilation for both"
+    check_disparity(one, state, mounts[0], cameras_of(ROBOTS.get("StereoP2AT"))[0].default_fov, left, right)
 
 
 def test_a_robots_picture_is_the_same_alone_and_in_a_batch(batch, moved):
-    many = jax.tree.map(np.asarray, batch.look(moved, 0, None, WIDTH, HEIGHT))
+    many = jax.tree.map(np.asarray, batch.render(moved, 0, None, WIDTH, HEIGHT))
     for world, robot in ((0, 0), (1, 1)):
-        alone = jax.tree.map(np.asarray, batch.photo(moved, world, robot, "camera", WIDTH, HEIGHT))
+        alone = jax.tree.map(np.asarray, batch.render_robot(moved, world, robot, "camera", WIDTH, HEIGHT))
         for one, among in zip(jax.tree.leaves(alone), jax.tree.leaves(many), strict=True):
             assert one.dtype == among.dtype
             # Another program may round an edge or half a colour step the other way.
@@ -268,10 +278,10 @@ def test_zoom_is_held_within_limits_and_0_is_the_default(batch, moved):
     told = np.array([[5.0, 0.1], [0.0, 0.6]])
     state = batch.zoom(moved, 0, "CAMERA", told)
     expected = [[2.0944, 0.3491], [0.8727, 0.6]]
-    np.testing.assert_allclose(state.worlds.teams[0].fov[..., 0], expected, rtol=1e-6)
-    np.testing.assert_allclose(state.worlds.teams[0].fov[..., 1], 1.0)
+    np.testing.assert_allclose(state.worlds.groups[0].fov[..., 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(state.worlds.groups[0].fov[..., 1], 1.0)
     some = batch.zoom(state, 0, 0, 1.0, np.array([[True, False], [False, False]]))
-    np.testing.assert_allclose(some.worlds.teams[0].fov[..., 0], [[1.0, 0.3491], [0.8727, 0.6]], rtol=1e-6)
+    np.testing.assert_allclose(some.worlds.groups[0].fov[..., 0], [[1.0, 0.3491], [0.8727, 0.6]], rtol=1e-6)
     wide, narrow = (
         picture_of(batch, batch.zoom(moved, 0, 0, fov), 0, 1, 0)
         for fov in (1.2, 2 * math.atan(math.tan(0.6) / 2))
@@ -294,7 +304,7 @@ def test_a_camera_with_one_field_of_view_cannot_zoom():
 def test_a_reset_takes_the_zoom_back(batch):
     state = batch.zoom(batch.reset(), 0, None, 0.5)
     fresh = batch.reset_where(state, np.array([True, False]))
-    np.testing.assert_allclose(fresh.worlds.teams[0].fov[..., 0], [[0.8727] * 2, [0.5] * 2], rtol=1e-6)
+    np.testing.assert_allclose(fresh.worlds.groups[0].fov[..., 0], [[0.8727] * 2, [0.5] * 2], rtol=1e-6)
 
 
 def test_the_headlight_of_a_robot_lights_what_is_before_it_until_its_battery_is_empty(batch, moved):
@@ -309,11 +319,11 @@ def test_the_headlight_of_a_robot_lights_what_is_before_it_until_its_battery_is_
     assert not gain[lit.segmentation == SKY_LABEL].any()
     other = picture_of(batch, lit_state, 0, 1, 0)
     np.testing.assert_array_equal(other.rgb, picture_of(batch, moved, 0, 1, 0).rgb)
-    members = lit_state.worlds.teams[0]
-    empty = batch.with_team(lit_state, 0, members.replace(born=members.born - 1e5))
+    members = lit_state.worlds.groups[0]
+    empty = batch.with_group(lit_state, 0, members.replace(battery_start=members.battery_start - 1e5))
     np.testing.assert_array_equal(picture_of(batch, empty, 0, 0, 0).rgb, dark.rgb)
-    assert headlight_of(ROBOT_SPEC).at.tolist() == pytest.approx([0.3, 0.0, 0.1])
-    assert headlight_of(P2DX).at.tolist() == pytest.approx([P2DX.dimensions[0] / 2, 0.0, 0.0])
+    assert headlight_of(ROBOT_SPEC).pos.tolist() == pytest.approx([0.3, 0.0, 0.1])
+    assert headlight_of(P2DX).pos.tolist() == pytest.approx([P2DX.dimensions[0] / 2, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("engine", ["jax", "warp"])
@@ -321,7 +331,7 @@ def test_pictures_do_not_depend_on_the_engine(engine, batch):
     """At the start, where all engines have the same poses."""
     other = Batch(batch.scene, 2, engine=engine)
     here, there = (
-        jax.tree.map(np.asarray, b.look(b.reset(), 0, None, WIDTH, HEIGHT)) for b in (batch, other)
+        jax.tree.map(np.asarray, b.render(b.reset(), 0, None, WIDTH, HEIGHT)) for b in (batch, other)
     )
     for one, two in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
         np.testing.assert_array_equal(one, two)
@@ -341,10 +351,10 @@ def test_worlds_with_arenas_of_their_own_have_their_own_colours_and_light():
         ),
     ]
     many = Batch(build_scene(arenas, [ROBOT_SPEC]), 2, engine="c")
-    pictures = jax.tree.map(np.asarray, many.look(many.reset(), 0, None, WIDTH, HEIGHT))
+    pictures = jax.tree.map(np.asarray, many.render(many.reset(), 0, None, WIDTH, HEIGHT))
     colour = []
     for world in (0, 1):
-        wall = (pictures.segmentation[world, 0] == ARENA) & (pictures.depth[world, 0] < 1.6)
+        wall = (pictures.segmentation[world, 0] == ARENA_LABEL) & (pictures.depth[world, 0] < 1.6)
         colour.append(
             pictures.rgb[world, 0][wall & (np.ptp(pictures.rgb[world, 0].astype(int), axis=-1) > 20)]
         )
@@ -353,19 +363,19 @@ def test_worlds_with_arenas_of_their_own_have_their_own_colours_and_light():
     assert not colour[0][:, 1:].any()
     assert not colour[1][:, :2].any()
     assert colour[1].max() < colour[0][:, 0].min(), "night"
-    assert (pictures.segmentation[1] == VICTIM).any()
-    assert not (pictures.segmentation[0] == VICTIM).any()
+    assert (pictures.segmentation[1] == VICTIM_LABEL).any()
+    assert not (pictures.segmentation[0] == VICTIM_LABEL).any()
 
 
 def test_cameras_are_found_by_name_and_bad_ones_are_refused_by_name():
-    assert find_camera(ROBOT_SPEC) == 0
-    assert find_camera(ROBOT_SPEC, "MIRROR") == 2
-    assert find_camera(ROBOT_SPEC, 1) == 1
+    assert camera_index(ROBOT_SPEC) == 0
+    assert camera_index(ROBOT_SPEC, "MIRROR") == 2
+    assert camera_index(ROBOT_SPEC, 1) == 1
     for bad in ("Periscope", 3, -1):
         with pytest.raises(UnknownNameError, match="it has: Camera, Stereo, Mirror"):
-            find_camera(ROBOT_SPEC, bad)
+            camera_index(ROBOT_SPEC, bad)
     with pytest.raises(UnknownNameError, match="none"):
-        find_camera(replace(ROBOT_SPEC, cameras=()))
+        camera_index(replace(ROBOT_SPEC, cameras=()))
     main = ROBOT_SPEC.cameras[0]
     for wrong, words in (
         (options(CameraDefFov=3.0), "CameraDefFov"),
@@ -379,19 +389,19 @@ def test_cameras_are_found_by_name_and_bad_ones_are_refused_by_name():
 def test_pictures_of_impossible_sizes_are_refused(batch):
     for size in ((0, 10), (10, 5000)):
         with pytest.raises(UsageError, match="pixels"):
-            batch.look(batch.reset(), 0, None, *size)
+            batch.render(batch.reset(), 0, None, *size)
 
 
 @pytest.mark.parametrize("name", [n for n in ROBOTS.names() if ROBOTS.get(n).cameras])
 def test_no_camera_looks_into_its_own_robot(name):
     """Straight ahead there is nothing of the robot within 4 cm of the lens; mirrors are on their packages."""
     robot: RobotSpec = ROBOTS.get(name)
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     for one in cameras_of(robot):
-        assert one.hides.shape == plan.geom_type.shape
-        assert one.hides[plan.geom_body == one.body].all()
-        assert not one.hides.all() or len(set(plan.geom_body)) == 1
+        assert one.hidden_geoms.shape == plan.geom_type.shape
+        assert one.hidden_geoms[plan.geom_body == one.body].all()
+        assert not one.hidden_geoms.all() or len(set(plan.geom_body)) == 1
         assert one.lens == ("omni" if one.mount.parent.startswith("OmniCam") else "pinhole")
-        assert one.low <= one.default <= one.high
+        assert one.min_fov <= one.default_fov <= one.max_fov
     if robot is OMNI_P2DX:
         np.testing.assert_allclose(cameras_of(robot)[0].mat @ (1, 0, 0), (0, 0, 1), atol=1e-6)  # upwards

@@ -42,7 +42,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     assert result.exit_code == 0, result.output
     policy = NumpyPolicy(tmp_path / "policy.npz")
     group = policy.groups[policy.group("P2AT")]
-    actions, _ = policy.act(0, np.zeros(group["obs_size"]), policy.start(0))
+    actions, _ = policy.act(0, np.zeros(group["obs_size"]), policy.initial_carry(0))
     assert actions.shape == (2,)  # Left and Right of DRIVE
 
 

@@ -86,7 +86,7 @@ def line(to: float) -> np.ndarray:
 
 
 def test_account_of_a_straight_run():
-    account = demo.account_of(ROOM, log_of(line(2.0), 8.0))
+    account = demo.report_of(ROOM, log_of(line(2.0), 8.0))
     assert account.distance == pytest.approx(2.0)
     assert account.clearance == pytest.approx(2.9 - 2.0 - 0.5238 / 2)
     assert account.simulated == pytest.approx(8.0)
@@ -98,8 +98,8 @@ def test_account_of_a_straight_run():
 
 
 def test_touching_and_idling_are_found():
-    assert demo.account_of(ROOM, log_of(line(2.9 - 0.5238 / 2), 8.0)).touched
-    assert not demo.account_of(ROOM, log_of(line(1.0), 8.0)).fast_enough
+    assert demo.report_of(ROOM, log_of(line(2.9 - 0.5238 / 2), 8.0)).touched
+    assert not demo.report_of(ROOM, log_of(line(1.0), 8.0)).fast_enough
 
 
 def test_touch_between_two_reports_is_found():
@@ -111,7 +111,7 @@ def test_touch_between_two_reports_is_found():
 
 def test_run_without_poses_is_no_run():
     with pytest.raises(demo.DemoError, match="fewer than two"):
-        demo.account_of(ROOM, {"track": [], "real_seconds": 1.0, "messages": {}})
+        demo.report_of(ROOM, {"track": [], "real_seconds": 1.0, "messages": {}})
 
 
 def test_missing_examples_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -135,7 +135,7 @@ def test_demo_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert demo.run_demo(tmp_path, 5.0) == 0
     log = json.loads((tmp_path / "wander.json").read_text())
     assert log["level"] == YELLOW.name
-    account = demo.account_of(YELLOW, log)
+    account = demo.report_of(YELLOW, log)
     assert account.simulated >= 4.5
     assert account.distance > 0.75
     assert account.clearance > 0.1

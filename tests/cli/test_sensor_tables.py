@@ -14,7 +14,7 @@ from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.settings import field_name
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sim.configure import item_settings
+from usarmjx.sim.configure import settings_by_kind
 
 PAGE = dev.ROOT / "docs" / "all-sensors.md"
 
@@ -72,8 +72,8 @@ def test_robots_are_those_that_carry_it():
 @pytest.mark.parametrize("kind", SENSORS.names())
 def test_keys_are_those_of_ini_files(kind):
     """Written as the manual does, they are read as the settings that they stand for."""
-    for field in dataclasses.fields(SENSORS.get(kind).defaults):
-        assert field_name(ini_key(field.name, field.default)) == field.name
+    for field in dataclasses.fields(SENSORS.get(kind).settings_class):
+        assert field_name(ini_key(field.name, field.default_fov)) == field.name
 
 
 def test_options_written_as_the_table_has_them_are_read(tmp_path):
@@ -84,12 +84,12 @@ def test_options_written_as_the_table_has_them_are_read(tmp_path):
     for kind in SENSORS.names():
         section = "CO2Sensor" if kind == "CO2Sensor" else classes.get(kind, kind)
         text.append(f"[USARBot.{section}]")
-        for field in dataclasses.fields(SENSORS.get(kind).defaults):
-            if field.default != ():
+        for field in dataclasses.fields(SENSORS.get(kind).settings_class):
+            if field.default_fov != ():
                 text.append(f"{ini_key(field.name, field.default)}={ini_value(field.default)}")
     path = tmp_path / "USARBot.ini"
     path.write_text("\n".join(text))
-    loaded = load_robots([path], ROBOTS, settings=item_settings())
+    loaded = load_robots([path], ROBOTS, settings=settings_by_kind())
     assert [warning for warning in loaded.warnings if "unknown" in warning] == []
 
 

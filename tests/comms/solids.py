@@ -8,7 +8,7 @@ import numpy as np
 
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.comms.walls import count_walls
-from usarmjx.sensors.rays.targets import gather
+from usarmjx.sensors.rays.targets import make_geoms
 
 Geom = mujoco.mjtGeom
 
@@ -24,7 +24,7 @@ class Solids:
 
     def geoms(self):
         single = (jnp.asarray(part.astype(np.float32)) for part in (self.pos, self.mat, self.size))
-        return gather(self.kind, *single, jnp.full(len(self.kind), -1))
+        return make_geoms(self.kind, *single, jnp.full(len(self.kind), -1))
 
     def count(self, start, end):
         points = (jnp.asarray(np.atleast_2d(p), jnp.float32) for p in (start, end))

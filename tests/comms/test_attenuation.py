@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
-from usarmjx.comms.attenuation import KEYS, NEAREST, RadioSettings, radio_settings, reach, received_power
+from usarmjx.comms.attenuation import (
+    INI_KEYS,
+    MIN_ANTENNA_DISTANCE,
+    RadioSettings,
+    link_range,
+    radio_settings,
+    received_power,
+)
 from usarmjx.models.ini.parse import parse_ini
 
 DBM_ATOL = 1e-3  # dBm, as the radio promises; single precision errs by 1e-5
@@ -81,7 +88,7 @@ def test_any_shape_is_taken_and_broadcast():
     assert power(np.float64(1.0), 0).dtype == np.float32
 
 
-SHORTEST = float(np.nextafter(np.float32(NEAREST), np.float32(1)))
+SHORTEST = float(np.nextafter(np.float32(MIN_ANTENNA_DISTANCE), np.float32(1)))
 distances = st.floats(SHORTEST, 1e5, width=32)
 
 
@@ -110,25 +117,27 @@ def test_below_the_reference_distance_the_formula_goes_on(distance, walls):
 
 
 def test_distance_zero_has_the_power_of_a_millimetre():
-    assert power(0.0, 2) == power(NEAREST, 2) == pytest.approx(manual_power(0.001, 2), abs=DBM_ATOL)
+    assert (
+        power(0.0, 2) == power(MIN_ANTENNA_DISTANCE, 2) == pytest.approx(manual_power(0.001, 2), abs=DBM_ATOL)
+    )
 
 
 def test_slope_is_that_of_the_logarithm():
     slope = jax.vmap(jax.grad(lambda d: received_power(MANUAL, d, 3)))
     d = jnp.array([0.1, 1.0, 2.0, 30.0])
     np.testing.assert_allclose(slope(d), -10 * 1.09 / math.log(10) / np.asarray(d), rtol=1e-5)
-    np.testing.assert_array_equal(slope(jnp.array([0.0, NEAREST / 2])), 0.0)
+    np.testing.assert_array_equal(slope(jnp.array([0.0, MIN_ANTENNA_DISTANCE / 2])), 0.0)
 
 
 def test_reach_is_where_the_power_is_the_cutoff():
     for walls in range(8):
-        assert manual_power(reach(MANUAL, walls), walls) == pytest.approx(-93.0)
+        assert manual_power(link_range(MANUAL, walls), walls) == pytest.approx(-93.0)
     # The issue of the example's ini (eCutoff=-70) and of the manual's constants, worked out beforehand.
     for cutoff, expected in ((-93.0, (18891, 4661, 1150, 284, 70.0, 17.3)), (-70.0, (146, 36, 8.9, 2.2))):
-        there = [reach(RadioSettings(cutoff=cutoff), walls) for walls in range(len(expected))]
+        there = [link_range(RadioSettings(cutoff=cutoff), walls) for walls in range(len(expected))]
         assert there == pytest.approx(expected, rel=0.01)
-    assert reach(RadioSettings(n=0.0), 0) == math.inf
-    assert reach(RadioSettings(n=0.0, cutoff=-40.0), 0) == 0.0
+    assert link_range(RadioSettings(n=0.0), 0) == math.inf
+    assert link_range(RadioSettings(n=0.0, cutoff=-40.0), 0) == 0.0
 
 
 def test_ini_is_read():
@@ -148,7 +157,7 @@ def test_ini_that_says_nothing_leaves_the_manuals_constants(tmp_path: Path):
 
 @pytest.mark.parametrize("section", ["ComServer", "ComConnection", "ComLink"])
 def test_any_of_the_sections_turns_debug_on(section: str):
-    rest = "".join(f"[{name}]\nbDebug=False\n" for name in KEYS)
+    rest = "".join(f"[{name}]\nbDebug=False\n" for name in INI_KEYS)
     assert not radio_settings(parse_ini(rest)).debug
     assert radio_settings(parse_ini(f"{rest}[USARBotAPI.{section}]\nbDebug=True\n")).debug
 

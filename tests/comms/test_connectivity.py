@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usarmjx.comms.connectivity import bottleneck, bottleneck_link, components, hops, joined, reachable
+from usarmjx.comms.connectivity import (
+    bottleneck,
+    bottleneck_link,
+    connected_components,
+    hops,
+    reachable,
+    transitive_closure,
+)
 
 N = 7
 
@@ -49,8 +56,8 @@ def test_reach_is_that_of_a_search(table: np.ndarray, base: int):
 @given(networks)
 def test_components_are_named_by_their_lowest_slot(table: np.ndarray):
     expected = [min(j for j in range(N) if search(table, i)[j] < N) for i in range(N)]
-    assert components(table).tolist() == expected
-    np.testing.assert_array_equal(joined(table), np.equal.outer(expected, expected))
+    assert connected_components(table).tolist() == expected
+    np.testing.assert_array_equal(transitive_closure(table), np.equal.outer(expected, expected))
 
 
 def test_the_longest_chain_is_followed():
@@ -59,7 +66,7 @@ def test_the_longest_chain_is_followed():
         assert hops(chain, 0).tolist() == list(range(n))
         assert np.asarray(reachable(chain, 0)).all()
         assert np.asarray(reachable(chain, n - 1, n - 1)).all()
-        assert components(chain).tolist() == [0] * n
+        assert connected_components(chain).tolist() == [0] * n
         power = np.where(chain, -50.0 - np.arange(n)[:, None] - np.arange(n), -np.inf).astype(np.float32)
         if n > 1:
             # The links weaken along the chain: to each robot its last one is the weakest.
@@ -111,7 +118,7 @@ def test_the_link_on_which_all_hangs():
 
 def test_worlds_are_mapped_over_and_may_be_leading_axes():
     tables = np.stack([network(5, (0, 1), (1, 2)), network(5, (3, 4)), network(5)])
-    np.testing.assert_array_equal(components(tables), jax.vmap(components)(tables))
+    np.testing.assert_array_equal(connected_components(tables), jax.vmap(connected_components)(tables))
     np.testing.assert_array_equal(hops(tables, 3), jax.vmap(lambda t: hops(t, 3))(tables))
     np.testing.assert_array_equal(reachable(tables, 0).sum(-1), [3, 1, 1])
     np.testing.assert_array_equal(reachable(tables, jnp.int32(0), 1).sum(-1), [2, 1, 1])

@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 
 from tests.comms.solids import Geom, box, random_boxes, slab_count, solids
 from tests.comms.test_attenuation import DBM_ATOL, manual_power
-from usarmjx.comms.attenuation import RadioSettings, reach
+from usarmjx.comms.attenuation import RadioSettings, link_range
 from usarmjx.comms.links import (
-    delivery_chance,
-    evaluate,
+    delivery_probability,
+    evaluate_links,
     is_due,
     no_links,
     pair_powers,
     pairs_of,
-    repeat,
     shadowing,
+    without_old_events,
 )
 
 KEY = jax.random.key(5)
 OPEN = solids((Geom.mjGEOM_PLANE, (0, 0, 0), (0, 0, 1))).geoms()
 MANUAL = RadioSettings()
-EVALUATE = jax.jit(evaluate, static_argnums=0)
+EVALUATE = jax.jit(evaluate_links, static_argnums=0)
 
 
 def links_of(antennas, in_use=None, before=None, constants=MANUAL, geoms=OPEN, step=0, key=KEY):
@@ -103,7 +103,7 @@ def test_robots_in_one_place_have_a_link():
 
 def test_links_hold_up_to_the_cutoff():
     constants = RadioSettings(cutoff=-60.0)
-    limit = reach(constants, 0)
+    limit = link_range(constants, 0)
     for distance, holds in ((limit * 0.9999, True), (limit * 1.0001, False)):
         assert links_of([(0, 0, 1), (distance, 0, 1)], constants=constants).in_range[0, 1] == holds
 
@@ -113,33 +113,33 @@ def test_events_are_changes_since_the_last_evaluation():
     near, far = [(0, 0, 1), (1, 0, 1)], [(0, 0, 1), (100, 0, 1)]
     look = partial(links_of, constants=constants)
     first = look(near, step=3)
-    assert first.known
+    assert first.evaluated
     assert first.step == 3
-    assert not (first.gained | first.lost).any()  # of a new episode nothing is known before
+    assert not (first.came_up | first.went_down).any()  # of a new episode nothing is known before
     steps = [(near, 0, 0), (far, 0, 1), (far, 0, 0), (near, 1, 0), (near, 0, 0)]
     links = first
     for at, gained, lost in steps:
         links = look(at, before=links)
-        np.testing.assert_array_equal(links.gained, gained * ~np.eye(2, dtype=bool))
-        np.testing.assert_array_equal(links.lost, lost * ~np.eye(2, dtype=bool))
+        np.testing.assert_array_equal(links.came_up, gained * ~np.eye(2, dtype=bool))
+        np.testing.assert_array_equal(links.went_down, lost * ~np.eye(2, dtype=bool))
     gone = look(near, in_use=[True, False], before=links)
-    assert gone.lost[0, 1]
-    assert look(near, before=gone).gained[0, 1]
+    assert gone.went_down[0, 1]
+    assert look(near, before=gone).came_up[0, 1]
 
 
 def test_a_table_that_is_looked_at_again_keeps_its_events_for_its_own_step():
-    links = links_of([(0, 0, 1), (1, 0, 1)], before=no_links(2).replace(known=jnp.bool_(True)), step=7)
-    assert links.gained[0, 1]
-    assert repeat(links, jnp.int32(7)).gained[0, 1]
-    later = repeat(links, jnp.int32(8))
-    assert not later.gained.any()
+    links = links_of([(0, 0, 1), (1, 0, 1)], before=no_links(2).replace(evaluated=jnp.bool_(True)), step=7)
+    assert links.came_up[0, 1]
+    assert without_old_events(links, jnp.int32(7)).came_up[0, 1]
+    later = without_old_events(links, jnp.int32(8))
+    assert not later.came_up.any()
     np.testing.assert_array_equal(later.power, links.power)
 
 
 def test_evaluations_are_due_as_often_as_asked():
     links = no_links(2)
     assert is_due(links, jnp.int32(0), 5)  # nothing known yet
-    links = links.replace(known=jnp.bool_(True), step=jnp.int32(10))
+    links = links.replace(evaluated=jnp.bool_(True), step=jnp.int32(10))
     due = [bool(is_due(links, jnp.int32(step), 5)) for step in range(10, 17)]
     assert due == [False] * 5 + [True] * 2
 
@@ -178,9 +178,9 @@ def test_shadowing_is_kept_for_an_episode_and_shifts_the_power():
 def test_chance_rises_over_the_band_above_the_cutoff():
     lossy = RadioSettings(cutoff=-90.0, loss_band=4.0)
     powers = jnp.array([-jnp.inf, -91.0, -90.0, -89.0, -88.0, -86.0, -50.0])
-    np.testing.assert_allclose(delivery_chance(lossy, powers), [0, 0, 0, 0.25, 0.5, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(delivery_probability(lossy, powers), [0, 0, 0, 0.25, 0.5, 1, 1], atol=1e-6)
     sure = RadioSettings(cutoff=-90.0)
-    np.testing.assert_array_equal(delivery_chance(sure, powers), [0, 0, 1, 1, 1, 1, 1])
+    np.testing.assert_array_equal(delivery_probability(sure, powers), [0, 0, 1, 1, 1, 1, 1])
 
 
 def test_powers_have_slopes_that_draw_robots_together():

@@ -9,10 +9,17 @@ from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.links import Links, no_links
-from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver, empty, no_mail
+from usarmjx.comms.mail import (
+    Inboxes,
+    MessageSettings,
+    OutgoingMessages,
+    clear_inboxes,
+    deliver,
+    empty_inboxes,
+)
 
 N = 4
-SIZES = MailSettings(numbers=2, capacity=3, budget=1000)
+SIZES = MessageSettings(numbers=2, capacity=3, bytes_per_step=1000)
 EVERYONE = np.ones((N, N), bool)
 CAUSES = ("over_budget", "no_link", "lost", "box_full")
 KEY = jax.random.key(0)
@@ -21,15 +28,17 @@ DELIVER = jax.jit(deliver, static_argnums=0)
 
 def links_of(table, chance=1.0) -> Links:
     table = np.asarray(table) & ~np.eye(N, dtype=bool)
-    return no_links(N).replace(in_range=jnp.asarray(table), chance=jnp.asarray(table * np.float32(chance)))
+    return no_links(N).replace(
+        in_range=jnp.asarray(table), delivery_probability=jnp.asarray(table * np.float32(chance))
+    )
 
 
-def post(mail, to, *, length=8, links=None, sizes=SIZES, step=0, key=KEY) -> Mail:
+def post(mail, to, *, length=8, links=None, sizes=SIZES, step=0, key=KEY) -> Inboxes:
     payload = np.stack([np.arange(N), 10 * np.arange(N)], -1)
-    letters = Letters(
-        to=jnp.asarray(to),
+    letters = OutgoingMessages(
+        receivers=jnp.asarray(to),
         payload=jnp.asarray(payload, jnp.float32),
-        length=jnp.broadcast_to(jnp.asarray(length, jnp.int32), (N,)),
+        size_bytes=jnp.broadcast_to(jnp.asarray(length, jnp.int32), (N,)),
     )
     moment = (jnp.int32(step), jnp.float32(0.02 * step))
     return DELIVER(sizes, mail, letters, links_of(EVERYONE) if links is None else links, moment, key)
@@ -46,53 +55,55 @@ def dropped(mail):
     return {cause: np.asarray(getattr(mail.dropped, cause)).tolist() for cause in CAUSES}
 
 
-NOTHING = dropped(no_mail(SIZES, N))
+NOTHING = dropped(empty_inboxes(SIZES, N))
 
 
 def test_a_message_arrives_with_all_that_belongs_to_it():
-    mail = post(no_mail(SIZES, N), only((2, 1)), step=5, length=77)
+    mail = post(empty_inboxes(SIZES, N), only((2, 1)), step=5, length=77)
     assert mail.count.tolist() == [0, 1, 0, 0]
     assert mail.valid.tolist() == [[False] * 3, [True, False, False], [False] * 3, [False] * 3]
     assert mail.sender[1, 0] == 2
     assert mail.time[1, 0] == pytest.approx(0.1)
-    assert mail.length[1, 0] == 77
+    assert mail.size_bytes[1, 0] == 77
     assert mail.payload[1, 0].tolist() == [2.0, 20.0]
     assert mail.sent.tolist() == [0, 0, 1, 0]
     assert dropped(mail) == NOTHING
 
 
 def test_messages_lie_in_the_order_of_arrival():
-    mail = post(no_mail(SIZES, N), only((3, 0)), step=1)
+    mail = post(empty_inboxes(SIZES, N), only((3, 0)), step=1)
     mail = post(mail, only((2, 0), (1, 0)), step=2)
     assert mail.sender[0].tolist() == [3, 1, 2]
     assert mail.time[0].tolist() == pytest.approx([0.02, 0.04, 0.04])
 
 
 def test_only_links_that_hold_carry():
-    mail = post(no_mail(SIZES, N), EVERYONE, links=links_of(only((0, 1), (1, 0))))
+    mail = post(empty_inboxes(SIZES, N), EVERYONE, links=links_of(only((0, 1), (1, 0))))
     assert mail.count.tolist() == [1, 1, 0, 0]
     assert dropped(mail) == NOTHING | {"no_link": [3, 3, 4, 4]}  # to oneself there is none either
     assert mail.sent.tolist() == [4] * N
 
 
 def test_full_boxes_take_nothing_more_until_they_are_emptied():
-    mail = no_mail(SIZES, N)
+    mail = empty_inboxes(SIZES, N)
     for step in range(5):
         mail = post(mail, only((0, 1), (2, 1)), step=step)
     assert mail.count.tolist() == [0, 3, 0, 0]
     assert mail.sender[1].tolist() == [0, 2, 0]
     assert dropped(mail) == NOTHING | {"box_full": [3, 0, 4, 0]}
-    kept = empty(mail, jnp.array([True, False, True, True]))
+    kept = clear_inboxes(mail, jnp.array([True, False, True, True]))
     assert kept.count.tolist() == [0, 3, 0, 0]
-    mail = post(empty(mail), only((3, 1)), step=9)
+    mail = post(clear_inboxes(mail), only((3, 1)), step=9)
     assert mail.count.tolist() == [0, 1, 0, 0]
     assert mail.sender[1, 0] == 3
     assert mail.payload[1, 0].tolist() == [3.0, 30.0]
 
 
 def test_the_budget_is_for_a_control_step():
-    sizes = MailSettings(numbers=2, capacity=8, budget=20)
-    mail = post(no_mail(sizes, N), EVERYONE & ~np.eye(N, dtype=bool), length=[8, 20, 21, 0], sizes=sizes)
+    sizes = MessageSettings(numbers=2, capacity=8, bytes_per_step=20)
+    mail = post(
+        empty_inboxes(sizes, N), EVERYONE & ~np.eye(N, dtype=bool), length=[8, 20, 21, 0], sizes=sizes
+    )
     # 8 bytes to two of three receivers, the first ones; 20 to one; 21 to none; 0 to all.
     assert dropped(mail) == NOTHING | {"over_budget": [1, 2, 3, 0]}
     assert mail.spent.tolist() == [16, 20, 0, 0]
@@ -106,25 +117,25 @@ def test_the_budget_is_for_a_control_step():
 
 
 def test_bytes_of_messages_that_do_not_arrive_are_spent():
-    mail = post(no_mail(SIZES, N), EVERYONE, links=links_of(np.zeros((N, N), bool)), length=100)
+    mail = post(empty_inboxes(SIZES, N), EVERYONE, links=links_of(np.zeros((N, N), bool)), length=100)
     assert mail.spent.tolist() == [400] * N
 
 
 def test_lengths_that_make_no_sense_harm_nobody():
-    huge = post(no_mail(SIZES, N), EVERYONE, length=[2**31 - 1, -5, -(2**31), 2**30])
+    huge = post(empty_inboxes(SIZES, N), EVERYONE, length=[2**31 - 1, -5, -(2**31), 2**30])
     assert huge.spent.tolist() == [0, 0, 0, 0]
     assert dropped(huge)["over_budget"] == [4, 0, 0, 4]
 
 
 def test_losses_near_the_cutoff_come_as_often_as_they_should():
-    sizes = MailSettings(numbers=2, capacity=1, budget=1000)
+    sizes = MessageSettings(numbers=2, capacity=1, bytes_per_step=1000)
     keys = jax.random.split(KEY, 2000)
     links = links_of(EVERYONE, chance=0.25)
     to = EVERYONE & ~np.eye(N, dtype=bool)
-    mail = jax.vmap(lambda key: post(no_mail(sizes, N), to, links=links, sizes=sizes, key=key))(keys)
+    mail = jax.vmap(lambda key: post(empty_inboxes(sizes, N), to, links=links, sizes=sizes, key=key))(keys)
     lost = np.asarray(mail.dropped.lost).sum() / (2000 * 12)
     assert lost == pytest.approx(0.75, abs=0.012)  # 24000 draws: four standard deviations
-    sure = jax.vmap(lambda key: post(no_mail(sizes, N), only((0, 1)), sizes=sizes, key=key))(keys)
+    sure = jax.vmap(lambda key: post(empty_inboxes(sizes, N), only((0, 1)), sizes=sizes, key=key))(keys)
     assert np.asarray(sure.count)[:, 1].all()
 
 
@@ -136,7 +147,7 @@ rounds = st.lists(st.tuples(tables, tables, st.integers(0, 400), st.booleans()),
 @given(rounds)
 def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
     """Against a plain loop over senders and receivers."""
-    mail, boxes, spent, asked = no_mail(SIZES, N), [[] for _ in range(N)], [0] * N, 0
+    mail, boxes, spent, asked = empty_inboxes(SIZES, N), [[] for _ in range(N)], [0] * N, 0
     drops, step = {cause: [0] * N for cause in CAUSES}, 0
     for to, linked, length, next_step in calls:
         if next_step:
@@ -147,7 +158,7 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
                 if not to[s, r]:
                     continue
                 asked += 1
-                if spent[s] + length > SIZES.budget:
+                if spent[s] + length > SIZES.bytes_per_step:
                     drops["over_budget"][s] += 1
                     continue
                 spent[s] += length
@@ -162,7 +173,8 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
     for r in range(N):
         held = int(mail.count[r])
         assert (
-            list(zip(mail.sender[r, :held].tolist(), mail.length[r, :held].tolist(), strict=True)) == boxes[r]
+            list(zip(mail.sender[r, :held].tolist(), mail.size_bytes[r, :held].tolist(), strict=True))
+            == boxes[r]
         )
     assert int(mail.sent.sum()) == asked == sum(map(len, boxes)) + sum(map(sum, drops.values()))
 
@@ -170,4 +182,4 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
 @pytest.mark.parametrize("name", ["numbers", "capacity", "budget"])
 def test_sizes_that_make_no_sense_are_refused(name: str):
     with pytest.raises(SpecError, match=f"{name} is 0, allowed is a whole number from 1"):
-        MailSettings(**{name: 0})
+        MessageSettings(**{name: 0})

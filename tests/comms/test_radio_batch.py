@@ -12,28 +12,33 @@ from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from tests.handy import known
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.comms.antenna import LOWEST, antenna_of, antenna_places
-from usarmjx.comms.attenuation import RadioSettings, reach
+from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT, antenna_of, antenna_positions
+from usarmjx.comms.attenuation import RadioSettings, link_range
 from usarmjx.comms.connectivity import reachable
-from usarmjx.comms.mail import MailSettings
+from usarmjx.comms.mail import MessageSettings
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.robots.station import COMSTATION
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.radio import antennas, present_links
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.radio import robot_antennas, update_links
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 WALKER = replace(P2AT, name="Walker", sensors=(), cameras=(), packages=())  # quick to compile
 MAST = replace(COMSTATION, name="Mast", sensors=())
-ROSTER = (Entry("Walker"), Entry("Mast"), Entry("Walker"), Entry("Walker", parked=True))
+ROSTER = (
+    RosterEntry("Walker"),
+    RosterEntry("Mast"),
+    RosterEntry("Walker"),
+    RosterEntry("Walker", parked=True),
+)
 N, WORLDS, PERIOD = len(ROSTER), 3, 0.02
 WEST, STATION, NORTH, PARKED = range(N)
 
 RADIO = RadioSettings(cutoff=-52.0)
-LIMIT = reach(RADIO, 0)  # 3.27 m
-MAIL = MailSettings(numbers=1, capacity=2, budget=64)
+LIMIT = link_range(RADIO, 0)  # 3.27 m
+MAIL = MessageSettings(numbers=1, capacity=2, bytes_per_step=64)
 LANE = ArenaSpec(
     name="lane",
     starts=(
@@ -61,8 +66,8 @@ def true_antennas(batch, state):
     """Antennas in doubles off the physics' state (worlds, robots, 3): up from the origin in robot axes."""
     qpos = np.asarray(batch.physics(state).qpos, float)
     out = np.zeros((batch.worlds, N, 3))
-    for team in batch.scene.teams:
-        for slot, root in zip(team.slots, team.root_qpos, strict=True):
+    for team in batch.scene.groups:
+        for slot, root in zip(team.slots, team.root_qposadr, strict=True):
             w, i, j, k = qpos[:, root[3:]].T
             up = np.stack([2 * (i * k + w * j), 2 * (j * k - w * i), 1 - 2 * (i * i + j * j)], -1)
             out[:, slot] = qpos[:, root[:3]] + up * team.robot.dimensions[2] / 2
@@ -83,7 +88,7 @@ def test_a_link_drops_where_the_formula_says(batch):
     state = drive(batch, batch.reset(), WEST, (5.0, 2.5, 0.0))
     state, links = batch.links(state)
     assert np.asarray(links.in_range)[:, WEST, STATION].all()
-    assert not np.asarray(links.lost | links.gained).any()
+    assert not np.asarray(links.went_down | links.came_up).any()
     held, drops, before = np.full(WORLDS, True), {}, np.zeros(WORLDS)
     for step in range(1, 91):
         state, links = batch.links(batch.step(state))
@@ -93,7 +98,7 @@ def test_a_link_drops_where_the_formula_says(batch):
         np.testing.assert_allclose(np.asarray(links.power)[:, WEST, STATION], power, atol=DBM_ATOL)
         now = np.asarray(links.in_range)[:, WEST, STATION]
         for way in ((WEST, STATION), (STATION, WEST)):
-            np.testing.assert_array_equal(np.asarray(links.lost)[:, *way], held & ~now)
+            np.testing.assert_array_equal(np.asarray(links.went_down)[:, *way], held & ~now)
         for world in np.flatnonzero(held & ~now):
             drops[int(world)] = (step, before[world], apart[world])
         held, before = now, apart
@@ -112,7 +117,7 @@ def test_a_world_that_is_reset_starts_without_events(batch):
     assert not np.asarray(links.in_range)[:, WEST, STATION].any()
     state, links = batch.links(batch.reset_where(state, jnp.array([True, False, False])))
     assert np.asarray(links.in_range)[:, WEST, STATION].tolist() == [True, False, False]
-    assert not np.asarray(links.gained).any()
+    assert not np.asarray(links.came_up).any()
     assert np.asarray(links.step).tolist() == [0, 60, 60]
 
 
@@ -131,8 +136,8 @@ def test_parked_robots_are_silent_until_they_are_used(batch):
     state, links = batch.links(batch.reset())
     assert np.asarray(links.paired)[0].sum() == 6
     assert not np.asarray(links.paired)[:, PARKED].any()
-    members = state.worlds.teams[0]
-    state = batch.step(batch.with_team(state, 0, members.replace(active=members.active.at[1, 2].set(True))))
+    members = state.worlds.groups[0]
+    state = batch.step(batch.with_group(state, 0, members.replace(active=members.active.at[1, 2].set(True))))
     _, links = batch.links(state)
     assert np.asarray(links.paired)[:, PARKED].sum(-1).tolist() == [0, 3, 0]
 
@@ -151,7 +156,7 @@ def test_messages_go_over_links_and_are_counted_without(batch):
     # The station hears the third robot by way of the first.
     assert np.asarray(reachable(links.in_range, STATION))[0].tolist() == [True, True, True, False]
     assert np.asarray(reachable(links.in_range, STATION, 1))[0].tolist() == [True, True, False, False]
-    state = batch.empty_mail(state, np.arange(N) == WEST)
+    state = batch.clear_mail(state, np.arange(N) == WEST)
     assert np.asarray(state.worlds.mail.count)[0].tolist() == [0, 1, 1, 0]
     state = batch.send(batch.step(state), held, 0.0, length=65)
     assert np.asarray(state.worlds.mail.dropped.over_budget)[0].tolist() == [2, 1, 1, 0]
@@ -177,7 +182,7 @@ def test_links_are_evaluated_as_often_as_asked(batch):
 
 def test_worlds_and_episodes_have_shadows_of_their_own(batch):
     scene = replace(batch.scene, radio=replace(RADIO, shadowing=6.0))
-    look = jax.jit(jax.vmap(partial(present_links, scene)))
+    look = jax.jit(jax.vmap(partial(update_links, scene)))
     start = batch.reset()
 
     def powers(state):
@@ -202,7 +207,7 @@ def test_a_scene_without_a_radio_carries_nothing_of_it(batch):
     with pytest.raises(UsageError, match="no mail"):
         plain.send(state, True, 0.0)
     with pytest.raises(UsageError, match="no mail"):
-        plain.empty_mail(state)
+        plain.clear_mail(state)
     with pytest.raises(SpecError, match="mail needs a radio"):
         build_scene(LANE, ROSTER, mail=MAIL)
 
@@ -211,7 +216,7 @@ def test_nothing_is_compiled_twice(batch):
     """The state has the same types from a reset on, whatever was done with it."""
     start = batch.reset()
     state = batch.send(start, False, 0.0)
-    later = batch.empty_mail(batch.send(batch.step(state), True, 1.0, length=4))
+    later = batch.clear_mail(batch.send(batch.step(state), True, 1.0, length=4))
     for name in ("links", "mail"):
         kinds = [
             jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), getattr(s.worlds, name))
@@ -245,7 +250,7 @@ def test_antennas_are_where_the_poses_put_them(batch):
     state = drive(batch, batch.reset(), NORTH, (3.0, -3.0, 0.0))
     for _ in range(20):
         state = batch.step(state)
-    find = jax.jit(jax.vmap(partial(antennas, batch.scene)))
+    find = jax.jit(jax.vmap(partial(robot_antennas, batch.scene)))
     places, in_use = find(state.worlds, batch.physics(state))
     np.testing.assert_allclose(places, true_antennas(batch, state), atol=1e-5)
     assert np.asarray(in_use)[0].tolist() == [True, True, True, False]
@@ -258,7 +263,7 @@ def test_antennas_are_above_the_robot_or_where_the_class_has_them():
     assert station.origin_height - antenna_of(station)[2] == pytest.approx(1.6)
     moved = replace(p2at, antenna=(0.1, 0.2, -0.3))  # forward, right, up
     quats = jnp.array([quat_from_angles(*angles) for angles in ((0, 0, 0), (0, 0, np.pi / 2), (np.pi, 0, 0))])
-    places = antenna_places(moved, jnp.array([[1.0, 2.0, 0.2]] * 3), quats, 0.0)
+    places = antenna_positions(moved, jnp.array([[1.0, 2.0, 0.2]] * 3), quats, 0.0)
     # Turned left, forward is y and right is x; on its back it would be under the floor.
-    expected = [(1.1, 1.8, 0.5), (1.2, 2.1, 0.5), (1.1, 2.2, LOWEST)]
+    expected = [(1.1, 1.8, 0.5), (1.2, 2.1, 0.5), (1.1, 2.2, MIN_ANTENNA_HEIGHT)]
     np.testing.assert_allclose(places, expected, atol=1e-6)

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from tests.arenas import COURSE
 from tests.comms.solids import Geom, Solids, box, random_boxes, ray_count, slab_count, solids
 from usarmjx.base.errors import UnsupportedGeomError
-from usarmjx.comms.walls import KERNELS, arena_solids, check_types, count_walls
+from usarmjx.comms.walls import CROSSING_KERNELS, arena_solids, check_wall_types, count_walls
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose_arena import BONE
+from usarmjx.models.build.compose_arena import VICTIM_PREFIX
 from usarmjx.models.build.pieces import FENDER_KIND
-from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.arena import LooseObject
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.rays.targets import FAR_AWAY, gather
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
 from usarmjx.sim.scene import build_scene
 
 NEAR = 1e-4  # m: segments this close to an edge, a corner or a face may count either way
@@ -75,7 +75,7 @@ def test_counts_of_every_shape_equal_mujocos_rays(kind: Geom):
 def test_shapes_of_all_kinds_count_together():
     line = [(kind, (2.0 * i, 0, 0), size) for i, (kind, size) in enumerate(SHAPES.items())]
     things = solids(*line, (PLANE, (5, 0, 0), (0, 0, 1), (0, np.pi / 2, 0)))
-    assert set(KERNELS) == {int(kind) for kind in (*SHAPES, PLANE)}
+    assert set(CROSSING_KERNELS) == {int(kind) for kind in (*SHAPES, PLANE)}
     assert things.count((-2, 0.01, 0.02), (12, 0.01, 0.02)) == 6
     assert things.count((-2, 5, 0), (12, 5, 0)) == 1  # the plane
 
@@ -220,7 +220,9 @@ def test_a_wall_that_is_turned_counts_where_it_is():
 
 
 def test_parked_solids_do_not_count():
-    away = solids(CUBE, box((FAR_AWAY,) * 3, (1, 1, 1)), (Geom.mjGEOM_SPHERE, (FAR_AWAY,) * 3, (1,)))
+    away = solids(
+        CUBE, box((PADDING_DISTANCE,) * 3, (1, 1, 1)), (Geom.mjGEOM_SPHERE, (PADDING_DISTANCE,) * 3, (1,))
+    )
     assert away.count((-3, 0, 0), (3, 0, 0)) == 1
     assert away.count((-3, 2, 0), (300, 20, 10)) == 0
 
@@ -255,7 +257,7 @@ def test_two_legs_cross_at_least_what_a_straight_way_does(start: tuple, end: tup
 
 
 def test_counts_are_whole_numbers_and_none_without_solids():
-    nothing = gather(np.zeros(0, int), *[jnp.zeros((0, *s)) for s in ((3,), (3, 3), (3,))], jnp.zeros(0))
+    nothing = make_geoms(np.zeros(0, int), *[jnp.zeros((0, *s)) for s in ((3,), (3, 3), (3,))], jnp.zeros(0))
     counts = count_walls(nothing, jnp.zeros((4, 3)), jnp.ones((4, 3)))
     np.testing.assert_array_equal(counts, np.zeros(4, int))
     assert counts.dtype == jnp.int32
@@ -273,19 +275,19 @@ def test_one_loop_goes_over_segments_times_solids():
 
 def test_shapes_that_cannot_be_counted_are_refused():
     with pytest.raises(UnsupportedGeomError, match=r"mjGEOM_SDF.*mjGEOM_BOX"):
-        check_types([BOX, Geom.mjGEOM_SDF])
-    check_types([BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD])
+        check_wall_types([BOX, Geom.mjGEOM_SDF])
+    check_wall_types([BOX, Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD])
 
 
 @pytest.mark.parametrize("arena", [ARENAS.get("yellow"), COURSE], ids=lambda arena: arena.name)
 def test_an_arenas_solids_are_those_that_sensors_see(arena):
     """But for victims, who are none, and grid fenders, which are boxes to the radio."""
     scene = build_scene(arena, ["P2AT"])
-    seen, counted = scene.fixed_look, arena_solids(arena)
-    solid = np.array([not scene.model.geom(geom).name.startswith(BONE) for geom in seen.geom])
+    seen, counted = scene.fixed_geoms, arena_solids(arena)
+    solid = np.array([not scene.model.geom(geom).name.startswith(VICTIM_PREFIX) for geom in seen.geom])
     kind = np.where(seen.kind == FENDER_KIND, BOX, seen.kind)[solid]
-    expected = gather(kind, seen.pos[solid], seen.mat[solid], seen.size[solid], np.full(solid.sum(), -1))
-    assert counted.types == expected.types
+    expected = make_geoms(kind, seen.pos[solid], seen.mat[solid], seen.size[solid], np.full(solid.sum(), -1))
+    assert counted.kinds == expected.kinds
     for mine, theirs in zip(counted.blocks, expected.blocks, strict=True):
         np.testing.assert_allclose(mine.pos, theirs.pos, atol=1e-6)
         np.testing.assert_allclose(mine.mat, theirs.mat, atol=1e-6)
@@ -293,7 +295,9 @@ def test_an_arenas_solids_are_those_that_sensors_see(arena):
 
 
 def test_loose_objects_do_not_count():
-    crate = Loose(name="crate", at=(1, 1, 0.5), shapes=(Shape(kind="box", size=(0.5, 0.5, 0.5), mass=1.0),))
+    crate = LooseObject(
+        name="crate", at=(1, 1, 0.5), shapes=(Shape(kind="box", size=(0.5, 0.5, 0.5), mass=1.0),)
+    )
     strewn = arena_solids(replace(COURSE, name="strewn", loose=(crate,)))
     assert [len(block.owner) for block in strewn.blocks] == [
         len(block.owner) for block in arena_solids(COURSE).blocks

@@ -303,10 +303,10 @@ def test_default_c_turns_edge_normals() -> None:
 
 
 def test_driver_calls_it_and_registering_twice_changes_nothing() -> None:
-    module.register()
+    module.register_collision()
     key = (mjx.GeomType.CYLINDER, mjx.GeomType.BOX)
     first = collision_driver._COLLISION_FUNC[key]
-    module.register()
+    module.register_collision()
     assert collision_driver._COLLISION_FUNC[key] is first
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><worldbody><geom type="box" size=".5 .5 .2"/><body pos="0 0 .328">
@@ -323,13 +323,13 @@ def test_driver_calls_it_and_registering_twice_changes_nothing() -> None:
 def test_registering_refuses_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata, "version", lambda name: "3.18.0")
     with pytest.raises(EngineError, match=r"3\.18\.0.*3\.17\.0"):
-        module.register()
+        module.register_collision()
 
 
 def test_registering_names_a_missing_private_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(collision_driver, "_COLLISION_FUNC")
     with pytest.raises(EngineError, match="_COLLISION_FUNC"):
-        module.register()
+        module.register_collision()
 
 
 # Behaviour. Euler, because MJX's implicitfast also damps an actuator whose force is clamped by
@@ -410,7 +410,7 @@ class Drive(NamedTuple):
 
 def drive_jax(xml: str, starts: np.ndarray, commands: np.ndarray) -> Drive:
     """Drive worlds from qpos `starts` (worlds, nq) by wheel speeds (worlds, ticks, nu) [rad/s]."""
-    module.register()
+    module.register_collision()
     c_model = mujoco.MjModel.from_xml_string(xml)
     model, fresh = mjx.put_model(c_model), mjx.make_data(c_model)
     joints = jnp.array(c_model.jnt_qposadr[c_model.actuator_trnid[:, 0]])

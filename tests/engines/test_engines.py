@@ -50,7 +50,7 @@ def drive_for(batch, steps=SECOND, left=4.0, right=4.0):
 
 
 def roots(batch, state):
-    return np.asarray(batch.physics(state).qpos)[:, batch.scene.teams[0].root_qpos]
+    return np.asarray(batch.physics(state).qpos)[:, batch.scene.groups[0].root_qposadr]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_jax_drives_as_c_mujoco_does(scene, reference):
     batch = Batch(scene, 2, engine="jax", seed=3)
     state = drive_for(batch)
     np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
-    batch.check(state)
+    batch.check_overflow(state)
 
 
 @pytest.mark.oracle
@@ -79,11 +79,11 @@ def test_warp_drives_as_c_mujoco_does(scene, reference):
     batch = Batch(scene, 2, engine="warp", seed=3)
     state = drive_for(batch)
     np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
-    batch.check(state)
+    batch.check_overflow(state)
     # Warp only sets bits of overflow: an old one must not count again in every later step.
     full = state.replace(physics=state.physics.tree_replace({"_impl.overflow": jnp.array([1, 0])}))
     assert np.asarray(batch.engine.overflow(full.physics, None)).tolist() == [1, 0]
-    assert np.asarray(batch.step(full).worlds.status.overflow).tolist() == [0, 0]
+    assert np.asarray(batch.step(full).worlds.faults.overflow).tolist() == [0, 0]
 
 
 def test_the_robots_really_met_the_ramp_and_the_step(reference):
@@ -98,7 +98,7 @@ def test_c_batch_is_plain_mj_step(scene):
     data = mujoco.MjData(batch.engine.model)
     data.qpos[:] = state.physics.qpos[0]
     for _ in range(5):
-        _, inputs = batch._control(state.worlds, batch.physics(state))
+        _, inputs = batch._compute_inputs(state.worlds, batch.physics(state))
         data.ctrl[:], data.act[:] = np.asarray(inputs.ctrl[0]), np.asarray(inputs.act[0])
         mujoco.mj_step(batch.engine.model, data, nstep=scene.physics.substeps)
         state = batch.step(state)
@@ -131,7 +131,7 @@ def test_a_partial_reset_leaves_the_other_worlds_bit_exact(jax_batch, driven):
     np.testing.assert_array_equal(qpos[0], np.asarray(jax_batch.physics(driven).qpos)[0])
     np.testing.assert_array_equal(qpos[1], np.asarray(jax_batch.physics(jax_batch.reset()).qpos)[1])
     for new, old in zip(
-        jax.tree.leaves(after.worlds.teams), jax.tree.leaves(driven.worlds.teams), strict=True
+        jax.tree.leaves(after.worlds.groups), jax.tree.leaves(driven.worlds.groups), strict=True
     ):
         np.testing.assert_array_equal(np.asarray(new)[0], np.asarray(old)[0])
     assert np.asarray(after.worlds.episode).tolist() == [0, 1]
@@ -146,9 +146,9 @@ def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, j
     pinned = np.zeros_like(broken_qpos, bool)
     pinned[1, 0] = True
     no_dof = np.zeros(np.asarray(batch.physics(start).qvel).shape, bool)
-    broken = start.replace(physics=batch.engine.place(start.physics, pinned, no_dof, broken_qpos))
+    broken = start.replace(physics=batch.engine.set_qpos(start.physics, pinned, no_dof, broken_qpos))
     good, bad = batch.step(start), batch.step(broken)
-    assert np.asarray(bad.worlds.status.not_finite).tolist() == [0, 1]
+    assert np.asarray(bad.worlds.faults.not_finite).tolist() == [0, 1]
     assert np.asarray(bad.worlds.episode).tolist() == [0, 1]
     assert np.isfinite(np.asarray(batch.physics(bad).qpos)).all()
     np.testing.assert_array_equal(
@@ -159,8 +159,8 @@ def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, j
 def test_commands_that_are_not_finite_reach_nobody(jax_batch):
     state = jax_batch.drive(jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan], [2.0]]), "Right": 2.0})
     state = jax_batch.step(state)
-    assert np.asarray(state.worlds.status.refused).tolist() == [2, 0]  # two left wheels of one robot
-    assert np.asarray(state.worlds.status.not_finite).tolist() == [0, 0]
+    assert np.asarray(state.worlds.faults.refused).tolist() == [2, 0]  # two left wheels of one robot
+    assert np.asarray(state.worlds.faults.not_finite).tolist() == [0, 0]
 
 
 def test_one_compilation_serves_all_steps(jax_batch, driven):
@@ -169,19 +169,19 @@ def test_one_compilation_serves_all_steps(jax_batch, driven):
 
 
 def test_overflow_is_an_error_that_names_the_setting(jax_batch, driven):
-    jax_batch.check(driven)
-    counted = driven.worlds.status.replace(overflow=jnp.array([0, 2]))
+    jax_batch.check_overflow(driven)
+    counted = driven.worlds.faults.replace(overflow=jnp.array([0, 2]))
     with pytest.raises(EngineError, match=r"1 of 2 worlds; raise Physics.contacts_per_robot"):
-        jax_batch.check(driven.replace(worlds=driven.worlds.replace(status=counted)))
+        jax_batch.check_overflow(driven.replace(worlds=driven.worlds.replace(faults=counted)))
 
 
 def test_jax_counts_a_full_contact_buffer():
     tight = build_scene(FLAT, ["P2AT"], Physics(contacts_per_robot=4))
     batch = Batch(tight, 1, engine="jax")
     state = batch.step(batch.step(batch.reset()))
-    assert int(state.worlds.status.overflow[0]) > 0
+    assert int(state.worlds.faults.overflow[0]) > 0
     with pytest.raises(EngineError, match="overflowed"):
-        batch.check(state)
+        batch.check_overflow(state)
 
 
 @pytest.mark.parametrize(

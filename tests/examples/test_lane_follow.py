@@ -16,7 +16,7 @@ from usarmjx.models.arenas.arda_roads import NETWORK
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.roads.network import FOOT
 from usarmjx.models.robots.cars import SNOWSTORM
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 PACE = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
 SPARE = (12 * FOOT - SNOWSTORM.dimensions[1]) / 2  # m on both sides of a car in the middle of its lane
@@ -95,7 +95,7 @@ def test_degrees_of_a_gps_message(text, value):
 
 @pytest.fixture(scope="module")
 def port():
-    world = LiveWorld(ARDA, Physics(), jax.random.key(5))
+    world = DynamicWorld(ARDA, Physics(), jax.random.key(5))
     with serving(world, realtime_factor=PACE) as (port, _):
         yield port
 

@@ -17,7 +17,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.messages.sensors import sensor_report
 from usarmjx.server.protocol import grammar
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import drive_keys
 from usarmjx.train.make import make
@@ -33,14 +33,14 @@ HALF = 0.0051
 
 def wire_observation(env, state):
     """The observation of world 0 from the lines that a server would send of its readings."""
-    (team,) = env.scene.teams
-    last = state.batch.worlds.teams[0].memory.last
+    (team,) = env.scene.groups
+    last = state.batch.worlds.groups[0].memory.last
     driver = policy_drive.PolicyDriver.__new__(policy_drive.PolicyDriver)
     driver.kinds, driver.needs_ranges, driver.now = (env.task.pose, env.task.ranges[0]), True, 0.0
     driver.pose = driver.ranges = None
     for sensor, value in zip(team.suite.sensors, last, strict=True):
         report = sensor_report(sensor, np.asarray(value[0, 0]), 1.0)
-        driver.take(parse_line(grammar.format(report)))
+        driver.take(parse_line(grammar.format_message(report)))
     goal = np.asarray(state.memory.goal[0]) * (1, -1)
     away = np.linalg.norm(goal - driver.pose[:2])
     return policy_drive.observation(driver.pose, goal, driver.ranges), away
@@ -87,7 +87,7 @@ def test_each_side_gets_its_own_share_of_an_action():
 
 def seconds_to_goal(*words):
     """How long the example takes for the 3 m to a goal on an empty floor [simulated s]."""
-    world = LiveWorld(FLAT, Physics(), jax.random.key(1), seats=16)
+    world = DynamicWorld(FLAT, Physics(), jax.random.key(1), max_robots=16)
     world.prepare(ROBOTS.get("P2AT"))
     words = [*words, "--to", "2.0,2.0", "--start", "0.0,0.0,-0.3", "--seconds", "20"]
     with serving(world, realtime_factor=2.0) as (port, _):
@@ -116,7 +116,7 @@ def test_the_baseline_of_a_client_does_what_that_of_the_environment_does():
     policy, state = BASELINES.get("drive-to-goal")(env), env.reset(5)
     client = policy_drive.Baseline("P2AT", "Sonar")
     assert client.groups[0]["obs_size"] == env.groups[0].obs_size
-    ours, theirs = client.start(0), policy.start(1)
+    ours, theirs = client.initial_carry(0), policy.initial_carry(1)
     for _ in range(3):
         action, ours = client.act(0, np.asarray(state.obs[0][0, 0]), ours)
         theirs, told = policy.act(theirs, state.obs, jax.random.key(0))

@@ -10,7 +10,7 @@ import pytest
 
 from tests.scripts import EXAMPLES, load
 from tests.server.radios import crowded, on_air
-from usarmjx.comms.attenuation import RadioSettings, radio_settings, reach
+from usarmjx.comms.attenuation import RadioSettings, link_range, radio_settings
 from usarmjx.models.arenas import ARENAS
 
 INI = EXAMPLES / "radio.ini"
@@ -54,9 +54,9 @@ def test_the_ini_has_the_reach_that_it_names():
     """146, 36, 8.9 and 2.2 m; and the manual's own cutoff lies beyond any arena of this size."""
     settings = radio_settings(INI)
     assert settings == RadioSettings(cutoff=-70.0)
-    reaches = [reach(settings, walls) for walls in range(4)]
+    reaches = [link_range(settings, walls) for walls in range(4)]
     assert reaches == pytest.approx([146.6, 36.2, 8.92, 2.20], rel=0.005)
-    assert reach(RadioSettings(), 5) > 17.0
+    assert link_range(RadioSettings(), 5) > 17.0
 
 
 def test_without_a_server_it_says_so():

@@ -13,11 +13,21 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, Loose, StartPose, Tag, Victim, Water
+from usarmjx.models.spec.arena import (
+    ArenaSpec,
+    Door,
+    FalseAlarm,
+    Light,
+    LooseObject,
+    StartPose,
+    Tag,
+    Victim,
+    Water,
+)
 from usarmjx.models.spec.robot import HeightField, Shape
 from usarmjx.plots import floor_plan, gallery, picture, render
-from usarmjx.plots.scenery import GLOSS
-from usarmjx.plots.viewpoint import look
+from usarmjx.plots.scenery import MIRROR_REFLECTANCE
+from usarmjx.plots.viewpoint import camera_rays
 
 RED, GREEN, BLUE = (0.8, 0.0, 0.0, 1.0), (0.0, 0.8, 0.0, 1.0), (0.0, 0.0, 0.8, 1.0)
 
@@ -40,7 +50,9 @@ ROOM = ArenaSpec(
     ),
     starts=(StartPose(tag="A", at=(-1.5, 0.5, 0.188)),),
     extent=((-2.0, 4.0), (-2.0, 2.0)),
-    loose=(Loose(name="crate", at=(2.0, -1.2, 0.2), shapes=(box((0, 0, 0), (0.2, 0.2, 0.2), mass=1.0),)),),
+    loose=(
+        LooseObject(name="crate", at=(2.0, -1.2, 0.2), shapes=(box((0, 0, 0), (0.2, 0.2, 0.2), mass=1.0),)),
+    ),
     doors=(Door(name="door", at=(1.0, -0.6, 0.0), yaw=math.pi / 2),),
     waters=(Water(low=(3.2, -1.8, 0.0), high=(3.9, -1.0, 0.2)),),
     victims=(Victim(name="one", at=(0.0, 0.5, 0.2)),),
@@ -111,13 +123,13 @@ def test_words_can_be_left_out():
 
 def test_the_file_has_a_legend_of_what_is_there(tmp_path: Path):
     path = tmp_path / "new" / "plan.png"
-    floor_plan.plan(ROOM, path)
+    floor_plan.floor_plan_picture(ROOM, path)
     assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     image = imread(path)[..., :3]
     legend = image[-80:]
     for colour in (floor_plan.VICTIM, floor_plan.ALARM, floor_plan.WATER, picture.WALL):
         assert (np.abs(legend - to_rgb(colour)).max(-1) < 0.02).sum() > 50, colour
-    floor_plan.plan(replace(ROOM, victims=(), false_alarms=()), path)
+    floor_plan.floor_plan_picture(replace(ROOM, victims=(), false_alarms=()), path)
     legend = imread(path)[-80:, :, :3]
     assert not (np.abs(legend - to_rgb(floor_plan.VICTIM)).max(-1) < 0.02).any()
 
@@ -146,10 +158,12 @@ def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     glass, mirror = (model.geom(f"arena/{i}").id for i in (1, 2))
-    pixels = render.draw(gallery.arena_solids(STAGE), EYE, TARGET, WIDTH, HEIGHT).reshape(-1, 3)
+    pixels = render.render_picture(gallery.arena_render_geoms(STAGE), EYE, TARGET, WIDTH, HEIGHT).reshape(
+        -1, 3
+    )
     colours = {model.geom(f"arena/{i}").id: k for i, k in ((0, 0), (1, 1), (3, 2))}
     hit, normal, seen = np.zeros(1, np.int32), np.zeros(3), []
-    for ray, found in zip(look(EYE, TARGET, WIDTH, HEIGHT).astype(float), pixels, strict=True):
+    for ray, found in zip(camera_rays(EYE, TARGET, WIDTH, HEIGHT).astype(float), pixels, strict=True):
         way = mujoco.mj_ray(model, data, EYE, ray, None, 1, -1, hit, normal)
         first, point = int(hit[0]), EYE + way * ray
         if first == glass:
@@ -167,7 +181,7 @@ def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
             assert found[2] == pytest.approx(0, abs=1e-6)
         elif first == mirror and kind[1] in colours:
             assert found[2] > 0.2, "the blue box"
-            assert found[1] == pytest.approx((1 - GLOSS) * 0.8 * 0.8, abs=0.15), (
+            assert found[1] == pytest.approx((1 - MIRROR_REFLECTANCE) * 0.8 * 0.8, abs=0.15), (
                 "and a little of its own green"
             )
         seen.append(kind)
@@ -177,13 +191,15 @@ def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
 
 def test_victims_water_doors_and_loose_objects_are_in_the_view():
     room = replace(ROOM, shapes=ROOM.shapes[:1])
-    shown = gallery.arena_solids(room)
-    bare = gallery.arena_solids(replace(room, victims=(), false_alarms=(), doors=(), loose=(), waters=()))
+    shown = gallery.arena_render_geoms(room)
+    bare = gallery.arena_render_geoms(
+        replace(room, victims=(), false_alarms=(), doors=(), loose=(), waters=())
+    )
     assert len(shown) == len(bare) + 11 + 1 + 1 + 1 + 1  # bones; one head, door, crate, water
     assert len(bare) == 2, "floor and wall"
-    assert len(gallery.arena_solids(ROOM)) == len(shown) + len(ROOM.shapes) - 2, "the sky is not seen"
+    assert len(gallery.arena_render_geoms(ROOM)) == len(shown) + len(ROOM.shapes) - 2, "the sky is not seen"
     eye, target = gallery._eye(ROOM, 1.5)
-    with_them, without = (render.draw(solids, eye, target, 90, 60) for solids in (shown, bare))
+    with_them, without = (render.render_picture(solids, eye, target, 90, 60) for solids in (shown, bare))
     for place in ((0.0, 0.5, 0.2), (2.0, -1.2, 0.4), (3.5, -1.2, 0.2), (1.0, -0.2, 0.6)):
         column, row = pixel(np.add(place, (0, 0, ROOM.floor)), eye, target, 90, 60)
         assert np.abs(with_them - without)[row - 1 : row + 2, column - 1 : column + 2].max() > 0.1, place
@@ -213,10 +229,10 @@ def test_the_whole_arena_fills_the_picture(extent: tuple):
 
 
 def test_a_picture_does_not_depend_on_how_it_is_cut_into_chunks(monkeypatch: pytest.MonkeyPatch):
-    solids = gallery.arena_solids(STAGE)
-    whole = render.draw(solids, EYE, TARGET, WIDTH, HEIGHT)
+    solids = gallery.arena_render_geoms(STAGE)
+    whole = render.render_picture(solids, EYE, TARGET, WIDTH, HEIGHT)
     monkeypatch.setattr(render, "CHUNK", 700)
-    parts = render.draw(solids, EYE, TARGET, WIDTH, HEIGHT)
+    parts = render.render_picture(solids, EYE, TARGET, WIDTH, HEIGHT)
     # Another program rounds differently: at outlines a ray may meet the other side.
     assert np.isclose(parts, whole, atol=1e-3).mean() > 0.99
 

@@ -7,7 +7,7 @@ import pytest
 
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.robot import HeightField, Mesh, Shape
-from usarmjx.plots.outlines import ROUND, area, heights, outline
+from usarmjx.plots.outlines import CIRCLE_POINTS, area, height_range, outline
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
 SHAPES = {
@@ -18,7 +18,7 @@ SHAPES = {
     "ellipsoid": Shape(kind="ellipsoid", size=(0.5, 0.3, 0.1)),
     "mesh": Shape(kind="mesh", mesh=Mesh(TETRAHEDRON)),
 }
-ROUNDNESS = 1 - math.cos(math.pi / ROUND)
+ROUNDNESS = 1 - math.cos(math.pi / CIRCLE_POINTS)
 """What a polygon's middle of a side lies inside its circle, in radii."""
 
 
@@ -51,7 +51,7 @@ def test_outline_and_heights_are_as_far_out_as_the_solid(kind: str):
             expected = at @ way + reach(shape, turn.T @ way)
             found = (corners @ way[:2]).max()
             assert expected - 0.5 * ROUNDNESS - 1e-9 <= found <= expected + 1e-9  # radii up to 0.5
-        low, high = heights(shape)
+        low, high = height_range(shape)
         up = np.array([0.0, 0.0, 1.0])
         assert high == pytest.approx(at[2] + reach(shape, turn.T @ up))
         assert low == pytest.approx(at[2] - reach(shape, -turn.T @ up))
@@ -77,4 +77,4 @@ def test_terrain_covers_its_rectangle_from_its_bottom_to_its_highest_point():
     table = HeightField(np.array([[0.0, 0.2], [0.4, 0.7]]))
     ground = Shape(kind="hfield", size=(2.0, 1.0, 0.3), at=(1.0, 0.0, 0.5), heights=table)
     assert np.sort(outline(ground)[:, 0]) == pytest.approx([-1.0, -1.0, 3.0, 3.0])
-    assert heights(ground) == pytest.approx((0.2, 1.2))
+    assert height_range(ground) == pytest.approx((0.2, 1.2))

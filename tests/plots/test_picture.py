@@ -47,7 +47,7 @@ def wall_of_room(image: np.ndarray) -> tuple[int, int, int, int]:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
 def test_estimates_are_laid_on_the_true_start(yaw: float):
-    paths = picture.tracks({"track": straight(yaw)})
+    paths = picture.tracked_poses({"track": straight(yaw)})
     expected = (1 + math.cos(yaw), -1 - math.sin(yaw), -yaw)
     for name in ("truth", "odometry", "ins"):
         assert paths[name][0] == pytest.approx((1.0, -1.0, -yaw)), name
@@ -80,7 +80,7 @@ def test_file_is_a_png_that_shows_paths_and_scan(tmp_path: Path):
         row[2] = [0.1 * i, 0.03 * i, 0.0]
         row[3] = [row[3][0], row[3][1] - 0.03 * i, 0.0]
     path = tmp_path / "run.png"
-    picture.arena_picture(ROOM, {"track": track, "scan": scan}, path)
+    picture.run_picture(ROOM, {"track": track, "scan": scan}, path)
     assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     image = imread(path)
     assert image.shape[1] == picture.WIDTH * picture.DPI
@@ -98,7 +98,7 @@ def test_file_is_a_png_that_shows_paths_and_scan(tmp_path: Path):
 def test_parts_lie_where_they_belong(tmp_path: Path):
     """One scale for everything: the wall at x 2.9 to 3.1, the true path from x 1 to 2 at y -1."""
     path = tmp_path / "run.png"
-    picture.arena_picture(ROOM, {"track": straight(), "scan": {}}, path)
+    picture.run_picture(ROOM, {"track": straight(), "scan": {}}, path)
     image = imread(path)
     top, bottom, left, right = wall_of_room(image)
     scale = (bottom - top) / 4.0
@@ -114,7 +114,7 @@ def test_parts_lie_where_they_belong(tmp_path: Path):
 def test_empty_run_is_drawn(tmp_path: Path):
     path = tmp_path / "run.png"
     unplaced = {"ranges": [1.0], "fov": 1.0, "at": (0.0, 0.0, 0.0), "pose": None}
-    picture.arena_picture(YELLOW, {"track": [], "scan": unplaced}, path)
+    picture.run_picture(YELLOW, {"track": [], "scan": unplaced}, path)
     assert len(coloured(imread(path), picture.WALL)) > 5000
 
 

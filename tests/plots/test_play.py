@@ -10,9 +10,9 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.plots.play import HASTE, _caption, film, write
+from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
 from usarmjx.server.pictures.spectator_server import SpectatorServer
-from usarmjx.server.worlds.policy_world import DrivenWorld
+from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in, sources
 from usarmjx.train.policies.sources import find_source
@@ -31,7 +31,7 @@ def driven(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shown(driven):
-    return film(*driven, seed=SEED)
+    return record_episode(*driven, seed=SEED)
 
 
 def test_a_film_shows_where_the_robot_truly_was(driven, shown):
@@ -40,7 +40,7 @@ def test_a_film_shows_where_the_robot_truly_was(driven, shown):
     way = np.asarray(env.reset(SEED).privileged[0, :2])
     np.testing.assert_allclose(shown.goal - shown.poses[0, 0, :2], way, atol=1e-5)
     np.testing.assert_allclose(np.diff(shown.times), env.period, rtol=1e-6)
-    limit = ROBOTS.get("P2AT").drive.full["Left"] * ROBOTS.get("P2AT").wheel_radius * env.period
+    limit = ROBOTS.get("P2AT").drive.full_scale["Left"] * ROBOTS.get("P2AT").wheel_radius * env.period
     steps = np.linalg.norm(np.diff(shown.poses[:, 0, :2], axis=0), axis=-1)
     assert steps.max() < 1.05 * limit
     assert (shown.end, shown.scores[-1], shown.scores[-2]) == ("done", 1.0, 0.0)
@@ -49,10 +49,10 @@ def test_a_film_shows_where_the_robot_truly_was(driven, shown):
 
 
 def test_a_film_ends_when_asked(driven):
-    short = film(*driven, seconds=1.0, seed=SEED)
+    short = record_episode(*driven, seconds=1.0, seed=SEED)
     assert (len(short.times), short.times[-1], short.end) == (6, pytest.approx(1.0), "")
     with pytest.raises(UsageError, match="more than 0"):
-        film(*driven, seconds=0.0)
+        record_episode(*driven, seconds=0.0)
 
 
 def test_captions_tell_time_and_score(shown):
@@ -61,7 +61,7 @@ def test_captions_tell_time_and_score(shown):
 
 
 def test_a_strip_has_the_goal_in_every_moment(shown, tmp_path):
-    write(shown, tmp_path / "new" / "strip.png")
+    save_recording(shown, tmp_path / "new" / "strip.png")
     picture = np.asarray(Image.open(tmp_path / "new" / "strip.png").convert("RGB")).astype(int)
     red = np.abs(picture - (0xC4, 0x12, 0x2F)).sum(-1) < 30
     rows, columns = np.array_split(np.arange(len(red)), 2), np.array_split(np.arange(red.shape[1]), 3)
@@ -69,7 +69,7 @@ def test_a_strip_has_the_goal_in_every_moment(shown, tmp_path):
 
 
 def test_an_animation_moves_and_lasts_as_long_as_the_episode(shown, tmp_path):
-    write(shown, tmp_path / "film.gif")
+    save_recording(shown, tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as picture:
         assert picture.n_frames == len(shown.times)
         first, lasted = np.asarray(picture.convert("RGB")).astype(int), 0
@@ -78,12 +78,12 @@ def test_an_animation_moves_and_lasts_as_long_as_the_episode(shown, tmp_path):
             lasted += picture.info["duration"]
         assert np.abs(np.asarray(picture.convert("RGB")).astype(int) - first).sum(-1).max() > 200
     # The last moment, which stays for 2 s, is that of the end.
-    assert lasted == pytest.approx(1000 * shown.times[-1] / HASTE + 2000, rel=0.02)
+    assert lasted == pytest.approx(1000 * shown.times[-1] / GIF_SPEEDUP + 2000, rel=0.02)
 
 
 def test_other_endings_are_refused(shown, tmp_path):
     with pytest.raises(UsageError, match=r"pictures end in \.png, \.gif"):
-        write(shown, tmp_path / "film.mp4")
+        save_recording(shown, tmp_path / "film.mp4")
     done = CliRunner().invoke(app, ["play", "--baseline", "wander", "--out", "film.mp4"])
     assert done.exit_code == 2
 
@@ -99,7 +99,7 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     assert done.output == "robots to take over by INIT: P2AT0\n"
     ((world, settings, (page,)),) = served
     assert isinstance(page, SpectatorServer)
-    assert isinstance(world, DrivenWorld)
+    assert isinstance(world, PolicyWorld)
     assert (settings.host, settings.port, settings.realtime_factor) == ("127.0.0.1", 3001, 2.0)
 
 

@@ -7,8 +7,8 @@ import pytest
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.portrait import portrait, portraits
-from usarmjx.plots.render import SKY_RGB, TILES, draw
-from usarmjx.plots.scenery import solids_of
+from usarmjx.plots.render import CHECKER_RGB, SKY_RGB, render_picture
+from usarmjx.plots.scenery import render_geoms_of
 
 BALL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>
@@ -23,7 +23,7 @@ def scene():
     model = mujoco.MjModel.from_xml_string(BALL)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return model, data, draw(solids_of(model, data), EYE, TARGET, WIDTH, HEIGHT)
+    return model, data, render_picture(render_geoms_of(model, data), EYE, TARGET, WIDTH, HEIGHT)
 
 
 def pixel_rays():
@@ -54,7 +54,7 @@ def test_every_pixel_has_the_colour_of_what_mj_ray_meets(scene):
             assert colour == pytest.approx(SKY_RGB)
         elif name == "floor":
             assert colour[0] == pytest.approx(colour[1]), "the tiles are grey"
-            assert colour[2] / colour[0] == pytest.approx(TILES[0, 2] / TILES[0, 0], abs=0.04)
+            assert colour[2] / colour[0] == pytest.approx(CHECKER_RGB[0, 2] / CHECKER_RGB[0, 0], abs=0.04)
         else:
             own = 0 if name == "ball" else 2
             assert colour[own] > 0.3

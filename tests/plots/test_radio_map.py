@@ -12,11 +12,11 @@ from tests.comms.solids import box, slab_count, solids
 from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.comms.attenuation import RadioSettings, reach
+from usarmjx.comms.attenuation import RadioSettings, link_range
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
 from usarmjx.plots import picture
-from usarmjx.plots.radio_map import CUTOFF_LINE, HEIGHT, power_map, radio_picture, read_place
+from usarmjx.plots.radio_map import ANTENNA_HEIGHT, CUTOFF_LINE, parse_position, power_map, radio_picture
 
 ROOM = ArenaSpec(
     name="Room",
@@ -36,7 +36,7 @@ def test_every_place_has_the_manuals_power(heights: tuple):
     drawn = power_map(ROOM, source, height=receiver, step=0.25)
     assert drawn.power.shape == drawn.walls.shape == (len(drawn.y), len(drawn.x))
     wall = solids(box((3.0, 0.0, 0.5), (0.1, 2.0, 0.5)))
-    up = HEIGHT if sender is None else sender
+    up = ANTENNA_HEIGHT if sender is None else sender
     places = np.array([(x, y, up if receiver is None else receiver) for y in drawn.y for x in drawn.x])
     starts = np.tile((*SENDER, up), (len(places), 1))
     walls = slab_count(wall, starts, places)
@@ -50,7 +50,7 @@ def test_every_place_has_the_manuals_power(heights: tuple):
 def test_the_picture_shows_the_cutoff_where_it_is(tmp_path: Path):
     """In the open a circle: half as wide as the wall of 4 m is long."""
     constants = RadioSettings(cutoff=-46.39)
-    radius = reach(constants, 0)
+    radius = link_range(constants, 0)
     assert radius == pytest.approx(1.0, abs=0.01)
     path = tmp_path / "map.png"
     radio_picture(ROOM, path, (0.0, 0.0), constants)
@@ -79,11 +79,11 @@ def test_an_arena_without_a_cutoff_in_it_is_drawn(tmp_path: Path):
 
 
 def test_places_are_read_or_refused():
-    assert read_place("1,-2") == (1.0, -2.0)
-    assert read_place("-1.5, 2 ,0.3") == (-1.5, 2.0, 0.3)
+    assert parse_position("1,-2") == (1.0, -2.0)
+    assert parse_position("-1.5, 2 ,0.3") == (-1.5, 2.0, 0.3)
     for wrong in ("", "1", "1,2,3,4", "1,b", "1,nan", "inf,0"):
         with pytest.raises(UsageError, match=r"x,y or x,y,z"):
-            read_place(wrong)
+            parse_position(wrong)
 
 
 @pytest.mark.parametrize("step", [0.0, -1.0, 0.001, float("nan")])

@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 import dev
 from tests.test_docs import blocks
-from usarmjx.cameras.paint import ARENA, ROBOT, VICTIM
+from usarmjx.cameras.paint import ARENA_LABEL, ROBOT_LABEL, VICTIM_LABEL
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Shape
 from usarmjx.plots import camera_plots, sensor_plots, sensor_studies
 from usarmjx.sensors.ranging import RangeSettings, SonarSettings
-from usarmjx.sensors.rfid import RfidSettings, signal
+from usarmjx.sensors.rfid import RfidSettings, signal_strength
 
 RAY_ATOL = 1e-3
 """Single precision at a few metres, and poses of a robot that stands 1 mm above the floor [m]."""
@@ -32,7 +32,7 @@ AT, YAW = (0.5, -0.4), 0.3
 
 @pytest.fixture(scope="module")
 def seen():
-    return sensor_studies.look_around(ROOM, AT, YAW)
+    return sensor_studies.range_study(ROOM, AT, YAW)
 
 
 @pytest.mark.oracle
@@ -53,7 +53,7 @@ def test_laser_beams_end_where_c_mujoco_says(seen):
         angle = YAW + math.radians(i - 90)
         along, geom = np.array([math.cos(angle), math.sin(angle), 0.0]), np.zeros(1, np.int32)
         far = mujoco.mj_ray(model, data, origin, along, None, 1, -1, geom)
-        assert seen.met[i] == (far >= 0)
+        assert seen.hit[i] == (far >= 0)
         if far >= 0:
             np.testing.assert_allclose(end, origin[:2] + far * along[:2], atol=5e-3)  # the beams' own angles
             met += 1
@@ -72,9 +72,9 @@ def test_sonars_are_where_the_manual_has_them_and_hear_the_wall(seen):
         # The nearest line of the cone is the one that meets the wall most squarely; Noise is 5 %.
         low = min(abs(YAW + math.radians(turn) + a) for a in (-0.1746, 0.0, 0.1746))
         assert seen.echoes[sonar] == pytest.approx((2.0 - x) / math.cos(low), rel=0.06)
-        assert not seen.deaf[sonar]
-    assert (seen.echoes[seen.deaf] == 5.0).all()
-    assert seen.deaf.sum() >= 4, "nothing is behind the robot but a post"
+        assert not seen.no_echo[sonar]
+    assert (seen.echoes[seen.no_echo] == 5.0).all()
+    assert seen.no_echo.sum() >= 4, "nothing is behind the robot but a post"
 
 
 def drawn(fill, seen):
@@ -93,7 +93,7 @@ def test_hits_and_robot_are_drawn_where_they_are(seen):
     column, row = pixels.transform(AT)
     assert image[round(row), round(column)] == pytest.approx(to_rgb(sensor_plots.BLUE), abs=0.02)
     pink = np.abs(image - to_rgb(sensor_plots.PINK)).max(-1) < 0.1
-    for end in seen.ends[seen.met][::10]:
+    for end in seen.ends[seen.hit][::10]:
         column, row = pixels.transform(end)
         here = pink[round(row) - 2 : round(row) + 3, round(column) - 2 : round(column) + 3]
         assert here.any(), end
@@ -113,14 +113,14 @@ def test_cones_reach_as_far_as_the_echo(seen):
 def test_ranges_of_tags_are_where_the_power_falls_to_the_sensibility():
     """2.99 m free and 2.44 m behind an obstacle: the manual's constants in its formula (10.9.3.3)."""
     for blocked, expected in ((False, 2.99), (True, 2.44)):
-        reach = sensor_studies.rfid_reach(RfidSettings(), blocked=blocked)
+        reach = sensor_studies.rfid_range(RfidSettings(), blocked=blocked)
         assert reach == pytest.approx(expected, abs=0.005)
-        assert signal(RfidSettings(), reach, blocked, np) == pytest.approx(-88.0, abs=1e-9)
+        assert signal_strength(RfidSettings(), reach, blocked, np) == pytest.approx(-88.0, abs=1e-9)
 
 
 @pytest.mark.oracle
 def test_an_exact_ins_is_on_the_winding_way():
-    times, way = sensor_studies.winding(0.2)
+    times, way = sensor_studies.winding_path(0.2)
     paths = sensor_studies.ins_paths(2, Sigma=0.0)
     assert paths.shape == (2, len(times), 2)
     np.testing.assert_array_equal(paths[0], paths[1])
@@ -133,7 +133,7 @@ def test_an_exact_ins_is_on_the_winding_way():
 
 
 def test_noise_and_drift_of_an_ins_grow():
-    _, way = sensor_studies.winding(0.2)
+    _, way = sensor_studies.winding_path(0.2)
     exact = sensor_studies.ins_paths(1, Sigma=0.0)
     noisy = sensor_studies.ins_paths(16, Sigma=0.1) - exact
     drifting = sensor_studies.ins_paths(16, Sigma=0.0, Drifting=True) - exact
@@ -156,18 +156,18 @@ def test_gps_errors_stay_within_the_largest(satellites: int, largest: float):
 def test_ranges_are_told_as_the_settings_say():
     true = np.array([0.05, 1.0, 2.0, 4.999, 5.0, 6.0], np.float32)
     curve = ((0.0, 0.0), (1.0, 1.6), (3.0, 2.4), (5.0, 5.0))
-    assert curve == sensor_plots.CURVE
-    exact = sensor_studies.told_ranges(true, RangeSettings(output_curve=curve))
+    assert curve == sensor_plots.EXAMPLE_OUTPUT_CURVE
+    exact = sensor_studies.reported_ranges(true, RangeSettings(output_curve=curve))
     assert exact == pytest.approx([0.16, 1.6, 2.0, 4.9987, 5.0, 5.0], abs=1e-4)
-    noisy = sensor_studies.told_ranges(np.full(400, 2.0, np.float32), SonarSettings())
+    noisy = sensor_studies.reported_ranges(np.full(400, 2.0, np.float32), SonarSettings())
     assert np.abs(noisy - 2.0).max() <= 0.1 + 1e-6
     assert noisy.std() == pytest.approx(0.1 / math.sqrt(3), rel=0.15)  # four errors for 400 uniform numbers
 
 
 def test_labels_of_pictures_have_their_colours_and_robots_are_one():
     names = [name for name, _ in camera_plots.LABELS.values()]
-    labels = np.array([ARENA, VICTIM, ROBOT, ROBOT + 3, -1, 0])
-    found = [names[place] for place in camera_plots.coloured(labels)]
+    labels = np.array([ARENA_LABEL, VICTIM_LABEL, ROBOT_LABEL, ROBOT_LABEL + 3, -1, 0])
+    found = [names[place] for place in camera_plots.label_indices(labels)]
     assert found == ["arena", "victim", "the robot", "the robot", "outside", "sky"]
 
 

@@ -15,7 +15,15 @@ from tests.train.runs import lines
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.train import train_record
 from usarmjx.cli.app import app
-from usarmjx.plots.training_plots import BLUE, ORANGE, PALE, draw_curves, mean_curve, of_run, read_curves
+from usarmjx.plots.training_plots import (
+    BLUE,
+    ORANGE,
+    PALE,
+    curve_of_run,
+    draw_curves,
+    mean_curve,
+    read_curves,
+)
 from usarmjx.train.learning.metrics import read_lines
 
 ABOUT = {"benchmark": "train", "device": "GPU", "worlds": 8, "agent_steps_per_s": 50.0}
@@ -81,7 +89,7 @@ def test_the_baseline_is_a_line_across(panels):
 
 
 def test_a_run_is_drawn_from_what_it_has_written(reference):
-    curve = of_run(reference)
+    curve = curve_of_run(reference)
     written = lines(reference)
     assert (curve.task, curve.seed, curve.about) == ("drive-toy", 0, "32 worlds")
     assert_array_equal(curve.steps, [line["agent_steps"] for line in written])
@@ -109,7 +117,7 @@ def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     (record,), (curve,) = (json.loads(line) for line in file.open()), read_curves(file)
-    drawn = of_run(reference)
+    drawn = curve_of_run(reference)
     assert_array_equal(curve.steps, drawn.steps)
     assert_allclose(curve.score, drawn.score, atol=5e-5)  # four decimals
     assert_allclose(curve.seconds, drawn.seconds, atol=0.05)  # one

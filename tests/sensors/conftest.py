@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.build.body_plan import body_plan, body_poses
+from usarmjx.models.build.body_plan import forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT, P2AT_SCANNER
 from usarmjx.models.spec.robot import Mount, RobotSpec, options
-from usarmjx.sensors.base import Sight
-from usarmjx.sensors.rays.targets import FAR_AWAY, gather
-from usarmjx.sensors.suite import Memory, Suite, suite_of
+from usarmjx.sensors.base import SensorInput
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
+from usarmjx.sensors.suite import SensorMemory, Suite, suite_of
 
 BOXES, POSTS = 6, 2
 AHEAD = (0.24, 0.0, 0.0)
@@ -95,7 +95,7 @@ def arena(boxes: tuple = (), posts: tuple = (), floor: float = 0.0) -> Any:
 
     Always as many geoms, the rest parked, so that nothing is compiled twice.
     """
-    away = (FAR_AWAY,) * 3
+    away = (PADDING_DISTANCE,) * 3
     boxes = [*boxes, *[(away, (1, 1, 1), 0.0)] * (BOXES - len(boxes))]
     posts = [*posts, *[(away, 1, 1)] * (POSTS - len(posts))]
     kinds = mujoco.mjtGeom
@@ -104,7 +104,7 @@ def arena(boxes: tuple = (), posts: tuple = (), floor: float = 0.0) -> Any:
     size = [(0, 0, 1), *(b[1] for b in boxes), *((p[1], p[2], 0) for p in posts)]
     mat = [np.eye(3), *(mat_from_angles(0.0, 0.0, b[2]) for b in boxes), *[np.eye(3)] * POSTS]
     as_float = (jnp.asarray(np.array(values, np.float32)) for values in (pos, mat, size))
-    return gather(np.array(kind, int), *as_float, jnp.full(len(kind), -1))
+    return make_geoms(np.array(kind, int), *as_float, jnp.full(len(kind), -1))
 
 
 @dataclass
@@ -115,14 +115,16 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.suite: Suite = suite_of(self.robot)
-        self.joints = len(body_plan(self.robot).parts) - 1
-        self._start = quick_jit(self.suite.start)
+        self.joints = len(kinematic_tree_of(self.robot).parts) - 1
+        self._start = quick_jit(self.suite.init_memory)
         self._read = quick_jit(self.suite.read)
-        self._bodies = quick_jit(partial(body_poses, body_plan(self.robot)))
-        self._cast = quick_jit(self.suite.cast)
+        self._bodies = quick_jit(partial(forward_kinematics, kinematic_tree_of(self.robot)))
+        self._cast = quick_jit(self.suite.cast_rays)
         self.open = arena()
 
-    def sight(self, time=0.0, at=(0.0, 0.0, 0.26), angles=(0.0, 0.0, 0.0), wheels=(), geoms=None) -> Sight:
+    def sight(
+        self, time=0.0, at=(0.0, 0.0, 0.26), angles=(0.0, 0.0, 0.0), wheels=(), geoms=None
+    ) -> SensorInput:
         """What the robot senses at a pose, with its joints in `wheels`' positions and then zero."""
         joints = np.zeros(self.joints, np.float32)
         joints[: len(wheels)] = wheels
@@ -136,12 +138,12 @@ class Bench:
         )
         bodies = self._bodies(state)
         hits = self._cast(self.open if geoms is None else geoms, bodies, jnp.int32(0))
-        return Sight(time=jnp.float32(time), state=state, bodies=bodies, hits=hits)
+        return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits)
 
-    def start(self, sight: Sight, seed: int = 0) -> Memory:
+    def start(self, sight: SensorInput, seed: int = 0) -> SensorMemory:
         return self._start(sight, jax.random.key(seed))
 
-    def read(self, sight: Sight, memory: Memory, seed: int = 0) -> tuple[Memory, tuple]:
+    def read(self, sight: SensorInput, memory: SensorMemory, seed: int = 0) -> tuple[SensorMemory, tuple]:
         return self._read(sight, memory, jax.random.key(seed))
 
     def once(self, kind: str, name: str, seed: int = 0, **where: Any) -> np.ndarray:

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.build.body_plan import body_plan, body_poses
+from usarmjx.models.build.body_plan import forward_kinematics, kinematic_tree_of
 from usarmjx.models.build.tags import tag_table
-from usarmjx.models.build.victims import padded, segment_poses, victim_table
+from usarmjx.models.build.victims import pad_table, segment_poses, victim_table
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.effecters import TAG_ROOM, Tags
+from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount
-from usarmjx.sensors.base import Sight
-from usarmjx.sensors.rays.targets import FAR_AWAY, gather
-from usarmjx.sensors.suite import Memory, suite_of
-from usarmjx.sensors.surroundings import Surroundings, survey
+from usarmjx.sensors.base import SensorInput
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
+from usarmjx.sensors.suite import SensorMemory, suite_of
+from usarmjx.sensors.surroundings import Surroundings, surroundings_at
 
 BOXES, VICTIMS, WALLS, TAGS = 34, 3, 6, 6
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
@@ -42,17 +42,17 @@ class Room:
         return victim_table(self.victims, self.alarms)
 
     def around(self, time: float = 0.0) -> Surroundings:
-        pos = np.zeros((TAG_ROOM, 3), np.float32)
+        pos = np.zeros((MAX_DROPPED_TAGS, 3), np.float32)
         pos[: len(self.dropped)] = np.reshape(self.dropped, (-1, 3))
-        dropped = Tags(pos=pos, count=np.int32(len(self.dropped)))
-        people = padded(self.people, BOXES, VICTIMS)
-        return survey(
+        dropped = DroppedTags(pos=pos, count=np.int32(len(self.dropped)))
+        people = pad_table(self.people, BOXES, VICTIMS)
+        return surroundings_at(
             people, tag_table(self.tags, TAGS), dropped, np.float32(time), np.float32(self.floor), np
         )
 
     def geoms(self, around: Surroundings) -> Any:
         """Floor, victims and walls as our rays see them."""
-        away = ((FAR_AWAY,) * 3, (1, 1, 1), 0.0)
+        away = ((PADDING_DISTANCE,) * 3, (1, 1, 1), 0.0)
         walls = [*self.walls, *[away] * (WALLS - len(self.walls))]
         kinds = mujoco.mjtGeom
         kind = [kinds.mjGEOM_PLANE, *[kinds.mjGEOM_BOX] * (BOXES + WALLS)]
@@ -60,7 +60,7 @@ class Room:
         size = [(0, 0, 1), *around.box_size, *(w[1] for w in walls)]
         mat = [np.eye(3), *around.box_mat, *(mat_from_angles(0.0, 0.0, w[2]) for w in walls)]
         as_float = (jnp.asarray(np.array(values, np.float32)) for values in (pos, mat, size))
-        return gather(np.array(kind, int), *as_float, jnp.full(len(kind), -1))
+        return make_geoms(np.array(kind, int), *as_float, jnp.full(len(kind), -1))
 
     def met(self, origin: Any, directions: Any, time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """What C MuJoCo says: distances [m] (rays,), infinite without a hit, and boxes met, -1 for others."""
@@ -82,7 +82,7 @@ class Room:
             distance = mujoco.mj_ray(model, data, np.asarray(origin, float), along, None, 1, -1, geom)
             far.append(np.inf if distance < 0 else distance)
             part = int(geom[0]) - 1
-            which.append(part if 0 <= part < people.boxes else -1)
+            which.append(part if 0 <= part < people.num_boxes else -1)
         return np.array(far), np.array(which)
 
 
@@ -97,13 +97,15 @@ class Watch:
     def __post_init__(self) -> None:
         self.robot = replace(P2AT, name=self.name, sensors=self.mounts)
         self.suite = suite_of(self.robot)
-        self.joints = len(body_plan(self.robot).parts) - 1
-        self._start = quick_jit(self.suite.start)
+        self.joints = len(kinematic_tree_of(self.robot).parts) - 1
+        self._start = quick_jit(self.suite.init_memory)
         self._read = quick_jit(self.suite.read)
-        self._bodies = quick_jit(partial(body_poses, body_plan(self.robot)))
-        self._cast = quick_jit(self.suite.cast)
+        self._bodies = quick_jit(partial(forward_kinematics, kinematic_tree_of(self.robot)))
+        self._cast = quick_jit(self.suite.cast_rays)
 
-    def sight(self, room: Room, at: Any = (0, 0, 0.26), angles: Any = (0, 0, 0), time: float = 0.0) -> Sight:
+    def sight(
+        self, room: Room, at: Any = (0, 0, 0.26), angles: Any = (0, 0, 0), time: float = 0.0
+    ) -> SensorInput:
         """What the robot senses in a room."""
         zeros = jnp.zeros(self.joints)
         state = RobotState(
@@ -116,12 +118,14 @@ class Watch:
         )
         bodies, around = self._bodies(state), room.around(time)
         hits = self._cast(room.geoms(around), bodies, jnp.int32(0), around=around)
-        return Sight(time=jnp.float32(time), state=state, bodies=bodies, hits=hits, surroundings=around)
+        return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits, surroundings=around)
 
-    def start(self, sight: Sight) -> Memory:
+    def start(self, sight: SensorInput) -> SensorMemory:
         return self._start(sight, jax.random.key(0))
 
-    def read(self, sight: Sight, memory: Memory, seed: int = 0) -> tuple[Memory, dict[str, np.ndarray]]:
+    def read(
+        self, sight: SensorInput, memory: SensorMemory, seed: int = 0
+    ) -> tuple[SensorMemory, dict[str, np.ndarray]]:
         """The new memory, and the values of the sensors by name."""
         memory, readings = self._read(sight, memory, jax.random.key(seed))
         names = [sensor.mounts[0].name for sensor in self.suite.sensors]
@@ -132,8 +136,8 @@ class Watch:
         sight = self.sight(room, **where)
         memory, _ = self.read(sight, self.start(sight), seed)
         place = [sensor.mounts[0].name for sensor in self.suite.sensors].index(name)
-        assert self.suite.sensors[place].draws
-        return jax.device_get(self.suite.sensors[place].sketch(memory.own[place]))
+        assert self.suite.sensors[place].has_overlay
+        return jax.device_get(self.suite.sensors[place].overlay(memory.own[place]))
 
     def once(self, room: Room, seed: int = 0, **where: Any) -> dict[str, np.ndarray]:
         """The values of the sensors at one place, just after the start."""

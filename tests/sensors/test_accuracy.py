@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, stones
-from usarmjx.models.build.pieces import TRIANGLE_KIND, pieces_of
+from usarmjx.models.build.pieces import TRIANGLE_KIND, ray_primitives_of
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.rays.raycast import cast
-from usarmjx.sensors.rays.targets import gather
+from usarmjx.sensors.rays.raycast import cast_rays
+from usarmjx.sensors.rays.targets import make_geoms
 
 Geom = mujoco.mjtGeom
 NEAR = 50.0  # m up to which ...
@@ -102,9 +102,9 @@ class Both:
         """The same as our rays see it."""
         blocks = []
         for part in self.parts:
-            pieces = pieces_of(part.model, np.arange(part.model.ngeom))
+            pieces = ray_primitives_of(part.model, np.arange(part.model.ngeom))
             mats = part.data.geom_xmat.reshape(-1, 3, 3)
-            blocks.append((pieces.kind, *pieces.placed(part.data.geom_xpos, mats), pieces.size))
+            blocks.append((pieces.kind, *pieces.world_poses(part.data.geom_xpos, mats), pieces.size))
         # Triangles without an area, which nothing meets: scenes of one size are one compilation.
         blank = ROOM - sum(len(block[0]) for block in blocks)
         shapes = ((), (3,), (3, 3), (3,))
@@ -112,7 +112,7 @@ class Both:
         blocks[-1][0][:] = TRIANGLE_KIND
         kind, pos, mat, size = (np.concatenate(column) for column in zip(*blocks, strict=True))
         arrays = (jnp.asarray(part, jnp.float32) for part in (pos, mat, size))
-        return gather(kind.astype(int), *arrays, jnp.full(len(kind), -1))
+        return make_geoms(kind.astype(int), *arrays, jnp.full(len(kind), -1))
 
     def some(self, rng, count):
         """Places, orientations and radii [m] of geoms at random; unbounded ones count as 2 m."""
@@ -174,7 +174,7 @@ quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level":
 
 @quick_jit
 def see(geoms, origins, directions):
-    return cast(geoms, origins, directions, jnp.int32(-2)).distance
+    return cast_rays(geoms, origins, directions, jnp.int32(-2)).distance
 
 
 def tolerance(distance):

@@ -13,10 +13,16 @@ from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.gps import MASK, GpsSettings, coordinates, largest_error, sky
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.gps import (
+    ELEVATION_MASK,
+    GpsSettings,
+    geographic_coordinates,
+    largest_error,
+    satellite_directions,
+)
+from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 MOUNT = (0.1, 0.2, -0.3)  # the wire's axes
 HEIGHT = 0.26  # m: a P2AT on the floor
@@ -44,10 +50,10 @@ ROOF = over(0.0, 0.0, (50.0, 50.0, 0.1), 3.0)
 
 
 def test_the_sky_has_twelve_satellites_all_around_and_above_the_mask():
-    directions = sky()
+    directions = satellite_directions()
     assert directions.shape == (12, 3)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-6)
-    assert directions[:, 2].min() > math.sin(MASK)
+    assert directions[:, 2].min() > math.sin(ELEVATION_MASK)
     quarter = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (math.pi / 2))
     assert sorted(np.unique(quarter)) == [-2, -1, 0, 1]
 
@@ -64,7 +70,11 @@ def test_a_long_wall_hides_the_satellites_behind_it(bench, make_arena, side, dis
     x, z = MOUNT[0], HEIGHT - MOUNT[2]
     face = x + side * distance
     wall = over(face + side * 0.5, 0.0, (0.5, 1e3, 10.0), z + top - 10.0)
-    ahead, _, up = side * sky().T[0], sky().T[1], sky().T[2]
+    ahead, _, up = (
+        side * satellite_directions().T[0],
+        satellite_directions().T[1],
+        satellite_directions().T[2],
+    )
     hidden = (ahead > 0) & (up * distance < top * np.maximum(ahead, 1e-9))
     value = bench.once("GPS", "GPS", at=(0.0, 0.0, HEIGHT), geoms=make_arena(boxes=[wall]))
     assert 0 < hidden.sum() < 12
@@ -76,7 +86,7 @@ def test_a_long_wall_hides_the_satellites_behind_it(bench, make_arena, side, dis
 def test_what_it_sees_among_blocks_is_what_c_mujoco_sees(bench, make_arena, seed):
     blocks = random_blocks(seed)
     origin = (MOUNT[0], -MOUNT[1], HEIGHT - MOUNT[2])
-    seen = np.isinf(c_rays(blocks, origin, sky())).sum()
+    seen = np.isinf(c_rays(blocks, origin, satellite_directions())).sum()
     value = bench.once("GPS", "GPS", at=(0.0, 0.0, HEIGHT), geoms=make_arena(boxes=blocks))
     assert value[2] == seen < 12
 
@@ -145,8 +155,8 @@ def located(latitude: tuple, longitude: tuple) -> GpsSettings:
 def test_x_is_north_and_the_wires_y_is_east():
     """111200 m a degree of latitude, 71670 m one of longitude (GPSSensor.uc)."""
     equator = located((0, 0), (0, 0))
-    assert coordinates(equator, (111200.0, 0.0)) == pytest.approx((1.0, 0.0), abs=DEGREE_ATOL)
-    assert coordinates(equator, (0.0, -71670.0)) == pytest.approx(
+    assert geographic_coordinates(equator, (111200.0, 0.0)) == pytest.approx((1.0, 0.0), abs=DEGREE_ATOL)
+    assert geographic_coordinates(equator, (0.0, -71670.0)) == pytest.approx(
         (0.0, 1.0), abs=DEGREE_ATOL
     )  # y is left here
 
@@ -157,9 +167,9 @@ def test_x_is_north_and_the_wires_y_is_east():
 )
 def test_negative_degrees_and_minutes_are_south_and_west(degree, minute, expected):
     """The last is the manual's own example, 0.0004 minutes east of Greenwich."""
-    _, longitude = coordinates(located((0, 0), (degree, minute)), (0.0, 0.0))
+    _, longitude = geographic_coordinates(located((0, 0), (degree, minute)), (0.0, 0.0))
     assert longitude == pytest.approx(expected, abs=DEGREE_ATOL)
-    latitude, _ = coordinates(located((max(degree, -80), minute), (0, 0)), (0.0, 0.0))
+    latitude, _ = geographic_coordinates(located((max(degree, -80), minute), (0, 0)), (0.0, 0.0))
     assert latitude == pytest.approx(
         max(expected, -80.0) if degree > -80 else -80 - minute / 60, abs=DEGREE_ATOL
     )
@@ -171,7 +181,7 @@ def test_past_a_pole_the_latitude_turns_back(pole):
     settings = located((pole * 89, pole * 59.9), (30, 0))
     short = 111200 * 0.1 / 60
     for driven in (0.0, 0.5, 0.99, 1.01, 1.5, 3.0):
-        latitude, longitude = coordinates(settings, (pole * driven * short, 0.0))
+        latitude, longitude = geographic_coordinates(settings, (pole * driven * short, 0.0))
         assert latitude == pytest.approx(pole * (90 - abs(1 - driven) * 0.1 / 60), abs=DEGREE_ATOL)
         assert longitude == pytest.approx(30, abs=DEGREE_ATOL)
 
@@ -181,7 +191,7 @@ def test_past_180_degrees_east_and_west_change(east):
     settings = located((10, 0), (east * 179, east * 59.9))
     short = 71670 * 0.1 / 60
     for driven in (0.0, 0.5, 1.5, 3.0):
-        _, longitude = coordinates(settings, (0.0, -east * driven * short))
+        _, longitude = geographic_coordinates(settings, (0.0, -east * driven * short))
         turned = 180 + (driven - 1) * 0.1 / 60
         assert longitude == pytest.approx(east * (turned if driven < 1 else turned - 360), abs=DEGREE_ATOL)
 
@@ -202,9 +212,11 @@ def test_a_wrong_location_is_refused_when_the_scene_is_built(make_bench, locatio
 def test_the_arenas_reference_comes_before_that_of_the_settings():
     """Manual 10.5.2: an object in the map, else the ini file, else the default."""
     settings = located((1, 0), (2, 0))
-    assert coordinates(settings, (0.0, 0.0), (34.5, -117.25)) == (34.5, -117.25)
-    assert coordinates(settings, (0.0, 0.0)) == (1.0, 2.0)
-    north, east = coordinates(GpsSettings(), (0.0, 0.0))  # GPSSensor.uc: 39,8.0273,N and 77,12.9980,W
+    assert geographic_coordinates(settings, (0.0, 0.0), (34.5, -117.25)) == (34.5, -117.25)
+    assert geographic_coordinates(settings, (0.0, 0.0)) == (1.0, 2.0)
+    north, east = geographic_coordinates(
+        GpsSettings(), (0.0, 0.0)
+    )  # GPSSensor.uc: 39,8.0273,N and 77,12.9980,W
     assert (north, east) == pytest.approx((39 + 8.0273 / 60, -77 - 12.998 / 60), abs=DEGREE_ATOL)
 
 
@@ -213,7 +225,7 @@ def test_the_arenas_reference_comes_before_that_of_the_settings():
 
 def line(bench, name: str, value: list, time: float = 1.0) -> str:
     sensor = next(s for s in bench.suite.sensors if s.mounts[0].name == name)
-    return format(sensor_report(sensor, np.array(value, np.float32), time))
+    return format_message(sensor_report(sensor, np.array(value, np.float32), time))
 
 
 def test_the_origin_reads_as_the_default_reference(bench):
@@ -233,7 +245,7 @@ def test_a_captured_line_comes_from_12_6_m_north_and_2_5_m_west(bench):
 def test_an_arena_that_says_where_it_is_is_believed(bench):
     sensor = next(s for s in bench.suite.sensors if s.mounts[0].name == "GPS")
     report = sensor_report(sensor, np.array([0.0, 0.0, 12.0], np.float32), 1.0, (34.587, -117.367))
-    assert "{Latitude 34,35.2200,N} {Longitude 117,22.0200,W}" in format(report)
+    assert "{Latitude 34,35.2200,N} {Longitude 117,22.0200,W}" in format_message(report)
 
 
 def test_with_fewer_than_four_satellites_there_is_no_fix(bench):
@@ -245,15 +257,15 @@ def test_getconf_tells_the_scan_interval(bench):
     (message,) = configuration(
         bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "GPS", "gps"
     )
-    assert format(message) == "CONF {Type GPS} {Name GPS} {ScanInterval 0.20}"  # captured
+    assert format_message(message) == "CONF {Type GPS} {Name GPS} {ScanInterval 0.20}"  # captured
 
 
 def test_defaults():
     """No time stamp (captured lines); the numbers of GPSSensor.uc."""
-    settings = resolve(GpsSettings, (), "GPS G")
+    settings = resolve_settings(GpsSettings, (), "GPS G")
     assert (settings.with_time_stamp, settings.scan_interval) == (False, 0.2)
     assert (settings.max_noise, settings.min_noise) == (2.5, 0.75)
-    mine = resolve(GpsSettings, options(maxNoise=5.0, minNoise=1.0, bWithTimeStamp=True), "GPS G")
+    mine = resolve_settings(GpsSettings, options(maxNoise=5.0, minNoise=1.0, bWithTimeStamp=True), "GPS G")
     assert (mine.max_noise, mine.min_noise, mine.with_time_stamp) == (5.0, 1.0, True)
 
 
@@ -277,7 +289,7 @@ def metres_a_degree(latitude: float) -> tuple[float, float]:
 
 def way_between(mine: GpsSettings, origin: tuple, north: float, west: float) -> float:
     """How far apart our place and the ellipsoid's are [m]."""
-    found = coordinates(mine, (north, west), origin)
+    found = geographic_coordinates(mine, (north, west), origin)
     east, up, _ = pymap3d.geodetic2enu(*found, 0.0, *on_the_ellipsoid(origin, north, west), 0.0)
     return math.hypot(float(east), float(up))
 
@@ -309,8 +321,8 @@ def test_negative_scales_turn_the_axes_round():
     """Manual 10.13.1."""
     plain, turned = GpsSettings(), GpsSettings(latitude_scale=-111200.0, longitude_scale=-71670.0)
     for north, west in ((100.0, 0.0), (0.0, 100.0), (-30.0, 70.0)):
-        assert coordinates(turned, (north, west), (10.0, 20.0)) == pytest.approx(
-            coordinates(plain, (-north, -west), (10.0, 20.0)), abs=DEGREE_ATOL
+        assert geographic_coordinates(turned, (north, west), (10.0, 20.0)) == pytest.approx(
+            geographic_coordinates(plain, (-north, -west), (10.0, 20.0)), abs=DEGREE_ATOL
         )
 
 
@@ -324,8 +336,8 @@ def test_negative_scales_turn_the_axes_round():
 def test_every_place_has_a_latitude_and_a_longitude(degree, minute, north, west):
     """Around the earth and over its poles: within 90 degrees, and in [-180, 180)."""
     mine = located((degree % 90, minute), (degree, minute))
-    latitude, longitude = coordinates(mine, (north, west))
+    latitude, longitude = geographic_coordinates(mine, (north, west))
     assert -90 <= latitude <= 90
     assert -180 <= longitude < 180
-    _, around = coordinates(mine, (north, west + 360 * 71670.0))
+    _, around = geographic_coordinates(mine, (north, west + 360 * 71670.0))
     assert abs((around - longitude + 180) % 360 - 180) < 1e-6  # a turn later it is the same place

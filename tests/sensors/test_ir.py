@@ -9,9 +9,9 @@ import pytest
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.ranging import IrSettings
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 NOSE = (0.24, 0.0, 0.0)
@@ -98,15 +98,15 @@ def test_distortion_comes_last(bench, make_arena):
 
 def test_defaults_are_the_manuals():
     """Manual 10.2.2: a time stamp, 5 m, 5 % noise, no distortion."""
-    settings = resolve(IrSettings, (), "IR I")
+    settings = resolve_settings(IrSettings, (), "IR I")
     assert (settings.with_time_stamp, settings.max_range, settings.noise) == (True, 5.0, 0.05)
     assert (settings.output_curve, settings.scan_interval) == ((), 0.0)
-    assert not resolve(IrSettings, options(bWithTimeStamp=False), "IR I").with_time_stamp
+    assert not resolve_settings(IrSettings, options(bWithTimeStamp=False), "IR I").with_time_stamp
 
 
 def test_all_of_a_robot_come_in_one_line(bench):
     (group,) = bench.suite.sensors
-    line = format(sensor_report(group, np.array([2.5098, 5, 1, 2, 3, 0.5], np.float32), 45.14))
+    line = format_message(sensor_report(group, np.array([2.5098, 5, 1, 2, 3, 0.5], np.float32), 45.14))
     assert line == (
         "SEN {Time 45.1400} {Type IR} {Name Front Range 2.5098} {Name Right Range 5.0000}"
         " {Name Down Range 1.0000} {Name Short Range 2.0000} {Name Noisy Range 3.0000}"
@@ -118,4 +118,4 @@ def test_getconf_tells_the_ranges(bench):
     (message,) = configuration(
         bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "IR", "Noisy"
     )
-    assert format(message) == "CONF {Type IR} {Name Noisy} {MaxRange 3.0000} {MinRange 1.0000}"
+    assert format_message(message) == "CONF {Type IR} {Name Noisy} {MaxRange 3.0000} {MinRange 1.0000}"

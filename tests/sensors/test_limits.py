@@ -11,10 +11,10 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.settings import Limits, OneOf, checked, limits_of, resolve
+from usarmjx.models.spec.settings import NumberLimits, OneOf, checked, limits_of, resolve_settings
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sim.configure import configure, item_settings
+from usarmjx.sim.configure import configure, settings_by_kind
 
 SENSOR_KINDS = sorted(kind for kind, _ in SENSORS)
 SECTIONS = {
@@ -119,25 +119,25 @@ def test_so_they_are_in_an_ini_file_and_nothing_changes(kind, keys, says, own_ro
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("kind", SENSOR_KINDS)
 def test_no_number_of_any_sensor_may_be_infinite_or_none(kind, bad):
-    settings = SENSORS.get(kind).defaults
-    numbers = [f for f in fields(settings) if isinstance(f.default, float)]
+    settings = SENSORS.get(kind).settings_class
+    numbers = [f for f in fields(settings) if isinstance(f.default_fov, float)]
     assert numbers
     for field in numbers:
         with pytest.raises(SpecError, match=f"{kind} X: setting {field.name} is {bad!r}, expected"):
-            resolve(settings, ((field.name, bad),), f"{kind} X")
+            resolve_settings(settings, ((field.name, bad),), f"{kind} X")
 
 
 @pytest.mark.parametrize("kind", SENSOR_KINDS)
 def test_the_defaults_of_every_sensor_are_allowed(kind):
-    settings = SENSORS.get(kind).defaults
-    given = tuple((f.name, f.default) for f in fields(settings))
-    assert resolve(settings, given, kind) == settings()
+    settings = SENSORS.get(kind).settings_class
+    given = tuple((f.name, f.default_fov) for f in fields(settings))
+    assert resolve_settings(settings, given, kind) == settings()
     assert {"weight", "scan_interval"} <= set(limits_of(settings)), "limits are inherited"
 
 
 @given(value=st.floats(), low=st.floats(-1e3, 1e3), width=st.floats(0, 1e3), beyond=st.booleans())
 def test_limits_take_what_lies_between_them_and_no_more(value, low, width, beyond):
-    limits = Limits(low=low, high=low + width, beyond=beyond)
+    limits = NumberLimits(low=low, high=low + width, low_exclusive=beyond)
     expected = (value > low or (value == low and not beyond)) and value <= low + width
     assert (value in limits) == expected
     assert "x" not in limits
@@ -153,6 +153,6 @@ def test_words_are_taken_whatever_their_case():
 
 def test_one_key_alone_is_checked_for_itself_only():
     """A file's line may say MinRange=7 before another says MaxRange=9."""
-    settings = item_settings()["Sonar"]
+    settings = settings_by_kind()["Sonar"]
     assert checked(settings, options(MinRange=7.0), "Sonar") == {"min_range": 7.0}
-    assert resolve(settings, options(MinRange=7.0, MaxRange=9.0), "Sonar").min_range == 7.0
+    assert resolve_settings(settings, options(MinRange=7.0, MaxRange=9.0), "Sonar").min_range == 7.0

@@ -122,8 +122,8 @@ def test_odometry_reset_makes_the_present_pose_the_reference(bench):
     memory, readings = bench.read(sight, memory)
     assert abs(bench.value(readings, "Odometry", "Odometry")).max() > 0.3
     place = bench.suite.find("odometry", "ODOMETRY")
-    assert bench.suite.order(place, "SCAN", (), sight, memory) is None
-    memory = bench.suite.order(place, "reset", (), sight, memory)
+    assert bench.suite.handle_set(place, "SCAN", (), sight, memory) is None
+    memory = bench.suite.handle_set(place, "reset", (), sight, memory)
     memory, readings = bench.read(sight, memory)
     assert bench.value(readings, "Odometry", "Odometry").tolist() == [0, 0, 0]
     assert abs(bench.value(readings, "Odometry", "Widest")).max() > 0.3  # the others go on
@@ -232,9 +232,9 @@ def test_ins_pose_sets_the_estimate(bench):
     memory = bench.start(sight)
     place = bench.suite.find("INS", "Quiet")
     for opcode, params in (("RESET", ()), ("POSE", (1.0, 2.0)), ("POSE", (0.0,) * 7)):
-        assert bench.suite.order(place, opcode, params, sight, memory) is None
+        assert bench.suite.handle_set(place, opcode, params, sight, memory) is None
     pose = (5.0, -3.0, 0.5, 0.1, -0.2, 1.5)
-    memory = bench.suite.order(place, "pose", pose, sight, memory)
+    memory = bench.suite.handle_set(place, "pose", pose, sight, memory)
     memory, readings = bench.read(sight, memory)
     np.testing.assert_allclose(bench.value(readings, "INS", "Quiet"), pose, atol=POSE_ATOL)
     # From there on it goes on with what really moves: half a metre along its own idea of ahead.
@@ -266,7 +266,7 @@ def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
     # POSE ends it.
     memory = bench.start(sight, 3)
     place = bench.suite.find("INS", "Drifter")
-    memory = bench.suite.order(place, "POSE", (0.0,) * 6, sight, memory)
+    memory = bench.suite.handle_set(place, "POSE", (0.0,) * 6, sight, memory)
     _, readings = bench.read(sight.replace(time=np.float32(4.0)), memory)
     assert np.abs(bench.value(readings, "INS", "Drifter")).max() < POSE_ATOL
 
@@ -299,8 +299,8 @@ def test_encoder_reset_starts_again_from_zero(bench):
     memory, readings = bench.read(sight, memory)
     assert bench.value(readings, "Encoder", "Left") == 10
     place = bench.suite.find("Encoder", "Left")
-    assert bench.suite.order(place, "SCAN", (), sight, memory) is None
-    memory = bench.suite.order(place, "RESET", (), sight, memory)
+    assert bench.suite.handle_set(place, "SCAN", (), sight, memory) is None
+    memory = bench.suite.handle_set(place, "RESET", (), sight, memory)
     _, readings = bench.read(sight, memory)
     assert bench.value(readings, "Encoder", "Left") == 0
     sight = bench.sight(wheels=[13 * TICK + 0.005, 0, 0, 0])

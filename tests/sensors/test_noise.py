@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.sensors.noise import output_curve, relative_normal, relative_uniform
+from usarmjx.sensors.noise import apply_output_curve, relative_normal, relative_uniform
 
 DRAWS = 200_000
 SIGMAS = 5  # a fair draw misses by more than this once in 1.7 million times; the keys are fixed
@@ -58,9 +58,9 @@ def test_no_noise_changes_nothing():
 def test_distortion_curve_is_straight_between_its_points_and_zero_outside():
     data = jnp.array([0.0, 0.99, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 4.01, 100.0])
     expected = [0.0, 0.0, 0.0, 5.0, 10.0, 8.0, 7.0, 6.0, 0.0, 0.0]
-    np.testing.assert_allclose(output_curve(data, CURVE), expected, atol=1e-5)
+    np.testing.assert_allclose(apply_output_curve(data, CURVE), expected, atol=1e-5)
 
 
 def test_no_curve_changes_nothing():
     data = jnp.array([0.0, 7.0])
-    assert output_curve(data, ()) is data
+    assert apply_output_curve(data, ()) is data

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.housings import HALF
+from usarmjx.models.build.housings import HOUSING_SIZE
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.base import SENSORS, Measuring
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings
 from usarmjx.sensors.noise import noisy
-from usarmjx.sensors.payload import payload_of
-from usarmjx.sensors.ranging import RangeSettings, report
+from usarmjx.sensors.payload import carried_weight
+from usarmjx.sensors.ranging import RangeSettings, range_readings
 from usarmjx.server.messages.sensors import geometry
 
 AT = (0.3, 0.0, -0.3)  # in front of the robot, above its wheels
@@ -163,7 +163,7 @@ def test_odometry_and_encoders_take_sigma(bench):
 
 def test_without_sigma_the_noise_is_the_uniform_one_alone_and_each_row_its_own():
     data = np.ones((2, 500), np.float32)
-    plain, gauss = Measuring(noise=0.1), Measuring(noise=0.1, mean=1.0, sigma=0.0)
+    plain, gauss = NoisySensorSettings(noise=0.1), NoisySensorSettings(noise=0.1, mean=1.0, sigma=0.0)
     told = np.asarray(noisy(jax.random.key(3), data, (plain, gauss)))
     alone = np.asarray(noisy(jax.random.key(3), data[:1], (plain,)))
     np.testing.assert_allclose(told[0], alone[0], rtol=1e-6)
@@ -184,7 +184,7 @@ def test_without_sigma_the_noise_is_the_uniform_one_alone_and_each_row_its_own()
 def test_ranges_stay_within_their_limits_whatever_the_noise(distances, low, span, noise, sigma, seed):
     mine = RangeSettings(min_range=low, max_range=low + span, noise=noise, sigma=sigma)
     true = np.array([distances], np.float32)
-    told = np.asarray(report(true, (mine,), jax.random.key(seed)))
+    told = np.asarray(range_readings(true, (mine,), jax.random.key(seed)))
     least, most = np.float32(mine.min_range), np.float32(mine.max_range)
     assert ((told >= least) & (told <= most)).all()
     assert (told[true >= most] == most).all()
@@ -194,8 +194,8 @@ def test_ranges_stay_within_their_limits_whatever_the_noise(distances, low, span
 def test_the_weight_of_every_sensor_adds_to_the_payload_and_to_no_mass(kind):
     bare = replace(P2AT, name="Bare", sensors=(), cameras=())
     loaded = replace(bare, sensors=(mount(kind, "A", Weight=1.25), mount(kind, "B", Weight=0.5)))
-    assert payload_of(loaded) == pytest.approx(1.75)
-    assert body_plan(loaded).mass == body_plan(bare).mass
+    assert carried_weight(loaded) == pytest.approx(1.75)
+    assert kinematic_tree_of(loaded).mass == kinematic_tree_of(bare).mass
 
 
 # --- HiddenSensor -------------------------------------------------------------------------------
@@ -226,12 +226,15 @@ def shown(kind, **keys):
 )
 def test_a_sensor_that_is_not_hidden_is_seen_where_it_sits_and_never_touched(kind, key):
     hidden, visible = shown(kind), shown(kind, **{key: False})
-    assert len(body_plan(visible).geom_type) == len(body_plan(hidden).geom_type) + 1
-    assert body_plan(shown(kind, **{key: True})).geom_type.tolist() == body_plan(hidden).geom_type.tolist()
-    assert body_plan(visible).mass == body_plan(hidden).mass
+    assert len(kinematic_tree_of(visible).geom_type) == len(kinematic_tree_of(hidden).geom_type) + 1
+    assert (
+        kinematic_tree_of(shown(kind, **{key: True})).geom_type.tolist()
+        == kinematic_tree_of(hidden).geom_type.tolist()
+    )
+    assert kinematic_tree_of(visible).mass == kinematic_tree_of(hidden).mass
     model, data = compiled(visible)
     body = model.body("CameraPanTilt_Link2").id
-    mine = (model.geom_bodyid == body) & (model.geom_size[:, 0] == HALF[0])
+    mine = (model.geom_bodyid == body) & (model.geom_size[:, 0] == HOUSING_SIZE[0])
     (geom,) = np.flatnonzero(mine)
     assert (model.geom_contype[geom], model.geom_conaffinity[geom]) == (0, 0)
     # Its front is where the mount is: there a ray against the sensor's direction ends. z is down on the wire.

@@ -18,14 +18,14 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings
 from usarmjx.sensors.quantities import FORMS, Quantity
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.messages import generic as telling
 from usarmjx.server.messages.sensors import CONFIGURATION, REPORTS, configuration, sensor_report
-from usarmjx.server.protocol.grammar import format as line_of
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.protocol.grammar import format_message as line_of
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.configure import configure
 
 UP = (0.0, math.pi / 2, 0.0)
@@ -105,7 +105,7 @@ def lean(example):
     """The example's robot without what else it carries, which takes long to compile."""
     spec = ROBOTS.get("LightP2AT")
     suite = suite_of(spec)
-    assert suite.place("LightMeter") == len(suite.sensors) - 1 == len(suite_of(P2AT).sensors)
+    assert suite.index("LightMeter") == len(suite.sensors) - 1 == len(suite_of(P2AT).sensors)
     light = tuple(mount for mount in spec.sensors if mount.kind == "LightMeter")
     return ROBOTS.replace("LightP2AT", replace(spec, sensors=light))
 
@@ -122,7 +122,7 @@ def test_the_example_reads_it_in_a_batch(example, lean, capsys):
 
 
 def test_a_client_hears_it_and_asks_about_it(example, lean):
-    world = LiveWorld(example.YARD, Physics(), jax.random.key(1), seats=1)
+    world = DynamicWorld(example.YARD, Physics(), jax.random.key(1), max_robots=1)
     world.prepare(lean)
     with serving(world, realtime_factor=0.0) as (port, _):
         peer = Peer(port, "INIT {ClassName USARBot.LightP2AT} {Name R1} {Start S-12.0}")
@@ -171,7 +171,7 @@ def test_lists_show_it(example):
 # The wire form of sensors that have none of their own.
 
 
-def of_type(kind, tells=(), grouped=False, settings=Common, names=("A",)):
+def of_type(kind, tells=(), grouped=False, settings=SensorSettings, names=("A",)):
     """A sensor of a new type that reads nothing."""
     bases = {"kind": kind, "tells": tells, "grouped": grouped, "read": None}
     made = type(kind, (Sensor,), bases)
@@ -217,7 +217,7 @@ def test_quantities_follow_each_other_and_without_them_all_numbers_are_one():
 
 def test_a_group_has_a_segment_for_each_and_the_time_if_wanted():
     @dataclass(frozen=True)
-    class Timed(Measuring):
+    class Timed(NoisySensorSettings):
         with_time_stamp: bool = True
 
     group = of_type("New", (Quantity("Heat"), Quantity("On", "flag")), True, Timed, ("A", "B"))
@@ -228,7 +228,7 @@ def test_a_group_has_a_segment_for_each_and_the_time_if_wanted():
 
 def test_configuration_has_the_settings_of_its_own():
     @dataclass(frozen=True)
-    class Own(Measuring):
+    class Own(NoisySensorSettings):
         top_speed: float = 1.5
         quick: bool = True
         mode: str = "Radius"

@@ -9,7 +9,7 @@ import pytest
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.ranging import ScannerSettings, cone, fan
+from usarmjx.sensors.ranging import ScannerSettings, beam_directions, fan_directions
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 RANGE_RTOL = 1e-5  # float32 beams that meet a wall 20 m away, flatly
@@ -50,7 +50,7 @@ def test_sonar_sees_a_post_inside_its_cone_only(bench, make_arena, side, bearing
 
 
 def test_beam_lines_fill_the_cone_and_no_more():
-    lines = cone(BEAM)
+    lines = beam_directions(BEAM)
     np.testing.assert_allclose(np.linalg.norm(lines, axis=-1), 1, rtol=1e-6)
     off_axis = np.arccos(np.clip(lines[:, 0], -1, 1))
     assert off_axis.max() == pytest.approx(BEAM / 2, abs=1e-4)
@@ -169,7 +169,7 @@ def test_tilting_scan_runs_from_the_floor_up(bench, make_arena):
 def test_fan_of_the_manuals_default_scanner():
     """800 of 65536 units a step, 32768 wide: 41 beams, from -90 degrees (manual 10.3.2)."""
     settings = ScannerSettings()
-    lines = fan(settings)
+    lines = fan_directions(settings)
     assert len(lines) == settings.beams == 41
     np.testing.assert_allclose(lines[0], [0, -1, 0], atol=1e-6)
     step = np.arccos(np.clip((lines[1:] * lines[:-1]).sum(-1), -1, 1))

@@ -13,10 +13,10 @@ from usarmjx.models.build.tags import tag_ids, tag_table
 from usarmjx.models.spec.arena import Tag
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import Sensor
-from usarmjx.sensors.rfid import MOST, RISE, SLACK, RfidSettings, signal
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.rfid import MAX_TAGS, OBSTACLE_MARGIN, RAY_END_HEIGHT, RfidSettings, signal_strength
+from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 HEIGHT = 0.26
 FREE, THROUGH = 2.9854, 2.4406  # m: where 36 - 20 (5.25 + 2 log d) - (0 or 3.5) is -88
@@ -58,11 +58,11 @@ def test_the_strength_of_the_signal_is_the_manuals():
     """Manual 10.9.3.3: Ps = dBmTXPower - 2 [10 (5.25 + 2 log10 d)]; figures worked out by hand."""
     settings = RfidSettings()
     for distance, strength in {0.1: 36 - 65.0, 1.0: 36 - 105.0, 10.0: 36 - 145.0}.items():
-        assert signal(settings, np.float64(distance), False, np) == pytest.approx(strength, abs=1e-9)
-    assert signal(settings, np.float64(1.0), True, np) == pytest.approx(36 - 105 - 3.5)
-    assert np.isfinite(signal(settings, np.float64(0.0), False, np))
-    assert signal(settings, np.float64(FREE), False, np) == pytest.approx(-88, abs=1e-3)
-    assert signal(settings, np.float64(THROUGH), True, np) == pytest.approx(-88, abs=1e-3)
+        assert signal_strength(settings, np.float64(distance), False, np) == pytest.approx(strength, abs=1e-9)
+    assert signal_strength(settings, np.float64(1.0), True, np) == pytest.approx(36 - 105 - 3.5)
+    assert np.isfinite(signal_strength(settings, np.float64(0.0), False, np))
+    assert signal_strength(settings, np.float64(FREE), False, np) == pytest.approx(-88, abs=1e-3)
+    assert signal_strength(settings, np.float64(THROUGH), True, np) == pytest.approx(-88, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -101,10 +101,10 @@ def test_what_hides_a_tag_is_what_c_mujocos_rays_meet(watch, seed):
     )
     origin, shown = np.array([0.0, 0.0, HEIGHT]), []
     for tag in tags:
-        way = np.add(tag.at, (0, 0, RISE)) - origin
+        way = np.add(tag.at, (0, 0, RAY_END_HEIGHT)) - origin
         distance = np.linalg.norm(np.array(tag.at) - origin)
         met = c_rays(blocks, origin, [way / np.linalg.norm(way)])[0]
-        if met >= distance - SLACK and distance <= 3.0:
+        if met >= distance - OBSTACLE_MARGIN and distance <= 3.0:
             shown.append(tag.id)
     value = watch.once(Room(tags=tags, walls=tuple(blocks)), at=tuple(origin))["Obstacle"]
     assert sorted(ids(value)) == shown
@@ -119,7 +119,7 @@ def test_dropped_tags_are_read_too_by_their_numbers_and_nearest_first(watch):
 def test_a_heap_of_tags_shows_the_nearest(watch):
     heap = tuple((0.05 * i, 0.0, 0.0) for i in range(20))
     value = watch.once(Room(dropped=heap), at=(0, 0, HEIGHT))
-    assert ids(value["Radius"]) == ids(value["Attenuation"]) == list(range(MOST))
+    assert ids(value["Radius"]) == ids(value["Attenuation"]) == list(range(MAX_TAGS))
 
 
 def test_places_are_seen_from_the_sensor_and_in_its_axes(watch):
@@ -158,20 +158,20 @@ def test_only_tags_in_range_can_be_read_and_written(watch):
     sight = watch.sight(room, at=(0, 0, HEIGHT))
     memory = watch.start(sight)
     place = watch.suite.find("RFID", "Attenuation")
-    assert watch.suite.order(place, "Read", (1001.0,), sight, memory) is None  # nothing was read yet
+    assert watch.suite.handle_set(place, "Read", (1001.0,), sight, memory) is None  # nothing was read yet
     memory, _ = watch.read(sight, memory)
     for opcode in ("Read", "Write", "READ", "write"):
-        assert watch.suite.order(place, opcode, (1001.0,), sight, memory) is not None
-        assert watch.suite.order(place, opcode, (1002.0,), sight, memory) is None
-        assert watch.suite.order(place, opcode, (-1.0,), sight, memory) is None
-        assert watch.suite.order(place, opcode, (), sight, memory) is None
-    assert watch.suite.order(place, "Burn", (1001.0,), sight, memory) is None
+        assert watch.suite.handle_set(place, opcode, (1001.0,), sight, memory) is not None
+        assert watch.suite.handle_set(place, opcode, (1002.0,), sight, memory) is None
+        assert watch.suite.handle_set(place, opcode, (-1.0,), sight, memory) is None
+        assert watch.suite.handle_set(place, opcode, (), sight, memory) is None
+    assert watch.suite.handle_set(place, "Burn", (1001.0,), sight, memory) is None
 
 
 def test_without_tags_nothing_is_read(watch):
     assert not watch.once(Room())["Attenuation"].any()
     sight = watch.sight(Room()).replace(surroundings=None)
-    memory = watch.suite.start(sight, jax.random.key(0))
+    memory = watch.suite.init_memory(sight, jax.random.key(0))
     _, readings = watch.suite.read(sight, memory, jax.random.key(0))
     assert not np.asarray(readings[0].value).any()
 
@@ -225,12 +225,12 @@ def test_lines_are_the_redder_the_weaker_the_signal_and_black_out_of_reach(watch
 
 
 def test_nothing_is_drawn_unless_wanted(watch):
-    drawn = {sensor.mounts[0].name for sensor in watch.suite.sensors if sensor.draws}
+    drawn = {sensor.mounts[0].name for sensor in watch.suite.sensors if sensor.has_overlay}
     assert drawn == {"AttenuationLines", "RadiusLines", "ObstacleLines"}
     quiet = watch.suite.sensors[0]
     assert watch.start(watch.sight(Room())).own[0].lines is None
     with pytest.raises(NotImplementedError, match="RFID"):
-        Sensor.sketch(quiet, ())
+        Sensor.overlay(quiet, ())
 
 
 # --- settings, IDs, lines -----------------------------------------------------------------------
@@ -238,14 +238,14 @@ def test_nothing_is_drawn_unless_wanted(watch):
 
 def test_defaults_are_the_manuals():
     """Manual 10.9.2; captured lines have no time."""
-    settings = resolve(RfidSettings, (), "RFID R")
+    settings = resolve_settings(RfidSettings, (), "RFID R")
     assert (settings.mode, settings.max_range, settings.max_single_shot_range) == ("Attenuation", 3.0, 6.0)
-    assert (settings.d_bm_tx_power, settings.d_bm_rx_sensibility) == (36.0, -88.0)
-    assert (settings.d_b_obstacle_attenuation, settings.weight) == (3.5, 0.4)
-    assert (settings.trace_rfi_ds, settings.always_read_rfi_dmem, settings.with_time_stamp) == (False,) * 3
+    assert (settings.tx_power_dbm, settings.rx_sensitivity_dbm) == (36.0, -88.0)
+    assert (settings.obstacle_attenuation_db, settings.weight) == (3.5, 0.4)
+    assert (settings.trace_rfids, settings.always_read_rfid_mem, settings.with_time_stamp) == (False,) * 3
     keys = options(dBmTXPower=30.0, bTraceRFIDs=True, bAlwaysReadRFIDmem=True, dBmRXSensibility=-80.0)
-    changed = resolve(RfidSettings, keys, "RFID R")
-    assert (changed.d_bm_tx_power, changed.trace_rfi_ds, changed.always_read_rfi_dmem) == (30.0, True, True)
+    changed = resolve_settings(RfidSettings, keys, "RFID R")
+    assert (changed.tx_power_dbm, changed.trace_rfids, changed.always_read_rfid_mem) == (30.0, True, True)
 
 
 def test_other_modes_are_refused():
@@ -272,13 +272,13 @@ def test_lines_are_as_captured(watch):
     """`SEN {Type RFID} {Name RFIDReader} {ID 118} {Location -0.09,-0.00,0.04} {Mem 0} {ID ...}`."""
     loud = Watch((reader("RFIDReader", bAlwaysReadRFIDmem=True),), "LoudTagBench")
     (quiet, *_), (talker,) = watch.suite.sensors, loud.suite.sensors
-    value = np.zeros((MOST, 5), np.float32)
+    value = np.zeros((MAX_TAGS, 5), np.float32)
     value[0], value[1] = (1, 118, -0.09, 0.001, -0.04), (1, 1001, 2.5, -1.25, 0.3)
-    assert format(sensor_report(talker, value, 1.0, texts={1001: "victim A"})) == (
+    assert format_message(sensor_report(talker, value, 1.0, texts={1001: "victim A"})) == (
         "SEN {Type RFID} {Name RFIDReader} {ID 118} {Location -0.09,-0.00,0.04} {Mem 0}"
         " {ID 1001} {Location 2.50,1.25,-0.30} {Mem victim A}"
     )
-    assert format(sensor_report(quiet, value, 1.0, texts={1001: "victim A"})) == (
+    assert format_message(sensor_report(quiet, value, 1.0, texts={1001: "victim A"})) == (
         "SEN {Type RFID} {Name Attenuation} {ID 118} {Location -0.09,-0.00,0.04}"
         " {ID 1001} {Location 2.50,1.25,-0.30}"
     )
@@ -289,4 +289,4 @@ def test_getconf_tells_the_range(watch):
     (message,) = configuration(
         watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), "RFID", "Radius"
     )
-    assert format(message) == "CONF {Type RFID} {Name Radius} {MaxRange 3.0000}"
+    assert format_message(message) == "CONF {Type RFID} {Name Radius} {MaxRange 3.0000}"

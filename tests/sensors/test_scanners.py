@@ -11,10 +11,10 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.scanners import IrScannerSettings, Scanner3DSettings, grid
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.scanners import IrScannerSettings, Scanner3DSettings, grid_directions
+from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 RANGE_RTOL = 1e-5  # float32 beams that meet a surface 20 m away, flatly
@@ -129,10 +129,10 @@ def test_noise_of_a_3d_scan_is_every_beams_own_and_stays_in_range(bench, make_ar
 
 def test_defaults_are_ardabots():
     """31 rows of 51 beams, every 0.4 s."""
-    settings = resolve(Scanner3DSettings, (), "RangeScanner3D S")
+    settings = resolve_settings(Scanner3DSettings, (), "RangeScanner3D S")
     assert settings.shape == (31, 51)
     assert (settings.scan_interval, settings.max_range) == (0.4, 1000.0)
-    lines = grid(settings)
+    lines = grid_directions(settings)
     assert lines.shape == (31, 51, 3)
     np.testing.assert_allclose(np.linalg.norm(lines, axis=-1), 1, rtol=1e-6)
     assert math.asin(lines[0, 25, 2]) == pytest.approx(0.4363 / 2, abs=1e-6)
@@ -148,8 +148,8 @@ def test_in_manual_mode_they_scan_once_for_each_command(bench, make_arena, kind,
     sight = bench.sight(geoms=make_arena(boxes=[wall(2.0)]))
     memory, readings = bench.read(sight, bench.start(sight))
     assert not readings[place].fresh
-    assert bench.suite.order(place, "RESET", (), sight, memory) is None
-    memory = bench.suite.order(place, "SCAN", (), sight, memory)
+    assert bench.suite.handle_set(place, "RESET", (), sight, memory) is None
+    memory = bench.suite.handle_set(place, "SCAN", (), sight, memory)
     memory, readings = bench.read(sight, memory)
     assert readings[place].fresh
     assert (np.asarray(readings[place].value) < 20).mean() > 0.5
@@ -159,7 +159,7 @@ def test_in_manual_mode_they_scan_once_for_each_command(bench, make_arena, kind,
 
 def line_of(bench, name: str, value: np.ndarray) -> str:
     sensor = next(s for s in bench.suite.sensors if s.mounts[0].name == name)
-    return format(sensor_report(sensor, value, 5608.85))
+    return format_message(sensor_report(sensor, value, 5608.85))
 
 
 def test_lines_on_the_wire(bench):
@@ -184,6 +184,6 @@ def test_getconf(bench, kind, name, fields):
     (message,) = configuration(
         bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), kind, name
     )
-    assert format(message) == (
+    assert format_message(message) == (
         f"CONF {{Type {kind}}} {{Name {name}}} {{MaxRange 20.0000}} {{MinRange 0.1000}} {fields}"
     )

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from usarmjx.server.messages.sensors import sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 TIME = 5608.85
 
 
 def line(bench, kind, name, value):
     sensor = bench.suite.sensors[bench.suite.find(kind, name)]
-    return format(sensor_report(sensor, np.array(value, np.float32), TIME))
+    return format_message(sensor_report(sensor, np.array(value, np.float32), TIME))
 
 
 def test_all_sonars_come_in_one_line(bench):

@@ -11,12 +11,12 @@ import pytest
 from usarmjx.engines import make_engine
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Segment, StartPose, Tag, Victim
+from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Tag, Victim
 from usarmjx.models.spec.robot import GLASS, Mount, Shape, options
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sim.control import steer
+from usarmjx.sim.control import set_drive
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import control, first_episode, observe
+from usarmjx.sim.world import compute_inputs, init_world, observe
 
 WALL = Shape(kind="box", size=(0.1, 4.0, 1.0), at=(3.0, 0.0, 1.0), surface="wall")
 PANE = Shape(kind="box", size=(0.02, 1.0, 1.0), at=(2.0, 0.0, 1.0), surface="wall", material=GLASS)
@@ -24,7 +24,7 @@ WAVING = Victim(
     name="Ada",
     at=(0.5, 1.2, 0.12),
     posture="sitting",
-    segments=(Segment(name="LeftArm", final=(0.0, 0.0, 1.2), rates=(0.0, 0.0, 1.0)),),
+    segments=(SegmentMotion(name="LeftArm", final=(0.0, 0.0, 1.2), rates=(0.0, 0.0, 1.0)),),
 )
 ARENA = ArenaSpec(
     name="ward",
@@ -65,7 +65,7 @@ ENGINES = ("c", pytest.param("jax", marks=pytest.mark.slow), "warp")
 WORLDS, STEPS = 3, 5
 SPEEDS = jnp.array([[1.0], [2.0], [3.0]])  # rad/s of the left wheel of each world's robot
 SCENE = build_scene(ARENA, [ROBOT], Physics(iterations=30, ls_iterations=20))
-KINDS = tuple(sensor.kind for sensor in SCENE.teams[0].suite.sensors)
+KINDS = tuple(sensor.kind for sensor in SCENE.groups[0].suite.sensors)
 ALONE = 2e-5  # m and rad; as a share of ranges and counts: sums in another order in other batch sizes
 # Engines place the robot within 2e-4 m and rad of each other after 0.1 s (`GroundTruth`). A beam that meets
 # a wall askew, or an edge, makes more of it: of every sensor all but a few numbers are within ...
@@ -78,30 +78,30 @@ def quick_jit(function):
     return jax.jit(jax.default_matmul_precision("highest")(function), compiler_options=options)
 
 
-FIRST = quick_jit(jax.vmap(partial(first_episode, SCENE)))
-CONTROL = quick_jit(jax.vmap(partial(control, SCENE)))
+FIRST = quick_jit(jax.vmap(partial(init_world, SCENE)))
+CONTROL = quick_jit(jax.vmap(partial(compute_inputs, SCENE)))
 OBSERVE = quick_jit(jax.vmap(partial(observe, SCENE)))
 
 
 @cache
 def driven(kind):
     """Worlds on an engine after 0.1 s of driving a curve, and what their physics is then."""
-    engine = make_engine(kind, SCENE.spec, SCENE.physics, WORLDS, SCENE.moved, SCENE.varied)
+    engine = make_engine(kind, SCENE.spec, SCENE.physics, WORLDS, SCENE.moved_geoms, SCENE.varied_bodies)
     advance = jax.jit(engine.advance) if engine.traceable else engine.advance
     numbers = jnp.arange(WORLDS)
     worlds, qpos = FIRST(jax.vmap(partial(jax.random.fold_in, jax.random.key(5)))(numbers), numbers)
-    team = worlds.teams[0]
-    told = steer(ROBOT, team.command, {"Left": SPEEDS, "Right": jnp.ones((WORLDS, 1))})
-    worlds = worlds.replace(teams=(team.replace(command=told),))
+    team = worlds.groups[0]
+    told = set_drive(ROBOT, team.command, {"Left": SPEEDS, "Right": jnp.ones((WORLDS, 1))})
+    worlds = worlds.replace(groups=(team.replace(command=told),))
     own = engine.reset(engine.start(), jnp.ones(WORLDS, bool), qpos)
     for _ in range(STEPS):
         worlds, inputs = CONTROL(worlds, engine.state(own))
         own = advance(own, inputs)
         worlds = worlds.replace(step=worlds.step + 1)
     physics = jax.tree.map(jnp.asarray, engine.state(own))
-    memory = worlds.teams[0].memory
-    due_now = worlds.teams[0].replace(memory=memory.replace(due=0 * memory.due))
-    return worlds.replace(teams=(due_now,)), physics
+    memory = worlds.groups[0].memory
+    due_now = worlds.groups[0].replace(memory=memory.replace(due=0 * memory.due))
+    return worlds.replace(groups=(due_now,)), physics
 
 
 @cache

@@ -4,7 +4,7 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.spec.robot import options
 from usarmjx.sensors.motion import InsSettings, OdometrySettings
 from usarmjx.sensors.ranging import ScannerSettings, SonarSettings
-from usarmjx.sensors.settings import field_name, resolve
+from usarmjx.sensors.settings import field_name, resolve_settings
 
 
 @pytest.mark.parametrize(
@@ -28,24 +28,24 @@ def test_ini_keys_name_fields(key, field):
 
 def test_defaults_are_the_manuals():
     """Manual 10.2.2, 10.3.2, 10.4.2, 10.6; MinRange from captured CONF lines."""
-    sonar = resolve(SonarSettings, (), "Sonar F1")
+    sonar = resolve_settings(SonarSettings, (), "Sonar F1")
     assert (sonar.max_range, sonar.beam_angle, sonar.noise, sonar.weight) == (5.0, 0.3491, 0.05, 0.4)
     assert sonar.with_time_stamp
-    scanner = resolve(ScannerSettings, (), "RangeScanner S")
+    scanner = resolve_settings(ScannerSettings, (), "RangeScanner S")
     assert (scanner.max_range, scanner.scan_interval, scanner.noise) == (1000.0, 0.5, 0.0)
     # Unreal's units: 65536 are a turn; 800 and 32768.
     assert scanner.resolution == pytest.approx(0.0767, abs=1e-4)
     assert scanner.scan_fov == pytest.approx(3.14159, abs=1e-5)
     assert (scanner.yaw, scanner.pitch) == (True, False)
-    odometry = resolve(OdometrySettings, (), "Odometry O")
+    odometry = resolve_settings(OdometrySettings, (), "Odometry O")
     assert (odometry.scan_interval, odometry.encoder_resolution) == (0.2, 0.01)
     assert (odometry.left_tire, odometry.right_tire) == ("LeftFWheel", "RightFWheel")
-    ins = resolve(InsSettings, (), "INS I")
+    ins = resolve_settings(InsSettings, (), "INS I")
     assert (ins.scan_interval, ins.drifting, ins.precision, ins.sigma) == (0.2, False, 1000, 0.1)
 
 
 def test_a_mount_overrides_what_it_names():
-    mine = resolve(SonarSettings, options(MaxRange=3.0, bWithTimeStamp=False), "Sonar F1")
+    mine = resolve_settings(SonarSettings, options(MaxRange=3.0, bWithTimeStamp=False), "Sonar F1")
     assert (mine.max_range, mine.with_time_stamp, mine.noise) == (3.0, False, 0.05)
 
 
@@ -53,11 +53,11 @@ def test_unknown_key_names_the_owner_and_lists_the_known_ones():
     with pytest.raises(
         UnknownNameError, match="Sonar F1 has no setting 'Range'; known: beam_angle, "
     ) as caught:
-        resolve(SonarSettings, options(Range=3.0), "Sonar F1")
+        resolve_settings(SonarSettings, options(Range=3.0), "Sonar F1")
     assert "max_range" in str(caught.value)
 
 
 @pytest.mark.parametrize("bad", [{"MaxRange": True}, {"HiddenSensor": 1}, {"HiddenSensor": "yes"}])
 def test_truth_values_and_numbers_are_not_mixed_up(bad):
     with pytest.raises(UsageError, match=f"Sonar F1: setting {next(iter(bad))} is "):
-        resolve(SonarSettings, options(**bad), "Sonar F1")
+        resolve_settings(SonarSettings, options(**bad), "Sonar F1")

@@ -8,14 +8,14 @@ import pytest
 
 from tests.sensors.people import Room, Watch
 from usarmjx.models.build.victims import box_names, rest_height, segment_poses
-from usarmjx.models.spec.arena import HelpSound, Segment, Victim
+from usarmjx.models.spec.arena import HelpSound, SegmentMotion, Victim
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.base import Measuring
-from usarmjx.sensors.human_motion import MotionSettings, probability
-from usarmjx.sensors.settings import resolve
+from usarmjx.sensors.base import NoisySensorSettings
+from usarmjx.sensors.human_motion import HumanMotionSettings, human_motion_probability
+from usarmjx.sensors.settings import resolve_settings
 from usarmjx.sensors.sound import SoundSettings
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 CURVE = ((0.0, 0.0), (10.0, 1.0))
 BACK = (0.0, 0.0, math.pi)
@@ -98,7 +98,7 @@ def test_in_an_empty_world_it_is_silent_still_and_fresh(watch):
 
 
 def waving(name, x, y, rate=2.0, swing=1.0, **keys):
-    wave = Segment(name="LeftArm", initial=(-2.5, 0, 0), final=(-2.5 + swing, 0, 0), rates=(rate, 0, 0))
+    wave = SegmentMotion(name="LeftArm", initial=(-2.5, 0, 0), final=(-2.5 + swing, 0, 0), rates=(rate, 0, 0))
     place = (x, y, rest_height("standing"))
     return Victim(name=name, at=place, rotation=(0, 0, math.pi), posture="standing", segments=(wave,), **keys)
 
@@ -114,15 +114,15 @@ def expected(victim, time, swing=1.0, rate=2.0):
 
 
 def test_the_formula_is_halved_by_distance_speed_and_amplitude():
-    assert probability(0.0, 1e9, 1e9, np) == pytest.approx(1.0)
-    assert probability(5.0, 1e9, 1e9, np) == pytest.approx(0.5)
-    assert probability(0.0, 0.2, 1e9, np) == pytest.approx(0.5)
-    assert probability(0.0, 1e9, 0.1, np) == pytest.approx(0.5)
-    assert probability(0.0, 0.0, 0.0, np) == 0.0
+    assert human_motion_probability(0.0, 1e9, 1e9, np) == pytest.approx(1.0)
+    assert human_motion_probability(5.0, 1e9, 1e9, np) == pytest.approx(0.5)
+    assert human_motion_probability(0.0, 0.2, 1e9, np) == pytest.approx(0.5)
+    assert human_motion_probability(0.0, 1e9, 0.1, np) == pytest.approx(0.5)
+    assert human_motion_probability(0.0, 0.0, 0.0, np) == 0.0
     grid = np.linspace(0.01, 10, 30)
-    assert np.all(np.diff(probability(grid, 1.0, 1.0, np)) < 0)
-    assert np.all(np.diff(probability(1.0, grid, 1.0, np)) > 0)
-    assert np.all(np.diff(probability(1.0, 1.0, grid, np)) > 0)
+    assert np.all(np.diff(human_motion_probability(grid, 1.0, 1.0, np)) < 0)
+    assert np.all(np.diff(human_motion_probability(1.0, grid, 1.0, np)) > 0)
+    assert np.all(np.diff(human_motion_probability(1.0, 1.0, grid, np)) > 0)
 
 
 @pytest.mark.parametrize(("x", "y", "time"), [(2.0, 0.0, 0.2), (3.0, -0.5, 1.1), (6.0, 1.0, 0.2)])
@@ -215,10 +215,10 @@ def test_noise_of_a_density_is_relative_and_within_its_amplitude(watch):
 
 def test_defaults_are_the_manuals():
     """Manual 10.11.2, 10.12.2."""
-    sound, motion = resolve(SoundSettings, (), "S"), resolve(MotionSettings, (), "M")
+    sound, motion = resolve_settings(SoundSettings, (), "S"), resolve_settings(HumanMotionSettings, (), "M")
     assert (sound.noise, sound.weight, sound.output_curve) == (0.05, 0.4, ())
     assert (motion.max_range, motion.fov, motion.noise, motion.weight) == (1000.0, 60.0, 0.1, 0.4)
-    assert resolve(Measuring, (), "C").weight == 0.4
+    assert resolve_settings(NoisySensorSettings, (), "C").weight == 0.4
     assert (sound.with_time_stamp, motion.with_time_stamp) == (False, False)
 
 
@@ -226,7 +226,7 @@ def test_defaults_are_the_manuals():
     ("fov", "radians"), [(60.0, math.pi / 3), (360.0, 2 * math.pi), (65535, 2 * math.pi)]
 )
 def test_a_field_of_view_is_in_degrees_or_in_unreals_units(fov, radians):
-    assert MotionSettings(fov=fov).cone == pytest.approx(radians)
+    assert HumanMotionSettings(fov=fov).fov_radians == pytest.approx(radians)
 
 
 def test_lines_are_those_of_the_manual_and_of_captures(watch):
@@ -234,7 +234,7 @@ def test_lines_are_those_of_the_manual_and_of_captures(watch):
     sensors = {sensor.mounts[0].name: sensor for sensor in watch.suite.sensors}
 
     def line(name, value):
-        return format(sensor_report(sensors[name], np.array(value, np.float32), 5.0))
+        return format_message(sensor_report(sensors[name], np.array(value, np.float32), 5.0))
 
     assert line("Motion", 0.81) == "SEN {Type HumanMotion} {Name Motion} {Prob 0.81}"
     assert line("Sound", [17.22, 6.63]) == "SEN {Type Sound} {Name Sound} {Loudness 17.22} {Duration 6.63}"
@@ -246,7 +246,7 @@ def test_getconf(watch):
         (message,) = configuration(
             watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), kind, name
         )
-        return format(message)
+        return format_message(message)
 
     assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy}"
     assert conf("HumanMotion", "Motion") == (

@@ -73,8 +73,8 @@ def test_a_manual_scanner_scans_once_for_each_command(bench, make_arena):
     memory = bench.start(sight)
     memory, readings = bench.read(sight, memory)
     assert not readings[place].fresh
-    assert bench.suite.order(place, "RESET", (), sight, memory) is None
-    memory = bench.suite.order(place, "scan", (), sight, memory)
+    assert bench.suite.handle_set(place, "RESET", (), sight, memory) is None
+    memory = bench.suite.handle_set(place, "scan", (), sight, memory)
     memory, readings = bench.read(sight, memory)
     assert readings[place].fresh
     scan = np.asarray(readings[place].value)
@@ -85,7 +85,7 @@ def test_a_manual_scanner_scans_once_for_each_command(bench, make_arena):
     memory, readings = bench.read(away, memory)
     assert not readings[place].fresh
     np.testing.assert_array_equal(readings[place].value, scan)
-    memory = bench.suite.order(place, "SCAN", (), away, memory)
+    memory = bench.suite.handle_set(place, "SCAN", (), away, memory)
     memory, readings = bench.read(away, memory)
     assert readings[place].fresh
     assert set(np.asarray(readings[place].value).tolist()) == {20.0}
@@ -99,7 +99,7 @@ def test_scan_in_automatic_mode_scans_out_of_turn(bench):
     sight = sight.replace(time=np.float32(0.1))
     memory, readings = bench.read(sight, memory)
     assert not readings[place].fresh
-    memory = bench.suite.order(place, "SCAN", (), sight, memory)
+    memory = bench.suite.handle_set(place, "SCAN", (), sight, memory)
     _, readings = bench.read(sight, memory)
     assert readings[place].fresh
 
@@ -122,7 +122,7 @@ def test_nothing_that_happens_to_a_suite_needs_another_compilation(bench):
         ("Encoder", "Left", "RESET", ()),
         ("INS", "Loud", "POSE", (0.0,) * 6),
     ):
-        told = bench.suite.order(bench.suite.find(kind, name), opcode, params, sight, memory)
+        told = bench.suite.handle_set(bench.suite.find(kind, name), opcode, params, sight, memory)
         assert kinds_of(told) == kinds_of(memory), kind
 
 
@@ -160,8 +160,8 @@ def noise(bench):
         @quick_jit
         def read(seed):
             key = jax.random.key(seed)
-            sight = there.replace(hits=suite.cast(geoms, there.bodies, jnp.int32(0)))
-            return suite.read(sight, suite.start(here, jax.random.key(0)), key)[1]
+            sight = there.replace(hits=suite.cast_rays(geoms, there.bodies, jnp.int32(0)))
+            return suite.read(sight, suite.init_memory(here, jax.random.key(0)), key)[1]
 
         def named(seed):
             readings, values = read(seed), {}
@@ -203,9 +203,9 @@ def test_grouped_sensors_share_a_place_and_others_do_not():
     assert [len(s.mounts) for s in suite.sensors] == [16, 1, 1, 1, 1, 1]
     assert suite.find("sonar", "f1") == suite.find("SONAR", "R8") == 0
     assert suite.find("Sonar", "Scanner1") is None
-    assert suite.place("ins") == 3
+    assert suite.index("ins") == 3
     with pytest.raises(UnknownNameError, match="P2AT has no sensor 'Touch'; it has: Sonar, RangeScanner"):
-        suite.place("Touch")
+        suite.index("Touch")
 
 
 def test_unknown_sensor_types_and_settings_are_refused_when_the_suite_is_made():

@@ -9,13 +9,13 @@ import pytest
 
 from tests.sensors.people import BOXES, TAGS, VICTIMS, Room, Watch, quick_jit
 from usarmjx.models.build.tags import tag_table
-from usarmjx.models.build.victims import NOBODY, padded
-from usarmjx.models.effecters import TAG_ROOM, no_tags
-from usarmjx.models.spec.arena import FalseAlarm, HelpSound, Segment, Tag, Victim
+from usarmjx.models.build.victims import PADDING_OWNER, pad_table
+from usarmjx.models.effecters import MAX_DROPPED_TAGS, no_dropped_tags
+from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.surroundings import NOTHING, survey
+from usarmjx.sensors.surroundings import NO_SURROUNDINGS, surroundings_at
 
-WAVE = Segment(name="RightArm", initial=(-2, 0, 0), final=(-1, 0, 0), rates=(1, 0, 0))
+WAVE = SegmentMotion(name="RightArm", initial=(-2, 0, 0), final=(-1, 0, 0), rates=(1, 0, 0))
 ONE = Victim(name="one", at=(3.0, 0.2, 0.12), segments=(WAVE,), help_sound=HelpSound(loudness=2.0))
 TWO = Victim(name="two", at=(2.0, -0.5, 0.9), posture="standing", breathes=False)
 ROOMS = (
@@ -41,8 +41,8 @@ def test_everything_is_raised_to_the_floor_of_the_arena():
 
 def test_it_says_who_is_there_and_what_they_do():
     around = ROOMS[0].around(0.4)
-    assert (around.owner >= 0).sum() == 22
-    assert (around.owner == NOBODY).sum() == BOXES - 22
+    assert (around.box_owner >= 0).sum() == 22
+    assert (around.box_owner == PADDING_OWNER).sum() == BOXES - 22
     moving = np.flatnonzero(around.speed > 1e-3)
     assert len(moving) == 2  # the right arm and its hand
     np.testing.assert_array_equal(moving, np.flatnonzero(around.swing))
@@ -53,12 +53,12 @@ def test_it_says_who_is_there_and_what_they_do():
     assert (around.tag_id[0], around.tag_single[0]) == (1001, True)
     other = ROOMS[1].around()
     assert other.tag_id[other.tag_there].tolist() == [0]  # the first that was dropped
-    assert len(other.tag_id) == TAGS + TAG_ROOM
+    assert len(other.tag_id) == TAGS + MAX_DROPPED_TAGS
 
 
 def test_nothing_is_a_world_without_victims_and_tags():
-    assert (NOTHING.box_pos.shape, NOTHING.mouth.shape) == ((0, 3), (0, 3))
-    assert not NOTHING.tag_there.any()
+    assert (NO_SURROUNDINGS.box_pos.shape, NO_SURROUNDINGS.mouth.shape) == ((0, 3), (0, 3))
+    assert not NO_SURROUNDINGS.tag_there.any()
 
 
 @pytest.mark.oracle
@@ -72,11 +72,11 @@ def test_worlds_side_by_side_are_what_each_is_alone():
         Mount(kind="CO2Sensor", name="CO2"),
     )
     watch = Watch(mounts, "SideBySide")
-    tables = [padded(room.people, BOXES, VICTIMS) for room in ROOMS]
+    tables = [pad_table(room.people, BOXES, VICTIMS) for room in ROOMS]
     people = jax.tree.map(lambda *rows: jnp.stack(rows), *tables)
     lying = jax.tree.map(lambda *rows: jnp.stack(rows), *(tag_table(room.tags, TAGS) for room in ROOMS))
-    around = quick_jit(jax.vmap(partial(survey, floor=-1.5), in_axes=(0, 0, None, None)))(
-        people, lying, no_tags(), jnp.float32(0.4)
+    around = quick_jit(jax.vmap(partial(surroundings_at, floor=-1.5), in_axes=(0, 0, None, None)))(
+        people, lying, no_dropped_tags(), jnp.float32(0.4)
     )
     for i, room in enumerate(ROOMS):
         alone = Room(**{**vars(room), "dropped": ()}).around(0.4)

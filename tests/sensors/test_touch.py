@@ -10,10 +10,10 @@ from tests.rig import Rig
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, Shape, options
-from usarmjx.sensors.settings import resolve
-from usarmjx.sensors.touch import TouchSettings, button
+from usarmjx.sensors.settings import resolve_settings
+from usarmjx.sensors.touch import TouchSettings, button_ray_origins
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 HULL_X = 0.276  # m: front face of the P2AT's hull, 0.11 m below its origin
 LOW = 0.11
@@ -72,7 +72,7 @@ def test_the_button_is_as_wide_as_its_diameter(bench, make_arena, name, radius, 
 
 
 def test_lines_are_spread_evenly_over_the_button():
-    spots = button(0.01)
+    spots = button_ray_origins(0.01)
     assert len(np.unique(spots.round(6), axis=0)) == len(spots) > 5
     np.testing.assert_allclose(spots[:, 1:].sum(0), 0, atol=1e-8)
     assert np.linalg.norm(spots[:, 1:], axis=1).max() == pytest.approx(0.005, rel=1e-6)
@@ -98,14 +98,14 @@ def test_pushing_a_wall_presses_the_button_and_backing_off_releases_it(bench, ma
 
 def test_defaults_are_the_manuals():
     """Manual 10.8.2."""
-    settings = resolve(TouchSettings, (), "Touch T")
+    settings = resolve_settings(TouchSettings, (), "Touch T")
     assert (settings.diameter, settings.weight, settings.with_time_stamp) == (0.01, 0.4, False)
-    assert resolve(TouchSettings, options(Diameter=0.02), "Touch T").diameter == 0.02
+    assert resolve_settings(TouchSettings, options(Diameter=0.02), "Touch T").diameter == 0.02
 
 
 def test_all_of_a_robot_come_in_one_line(bench):
     (group,) = bench.suite.sensors
-    assert format(sensor_report(group, np.array([1, 0, 0], np.float32), 1.0)) == (
+    assert format_message(sensor_report(group, np.array([1, 0, 0], np.float32), 1.0)) == (
         "SEN {Type Touch} {Name Front Touch True} {Name Left Touch False} {Name Wide Touch False}"
     )
 
@@ -114,4 +114,4 @@ def test_getconf_tells_the_diameter(bench):
     (message,) = configuration(
         bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "Touch", "Wide"
     )
-    assert format(message) == "CONF {Type Touch} {Name Wide} {Diameter 0.0400}"
+    assert format_message(message) == "CONF {Type Touch} {Name Wide} {Diameter 0.0400}"

@@ -9,15 +9,15 @@ import pytest
 from tests.sensors.people import Room, Watch
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.victims import PART_NAMES, box_names, rest_height
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import FalseAlarm, Segment, Victim
+from usarmjx.models.spec.arena import FalseAlarm, SegmentMotion, Victim
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.settings import resolve
-from usarmjx.sensors.victim import VictimSettings, VictSensor, grids
+from usarmjx.sensors.settings import resolve_settings
+from usarmjx.sensors.victim import VictSensor, VictSensorSettings, shifted_grids
 from usarmjx.server.messages.sensors import configuration, sensor_report
-from usarmjx.server.protocol.grammar import format
+from usarmjx.server.protocol.grammar import format_message
 
 DRAWS = 400
 MOUNT, TURN = (0.2, 0.1, -0.3), (0.1, -0.2, 0.15)  # the wire's axes
@@ -48,7 +48,7 @@ def random_room(seed):
     victims = []
     for i in range(2):
         posture = postures[rng.integers(4)]
-        wave = Segment(name="LeftArm", initial=(-2, 0, 0.3), final=(-1, 0, 1), rates=(2, 0, 2))
+        wave = SegmentMotion(name="LeftArm", initial=(-2, 0, 0.3), final=(-1, 0, 1), rates=(2, 0, 2))
         place = (rng.uniform(2, 5.5), rng.uniform(-1.5, 1.5), rest_height(posture))
         turned = (0.0, 0.0, rng.uniform(-3, 3))
         victims.append(Victim(name=f"v{i}", at=place, rotation=turned, posture=posture, segments=(wave,) * i))
@@ -72,7 +72,9 @@ def test_it_sees_what_c_mujocos_rays_meet_and_where(watch, seed):
     origin = np.array(at) + body @ (MOUNT[0], -MOUNT[1], -MOUNT[2])
     frame = body @ mat_from_angles(TURN[0], -TURN[1], -TURN[2])
     lines = np.concatenate(
-        grids(VictimSettings(horizontal_fov=1.5, vertical_fov=1.2, horizontal_step=0.05, vertical_step=0.05))
+        shifted_grids(
+            VictSensorSettings(horizontal_fov=1.5, vertical_fov=1.2, horizontal_step=0.05, vertical_step=0.05)
+        )
     )
     far, which = room.met(origin, lines.astype(float) @ frame.T, time)
     counts = np.bincount(which[(which >= 0) & (far <= 6.0)], minlength=room.people.boxes)
@@ -84,7 +86,7 @@ def test_it_sees_what_c_mujocos_rays_meet_and_where(watch, seed):
     for box in np.flatnonzero(seen):
         expected = frame.T @ (around.box_pos[box] - origin)
         np.testing.assert_allclose(value[box, 2:], expected, atol=1e-5)  # float32 over 6 m
-        assert value[box, 1] == around.part[box]
+        assert value[box, 1] == around.box_part[box]
     assert not value[~np.isin(np.arange(len(value)), np.flatnonzero(seen))][:, [0, 2, 3, 4]].any()
 
 
@@ -94,7 +96,7 @@ def test_with_show_results_it_draws_where_c_mujocos_rays_end_and_what_they_meet(
     """Manual 10.10.2; victims, false alarms, anything else and misses have a colour each."""
     room, origin = random_room(seed), np.array([0.0, 0.0, 0.5])
     sketch = watch.sketch("Drawing", room, at=tuple(origin))
-    lines = np.concatenate(grids(VictimSettings())).astype(float)
+    lines = np.concatenate(shifted_grids(VictSensorSettings())).astype(float)
     far, which = room.met(origin, lines)
     np.testing.assert_array_equal(sketch.start, sketch.end)
     assert sketch.shown.all()
@@ -155,7 +157,7 @@ def test_what_is_outside_of_the_field_of_view_is_not_seen(watch, angles):
 
 def test_the_four_grids_interleave():
     """VictSensor.uc: 11 x 11 rays, then shifted by half a step to the right, down, and both."""
-    first, right, both, down = grids(VictimSettings())
+    first, right, both, down = shifted_grids(VictSensorSettings())
     assert [len(grid) for grid in (first, right, both, down)] == [121, 110, 100, 110]
     left, up = (np.arcsin(first[:, 1] / np.hypot(*first[:, :2].T)), np.arcsin(first[:, 2]))
     half = 0.6981317 / 2
@@ -220,8 +222,8 @@ def test_in_an_empty_world_nothing_is_seen(watch):
 
 def test_defaults_are_the_manuals():
     """Manual 10.10.2; a report after four ticks of 0.2 s (VictSensor.uc)."""
-    settings = resolve(VictimSettings, (), "VictSensor V")
-    assert settings == VictimSettings(
+    settings = resolve_settings(VictSensorSettings, (), "VictSensor V")
+    assert settings == VictSensorSettings(
         hidden_sensor=True,
         distance=6.0,
         horizontal_fov=0.6981317,
@@ -235,7 +237,7 @@ def test_defaults_are_the_manuals():
         scan_interval=0.8,
     )
     keys = options(HorizontalFOV=1.0, VerticalStep=0.1, bShowResults=True, Mean=0.1)
-    assert resolve(VictimSettings, keys, "VictSensor V").horizontal_fov == 1.0
+    assert resolve_settings(VictSensorSettings, keys, "VictSensor V").horizontal_fov == 1.0
 
 
 def test_it_reports_every_fourth_tick(watch):
@@ -256,7 +258,7 @@ def test_a_step_of_zero_is_refused():
 
 def sensor():
     mount = Mount(kind="VictSensor", name="VictimSensor")
-    return VictSensor(plan=body_plan(P2AT), mounts=(mount,), settings=(VictimSettings(),))
+    return VictSensor(plan=kinematic_tree_of(P2AT), mounts=(mount,), settings=(VictSensorSettings(),))
 
 
 def test_lines_are_those_of_the_manual_and_of_captures():
@@ -264,12 +266,12 @@ def test_lines_are_those_of_the_manual_and_of_captures():
     value = np.array(
         [[1, leg, 2.05, -0.33, -0.46], [0, head, 0, 0, 0], [1, leg, 2.51, -0.44, -0.39]], np.float32
     )
-    assert format(sensor_report(sensor(), value, 5609.4467)) == (
+    assert format_message(sensor_report(sensor(), value, 5609.4467)) == (
         "SEN {Time 5609.4467} {Type VictSensor} {Name VictimSensor} {PartName Leg} {Location 2.05,0.33,0.46}"
         " {PartName Leg} {Location 2.51,0.44,0.39}"
     )
     for nothing in (0 * value, np.zeros((0, 5), np.float32)):
-        assert format(sensor_report(sensor(), nothing, 5609.4467)) == (
+        assert format_message(sensor_report(sensor(), nothing, 5609.4467)) == (
             "SEN {Time 5609.4467} {Type VictSensor} {Status NoVictims}"
         )
 
@@ -278,6 +280,6 @@ def test_getconf_tells_range_and_fields_of_view(watch):
     (message,) = configuration(
         watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), "VictSensor", "Exact"
     )
-    assert format(message) == (
+    assert format_message(message) == (
         "CONF {Type VictSensor} {Name Exact} {MaxRange 6.0000} {HorizontalFOV 0.6981} {VerticalFOV 0.6981}"
     )

@@ -7,7 +7,7 @@ import socket
 import struct
 import threading
 
-from usarmjx.server.net import Server, Settings
+from usarmjx.server.net import BotServer, BotServerSettings
 
 PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
 STA_TIME = re.compile(rb"STA \{Type GroundVehicle\} \{Time ([\d.]+)\}")
@@ -82,7 +82,7 @@ def serving(world, services=(), **settings):
 
     async def main():
         box["loop"] = asyncio.get_running_loop()
-        box["server"] = Server(world, Settings(port=0, **settings), services)
+        box["server"] = BotServer(world, BotServerSettings(port=0, **settings), services)
         task = asyncio.create_task(box["server"].run())
         while not box["server"].port and not task.done():
             await asyncio.sleep(0.01)

@@ -14,7 +14,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.wireless.net import WirelessSettings, make_wireless
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 REACH = 3.0  # m
 SHORT = RadioSettings(cutoff=-49.67 - 10.9 * math.log10(REACH / 2))
@@ -23,8 +23,8 @@ SHORT = RadioSettings(cutoff=-49.67 - 10.9 * math.log10(REACH / 2))
 
 def crowded(arena, *kinds):
     """A world that is ready for robots of these classes, as many as come."""
-    world = LiveWorld(arena, Physics(), jax.random.key(1), seats=16)
-    world._room = dict.fromkeys(world._room, 64)
+    world = DynamicWorld(arena, Physics(), jax.random.key(1), max_robots=16)
+    world._capacity = dict.fromkeys(world._capacity, 64)
     for kind in kinds:
         world.prepare(ROBOTS.get(kind))
     return world

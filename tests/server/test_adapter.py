@@ -18,8 +18,8 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.adapter import Client
-from usarmjx.server.protocol.session import Phase
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.protocol.session import SessionPhase
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 TABLE_2 = "{Location 4.5,1.9,1.8} {Rotation 0,0,0}"  # manual 5.3.6: the yellow arena
 OPEN_FLOOR = "{Start Start2}"  # 0.8 m or more of free floor around it
@@ -53,7 +53,7 @@ P2DX_REPORT = [STA, SONAR % 8, SCANNER, ODOMETRY, INS, TRUTH, ENCODER, MISSTA]
 
 
 class House:
-    """A served world and its clients, stepped by hand; what `net.Server` does without the sockets."""
+    """A served world and its clients, stepped by hand; what `net.BotServer` does without the sockets."""
 
     def __init__(self, world):
         self.world = world
@@ -130,7 +130,7 @@ def look(lines):
 
 @pytest.fixture(scope="module")
 def yellow():
-    world = LiveWorld(ARENAS.get("yellow"), Physics(), jax.random.key(1), seats=4)
+    world = DynamicWorld(ARENAS.get("yellow"), Physics(), jax.random.key(1), max_robots=4)
     for name in ("P2AT", "P2DX"):
         world.prepare(ROBOTS.get(name))
     return world
@@ -211,7 +211,7 @@ def test_a_rotation_is_in_the_wires_sense(house):
     house.run()
     assert look(heard(client))[2][5] == pytest.approx(0.5, abs=0.011)
     world = client._world
-    root = world._index[0].root_qpos
+    root = world._index[0].root_qposadr
     _, _, _, *quat = world._data.qpos[root : root + 7]
     assert 2 * math.atan2(quat[3], quat[0]) == pytest.approx(-0.5, abs=0.01), "clockwise is negative here"
 
@@ -325,7 +325,7 @@ def test_an_empty_battery_leaves_only_sta_and_brakes(house, robot):
     house.say(robot, "DRIVE {Left 2} {Right 2}")
     house.run(5 * TICK)
     heard(robot)
-    robot.robot.born -= robot.robot.spec.battery_life
+    robot.robot.spawn_time -= robot.robot.spec.battery_life
     assert house.say(robot, "GETGEO {Type Robot}") == []
     assert house.say(robot, "GETCONF {Type Robot}") == []
     assert house.say(robot, "SET {Type Odometry} {Name Odometry} {Opcode RESET}") == []
@@ -426,7 +426,7 @@ def test_numbers_that_no_float_holds_change_nothing(house, robot, bad):
     ):
         house.say(robot, line)
     np.testing.assert_array_equal(robot.robot.command.target, told.target)
-    np.testing.assert_array_equal(robot.robot.command.order, told.order)
+    np.testing.assert_array_equal(robot.robot.command.mode, told.mode)
     heard(robot)
     house.run()
     assert len(heard(robot)) == len(P2AT_REPORT)
@@ -656,7 +656,7 @@ def test_a_departure_leaves_the_others_bit_identical(house, robot):
     assert len(house.world.robots) == 2
     house.run(TICK)
     assert len(heard(robot)) >= len(P2AT_REPORT) - 1
-    assert other.session.phase is Phase.CLOSED
+    assert other.session.phase is SessionPhase.CLOSED
 
 
 WORDS = st.sampled_from(

@@ -18,11 +18,11 @@ from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol import commands as wire
-from usarmjx.server.protocol.grammar import parse
-from usarmjx.server.worlds.batch_world import ClaimedWorld
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.protocol.grammar import parse_message
+from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 F4, F2 = r"-?\d+\.\d{4}", r"-?\d+\.\d\d"
 POSE = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
@@ -48,7 +48,7 @@ def robots():
 
 @pytest.fixture(scope="module")
 def live():
-    world = LiveWorld(ARENA, Physics(), jax.random.key(1), seats=2)
+    world = DynamicWorld(ARENA, Physics(), jax.random.key(1), max_robots=2)
     for robot in (TAGGER, SPOTTER):
         world.prepare(robot)
     return world
@@ -56,8 +56,8 @@ def live():
 
 @pytest.fixture(scope="module")
 def claimed():
-    scene = build_scene(ARENA, [Entry(robot="Tagger", parked=True)] * 2)
-    return ClaimedWorld(Batch(scene, 2, engine="c", seed=4), 1)
+    scene = build_scene(ARENA, [RosterEntry(robot="Tagger", parked=True)] * 2)
+    return BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)
 
 
 @pytest.fixture(params=["live", "claimed"])
@@ -88,7 +88,7 @@ def status(client, kind, name, opcode, params=None):
     asked = f"SET {{Type {kind}}} {{Name {name}}} {{Opcode {opcode}}}"
     (line,) = say(client, asked if params is None else f"{asked} {{Params {params}}}")
     assert re.fullmatch(rf"RES {{Time {F2}}} {{Type {kind}}} {{Name {name}}} {{Status [^}}]+}}", line), line
-    return parse(line).get("Status")
+    return parse_message(line).get("Status")
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def spotter(live):
 
 def tags_of(world):
     """Positions of the tags in a world (tags, 3)."""
-    if isinstance(world, LiveWorld):
+    if isinstance(world, DynamicWorld):
         return world.tags.pos[: int(world.tags.count)]
     tags = jax.tree.map(lambda x: np.asarray(x[world._instance]), world._state.worlds.tags)
     return tags.pos[: int(tags.count)]
@@ -203,7 +203,7 @@ def test_the_headlight_shows_in_sta_and_obeys_drive_too(world, client):
         client.session.data_to_send()
         client.next_report = world.time
         client.report()
-        return parse(client.session.data_to_send().decode().split("\r\n")[0]).get("LightToggle")
+        return parse_message(client.session.data_to_send().decode().split("\r\n")[0]).get("LightToggle")
 
     assert shown() == "False"
     assert status(client, "Headlight", "Lamp", "Activate") == "OK"
@@ -219,7 +219,7 @@ def test_the_headlight_shows_in_sta_and_obeys_drive_too(world, client):
 def test_an_empty_battery_answers_nothing_and_does_nothing(live):
     client = connect(live)
     before = len(tags_of(live))
-    client.robot.born -= TAGGER.battery_life
+    client.robot.spawn_time -= TAGGER.battery_life
     assert say(client, "SET {Type RFIDReleaser} {Name Gun} {Opcode Release}") == []
     assert len(tags_of(live)) == before
     client.leave()

@@ -16,7 +16,7 @@ from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 PACE = 20.0
 """Times real time: faster than that would only take cores from what compiles."""
@@ -147,7 +147,7 @@ TRIPS = (
 
 def in_percents(trip):
     """The same trip, told in percents of what each key of DRIVE is at most (manual 9.4, Normalized)."""
-    full = ROBOTS.get(trip.name).drive.full
+    full = ROBOTS.get(trip.name).drive.full_scale
     (order,) = trip.orders
     told = re.findall(r"{(\w+) (-?[\d.]+)}", order)
     keys = "".join(f" {{{key} {100 * float(value) / full[key]:.3f}}}" for key, value in told)
@@ -161,7 +161,7 @@ TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
 @pytest.fixture(scope="module")
 def ports():
     """Servers of all arenas that the trips need, running as fast as they can."""
-    worlds = [LiveWorld(ARENAS.get(name), Physics(), jax.random.key(1)) for name in ("field", "pool")]
+    worlds = [DynamicWorld(ARENAS.get(name), Physics(), jax.random.key(1)) for name in ("field", "pool")]
     with (
         serving(worlds[0], realtime_factor=0) as (field, _),
         serving(worlds[1], realtime_factor=0) as (pool, _),
@@ -189,7 +189,7 @@ def test_a_robot_reports_itself_and_drives(ports, trip):
     start = f" {{Start {trip.start}}}" if trip.start else ""
     peer.say(f"INIT {{ClassName usarbot.{trip.name.upper()}}} {{Name R1}}{start}")
     status = peer.until(b"STA").decode()
-    joints = "".join(rf"{{{name} {F4}}} " for name in robot.reported)
+    joints = "".join(rf"{{{name} {F4}}} " for name in robot.reported_joints)
     expected = rf"STA {{Type {trip.kind}}} {{Time [\d.]+}} {STA[trip.kind]}{joints}{HEADLIGHT}"
     assert re.fullmatch(expected, status), status
     peer.say("GETGEO {Type Robot}\r\nGETCONF {Type Robot}")

@@ -6,17 +6,17 @@ from hypothesis import strategies as st
 
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.spec.arena import Tag
-from usarmjx.server.messages.victims import LONGEST, access, written
+from usarmjx.server.messages.victims import MAX_TAG_TEXT, access_tag, initial_tag_texts
 from usarmjx.server.protocol.commands import Set, parse_command
-from usarmjx.server.protocol.grammar import format, parse
+from usarmjx.server.protocol.grammar import format_message, parse_message
 
 NEAR = {118, 1001}
 
 
 def told(line, texts):
-    command = parse_command(parse(line))
+    command = parse_command(parse_message(line))
     assert isinstance(command, Set)
-    return format(access(command, 5609.4467, texts, NEAR.__contains__))
+    return format_message(access_tag(command, 5609.4467, texts, NEAR.__contains__))
 
 
 def test_reading_tells_id_and_memory():
@@ -53,7 +53,7 @@ def test_writing_and_erasing():
         "{Opcode Read} {Params -1}",
         "{Opcode Burn} {Params 118}",
         "{Params 118}",
-        f"{{Opcode Write}} {{Params 118 {'x' * (LONGEST + 1)}}}",
+        f"{{Opcode Write}} {{Params 118 {'x' * (MAX_TAG_TEXT + 1)}}}",
         f"{{Opcode Read}} {{Params {'9' * 4000}}}",
     ],
 )
@@ -68,12 +68,14 @@ def test_what_cannot_be_done_fails_and_changes_nothing(rest):
 @given(st.text(st.characters(codec="utf-8", exclude_characters="{}\r\n"), max_size=300))
 def test_any_text_that_a_line_can_carry_is_read_back_as_it_was_written(text):
     texts = {}
-    parsed = parse_command(parse(f"SET {{Type RFID}} {{Name R}} {{Opcode Write}} {{Params 118 {text}}}"))
-    answer = access(parsed, 1.0, texts, NEAR.__contains__)
-    read = access(Set("RFID", "R", "Read", "118"), 1.0, texts, NEAR.__contains__)
-    line = format(read)
+    parsed = parse_command(
+        parse_message(f"SET {{Type RFID}} {{Name R}} {{Opcode Write}} {{Params 118 {text}}}")
+    )
+    answer = access_tag(parsed, 1.0, texts, NEAR.__contains__)
+    read = access_tag(Set("RFID", "R", "Read", "118"), 1.0, texts, NEAR.__contains__)
+    line = format_message(read)
     if answer.get("Status") == "OK":
-        assert parse(line).get("Mem") == (texts[118] or "0")
+        assert parse_message(line).get("Mem") == (texts[118] or "0")
     else:
         assert texts == {}
 
@@ -81,4 +83,4 @@ def test_any_text_that_a_line_can_carry_is_read_back_as_it_was_written(text):
 def test_an_arenas_tags_start_with_what_is_written_on_them():
     yellow = ARENAS.get("yellow")
     tags = (Tag(at=(0, 0, 0), memory="room 1"), Tag(at=(1, 0, 0), id=2000))
-    assert written(yellow.__class__(**{**vars(yellow), "tags": tags})) == {1001: "room 1", 2000: ""}
+    assert initial_tag_texts(yellow.__class__(**{**vars(yellow), "tags": tags})) == {1001: "room 1", 2000: ""}

@@ -11,18 +11,18 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import TAGGER, known
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import HelpSound, Segment, Tag, Victim
+from usarmjx.models.spec.arena import HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.spec.robot import Mount, Shape, options
 from usarmjx.server.adapter import Client
-from usarmjx.server.pictures.views import expose
+from usarmjx.server.pictures.views import snapshot
 from usarmjx.server.protocol import commands as wire
-from usarmjx.server.worlds.batch_world import ClaimedWorld
-from usarmjx.server.worlds.dynamic_world import LiveWorld
-from usarmjx.server.worlds.host import Shot
+from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.server.worlds.host import CameraRequest
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.scene import RosterEntry, build_scene
 
-WAVE = Segment(name="RightArm", initial=(-1.6, 0, 0), final=(-0.8, 0, 0), rates=(1, 0, 0))
+WAVE = SegmentMotion(name="RightArm", initial=(-1.6, 0, 0), final=(-0.8, 0, 0), rates=(1, 0, 0))
 VICTIM = Victim(
     name="v",
     at=(2.0, 0.0, 0.12),
@@ -62,15 +62,15 @@ def robots():
 
 @pytest.fixture(scope="module")
 def live():
-    world = LiveWorld(ARENA, Physics(), jax.random.key(1), seats=2)
+    world = DynamicWorld(ARENA, Physics(), jax.random.key(1), max_robots=2)
     world.prepare(FINDER)
     return world
 
 
 @pytest.fixture(scope="module")
 def claimed():
-    scene = build_scene(ARENA, [Entry(robot="Finder", parked=True)])
-    return ClaimedWorld(Batch(scene, 2, engine="c", seed=4), 1)
+    scene = build_scene(ARENA, [RosterEntry(robot="Finder", parked=True)])
+    return BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)
 
 
 @pytest.fixture(params=["live", "claimed"])
@@ -156,8 +156,8 @@ def test_pictures_show_the_lines_to_tags_and_where_the_victim_sensor_looks(clien
         rgb=np.zeros((height, width, 3), np.uint8), depth=np.full((height, width), np.inf)
     )
     monkeypatch.setattr(world, "expose", lambda shots: lambda: [black for _ in shots])
-    shot = Shot(client.robot, 0, width, height)
-    (picture,) = expose(world, [shot])()
+    shot = CameraRequest(client.robot, 0, width, height)
+    (picture,) = snapshot(world, [shot])()
     assert not black.rgb.any()
     colors = {tuple(color) for color in np.unique(picture.reshape(-1, 3), axis=0).tolist()}
     assert colors == {(0, 0, 0), (0, 255, 0), (255, 0, 0), (255, 255, 255)}, "a body, the floor, and nothing"

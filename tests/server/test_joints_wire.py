@@ -11,7 +11,7 @@ from tests.server.test_adapter import House, heard
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 CLOSE = 0.03
 """Servos get there but for what they carry [rad]."""
@@ -22,7 +22,7 @@ TWO = replace(TALON, name="TwoPackages", packages=(*TALON.packages, *P2AT.packag
 @pytest.fixture(scope="module")
 def world():
     with known(TWO):
-        world = LiveWorld(ARENAS.get("field"), Physics(), jax.random.key(1), seats=2)
+        world = DynamicWorld(ARENAS.get("field"), Physics(), jax.random.key(1), max_robots=2)
         for name in ("Hummer", "TeleMax", TWO.name):
             world.prepare(ROBOTS.get(name))
         yield world

@@ -24,13 +24,13 @@ from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.cli.app import app
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.net import Settings
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.net import BotServerSettings
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 
 @pytest.fixture(scope="module")
 def world():
-    world = LiveWorld(FLAT, Physics(), jax.random.key(1), seats=16)
+    world = DynamicWorld(FLAT, Physics(), jax.random.key(1), max_robots=16)
     world.prepare(ROBOTS.get("P2AT"))
     return world
 
@@ -251,7 +251,7 @@ def asked(world, monkeypatch):
 
 def test_port_3000_and_16_connections_unless_the_ini_or_an_option_says_otherwise(asked, tmp_path):
     """Manual 9.1: the defaults, and BotAPI.ini."""
-    assert asked() == Settings(host="127.0.0.1", port=3000, max_connections=16, realtime_factor=1.0)
+    assert asked() == BotServerSettings(host="127.0.0.1", port=3000, max_connections=16, realtime_factor=1.0)
     ini = tmp_path / "BotAPI.ini"
     ini.write_text("[BotAPI.BotServer]\nListenPort=4711\nMaxConnections=2\n")
     told = asked("--ini", str(ini))

@@ -18,7 +18,7 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, Shape, options
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 MAST = -0.8
 """Cameras are so far above the chassis [m], as z points down."""
@@ -93,8 +93,8 @@ def shows(picture, color):
 
 
 def gallery():
-    world = LiveWorld(GALLERY, Physics(), jax.random.key(1), seats=16)
-    world._room = dict.fromkeys(world._room, 128)
+    world = DynamicWorld(GALLERY, Physics(), jax.random.key(1), max_robots=16)
+    world._capacity = dict.fromkeys(world._capacity, 128)
     for robot in (CYCLOPS, LOOKOUT, MOLE):
         world.prepare(robot)
     return world

@@ -10,9 +10,18 @@ import pytest
 
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.models.build.arena_set import arena_set, turn_of
+from usarmjx.models.build.arena_set import arena_index_of, arena_set
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Loose, Segment, StartPose, Victim, Water
+from usarmjx.models.spec.arena import (
+    ArenaSpec,
+    Door,
+    FalseAlarm,
+    LooseObject,
+    SegmentMotion,
+    StartPose,
+    Victim,
+    Water,
+)
 from usarmjx.models.spec.robot import GLASS, Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -32,7 +41,9 @@ def wall(x, y, half_x, half_y, yaw=0.0, **more):
 
 
 def victim(x, y, **more):
-    wave = Segment(name="LeftArm", initial=(0.0, 0.0, 0.0), final=(0.0, 1.2, 0.0), rates=(0.0, 2.0, 0.0))
+    wave = SegmentMotion(
+        name="LeftArm", initial=(0.0, 0.0, 0.0), final=(0.0, 1.2, 0.0), rates=(0.0, 2.0, 0.0)
+    )
     return Victim(name="one", at=(x, y, 0.12), segments=(wave,), **more)
 
 
@@ -51,7 +62,7 @@ ARENAS = (
         "corridor",
         [wall(0.9, 0, 0.03, 2.4), wall(-2, 0, 0.05, 1.0, 0.3), wall(0, 2, 1.5, 0.03, material=GLASS)],
         [(0, 0, 0.0), (0, 1.2, 0.5)],
-        loose=(Loose(name="a", at=(0.75, 0.0, 0.05), shapes=BRICK),),
+        loose=(LooseObject(name="a", at=(0.75, 0.0, 0.05), shapes=BRICK),),
         victims=(victim(-1.0, -1.5),),
     ),
     arena(
@@ -101,9 +112,9 @@ def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
     tolerance = TOLERANCE[engine]
     _, links = batch.links(state)
     for world, (single, lone, seen) in enumerate(solo):
-        team, own = scene.teams[0], single.scene.teams[0]
-        pos = np.asarray(batch.physics(state).qpos[world])[team.root_qpos]
-        expected = np.asarray(single.physics(lone).qpos[0])[own.root_qpos]
+        team, own = scene.groups[0], single.scene.groups[0]
+        pos = np.asarray(batch.physics(state).qpos[world])[team.root_qposadr]
+        expected = np.asarray(single.physics(lone).qpos[0])[own.root_qposadr]
         np.testing.assert_allclose(pos, expected, atol=tolerance, err_msg=ARENAS[world].name)
         for here, there in zip(readings[0], seen[0], strict=True):
             np.testing.assert_allclose(here.value[world], there.value[0], atol=20 * tolerance)
@@ -114,12 +125,12 @@ def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
 
 def test_the_oracle_has_something_to_tell(solo):
     climbing, lone, _ = solo[1]
-    assert climbing.physics(lone).qpos[0, climbing.scene.teams[0].root_qpos[0, 2]] > 0.265, (
+    assert climbing.physics(lone).qpos[0, climbing.scene.groups[0].root_qposadr[0, 2]] > 0.265, (
         "it is on the ramp"
     )
     scans = []
     for single, _, seen in solo:
-        place = single.scene.teams[0].suite.place("RangeScanner")
+        place = single.scene.groups[0].suite.index("RangeScanner")
         scans.append(np.asarray(seen[0][place].value[0, 0]))
     assert all(np.abs(scans[a] - scans[b]).max() > 0.5 for a, b in ((0, 1), (1, 2), (0, 2)))
 
@@ -131,25 +142,25 @@ def test_worlds_go_through_all_arenas_in_turn():
     for _ in range(2):
         state = batch.reset_where(state, jnp.array([True, False]))
         names.append([batch.arena_of(state, world).name for world in range(2)])
-        site = jax.tree.map(lambda x: x[0], state.worlds.site)
-        wanted = arena_set(ARENAS).sites
-        turn = int(turn_of(np.array(5), int(state.worlds.episode[0]), 3))
+        site = jax.tree.map(lambda x: x[0], state.worlds.arena_state)
+        wanted = arena_set(ARENAS).states
+        turn = int(arena_index_of(np.array(5), int(state.worlds.episode[0]), 3))
         np.testing.assert_array_equal(site.pos, wanted.pos[turn])
     assert {row[0] for row in names} == {one.name for one in ARENAS}
     assert len({row[1] for row in names}) == 1
     # Another library of the same shapes takes over at the next reset, and not before.
-    before = np.asarray(state.worlds.site.pos)
-    state = state.replace(library=state.library.replace(pos=state.library.pos + 1))
+    before = np.asarray(state.worlds.arena_state.pos)
+    state = state.replace(arenas=state.arenas.replace(pos=state.arenas.pos + 1))
     state = batch.reset_where(state, jnp.array([True, False]))
-    turn = int(turn_of(np.array(5), int(state.worlds.episode[0]), 3))
-    np.testing.assert_allclose(state.worlds.site.pos[0], arena_set(ARENAS).sites.pos[turn] + 1)
-    np.testing.assert_array_equal(state.worlds.site.pos[1], before[1])
+    turn = int(arena_index_of(np.array(5), int(state.worlds.episode[0]), 3))
+    np.testing.assert_allclose(state.worlds.arena_state.pos[0], arena_set(ARENAS).states.pos[turn] + 1)
+    np.testing.assert_array_equal(state.worlds.arena_state.pos[1], before[1])
 
 
 def test_a_loose_object_that_an_arena_lacks_waits_out_of_the_way():
     batch = Batch(build_scene(ARENAS, ["P2AT"]), 3, engine="c")
     state, _ = drive(batch, 20)
-    pos = np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qpos[0, :3]]
+    pos = np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qposadr[0, :3]]
     assert pos[0, 2] < 0.1
     np.testing.assert_allclose(pos[1:, 2], 30.0, atol=0.01)  # it falls within a step, and is put back
 

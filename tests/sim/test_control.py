@@ -11,13 +11,21 @@ import pytest
 
 from tests.rig import Rig
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.parts import LINK_STIFFNESS
-from usarmjx.models.drives import DRY
+from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.sim.control import Circumstances, Order, drive, idle, righting, servos_of, steer
+from usarmjx.sim.control import (
+    ControlMode,
+    DriveConditions,
+    compute_actuation,
+    idle_command,
+    righting_wrench,
+    servos_of,
+    set_drive,
+)
 from usarmjx.sim.scene import build_scene
 
 PERIOD = 0.02  # s
@@ -38,13 +46,13 @@ NOWHERE = ArenaSpec(
 @pytest.fixture(scope="module")
 def run():
     """`drive` of a P2AT, compiled once, as a function of plain numbers, at 1 s."""
-    compiled = jax.jit(partial(drive, body_plan(P2AT), period=PERIOD))
+    compiled = jax.jit(partial(compute_actuation, kinematic_tree_of(P2AT), period=PERIOD))
 
     def call(target, order, joint_pos=(0.0,) * 6, joint_vel=(0.0,) * 6, act=None, **lying):
         act = joint_pos if act is None else act
-        command = idle(P2AT).replace(
+        command = idle_command(P2AT).replace(
             target=jnp.asarray(target, jnp.float32),
-            order=jnp.asarray(order, jnp.int32),
+            mode=jnp.asarray(order, jnp.int32),
             flip_until=jnp.float32(lying.get("until", 0.0)),
         )
         state = RobotState(
@@ -55,10 +63,10 @@ def run():
             joint_pos=jnp.asarray(joint_pos, jnp.float32),
             joint_vel=jnp.asarray(joint_vel, jnp.float32),
         )
-        now = Circumstances(
+        now = DriveConditions(
             time=jnp.float32(1.0),
             powered=jnp.asarray(lying.get("powered", True)),
-            depth=jnp.float32(DRY),
+            depth=jnp.float32(DRY_DEPTH),
         )
         return compiled(command, state, jnp.asarray(act, jnp.float32), now)
 
@@ -66,8 +74,8 @@ def run():
     return call
 
 
-WHEELS_TURN = [Order.VELOCITY] * 4 + [Order.POSITION] * 2
-ALL_TURN = [Order.VELOCITY] * 6
+WHEELS_TURN = [ControlMode.VELOCITY] * 4 + [ControlMode.POSITION] * 2
+ALL_TURN = [ControlMode.VELOCITY] * 6
 
 
 def test_speeds_are_clamped_to_what_the_joints_can_do(run):
@@ -88,18 +96,20 @@ def test_positions_are_approached_at_most_at_full_speed_and_met_exactly(run):
     ("target", "at", "goes_to"),
     [(9.0, 0.399, TILT_RANGE[1]), (-9.0, -0.159, TILT_RANGE[0]), (9.0, 0.45, TILT_RANGE[1])],
 )
-@pytest.mark.parametrize("order", [Order.POSITION, Order.VELOCITY])
+@pytest.mark.parametrize("order", [ControlMode.POSITION, ControlMode.VELOCITY])
 def test_ranges_are_kept(run, order, target, at, goes_to):
-    told = run([0, 0, 0, 0, 0, target], [Order.VELOCITY] * 5 + [order], joint_pos=[0] * 5 + [at])
+    told = run([0, 0, 0, 0, 0, target], [ControlMode.VELOCITY] * 5 + [order], joint_pos=[0] * 5 + [at])
     after = at + float(told.ctrl[TILT]) * PERIOD
     assert after == pytest.approx(goes_to, abs=1e-6)
 
 
 def test_a_torque_ends_at_the_range(run):
-    told = run([0] * 5 + [9.0], [Order.VELOCITY] * 5 + [Order.TORQUE], joint_pos=[0] * 5 + [0.5])
+    told = run([0] * 5 + [9.0], [ControlMode.VELOCITY] * 5 + [ControlMode.TORQUE], joint_pos=[0] * 5 + [0.5])
     assert told.hold[TILT] == 1.0
     assert told.act[TILT] == pytest.approx(TILT_RANGE[1]), "beyond its range the servo pulls it back"
-    inward = run([0] * 5 + [-9.0], [Order.VELOCITY] * 5 + [Order.TORQUE], joint_pos=[0] * 5 + [0.5])
+    inward = run(
+        [0] * 5 + [-9.0], [ControlMode.VELOCITY] * 5 + [ControlMode.TORQUE], joint_pos=[0] * 5 + [0.5]
+    )
     assert inward.hold[TILT] == 0.0, "a torque may bring it back itself"
 
 
@@ -118,7 +128,7 @@ def test_what_is_not_finite_counts_as_zero_and_is_counted(run, bad):
 
 @pytest.mark.parametrize("speed", [0.0, 3.0])
 def test_a_servos_target_leads_its_joint_by_what_full_torque_at_its_speed_needs(run, speed):
-    slack = servos_of(P2AT).slack
+    slack = servos_of(P2AT).windup_limit
     motor = P2AT_MOTOR
     told = run(
         [0] * 6,
@@ -149,11 +159,11 @@ def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):
 @pytest.mark.parametrize("roll", [np.pi, np.pi / 2])
 def test_righting_gets_a_robot_back_on_its_wheels(roll):
     scene = build_scene(NOWHERE, ["P2AT"])
-    data, team = mujoco.MjData(scene.model), scene.teams[0]
-    data.qpos[team.root_qpos[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
-    push = jax.jit(partial(righting, body_plan(P2AT), period=PERIOD))
+    data, team = mujoco.MjData(scene.model), scene.groups[0]
+    data.qpos[team.root_qposadr[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
+    push = jax.jit(partial(righting_wrench, kinematic_tree_of(P2AT), period=PERIOD))
     for _ in range(300):  # 6 s, twice FlipTime: one push to the feet, and time to come to rest
-        root, dof = data.qpos[team.root_qpos[0]], data.qvel[team.root_dof[0]]
+        root, dof = data.qpos[team.root_qposadr[0]], data.qvel[team.root_dofadr[0]]
         state = RobotState(
             pos=root[:3], quat=root[3:], linear=dof[:3], angular=dof[3:], joint_pos=None, joint_vel=None
         )  # fmt: skip
@@ -165,50 +175,50 @@ def test_righting_gets_a_robot_back_on_its_wheels(roll):
 
 
 def test_an_idle_robot_brakes_and_holds(run):
-    command = idle(P2AT)
-    assert command.order.tolist() == WHEELS_TURN
-    told = run(command.target, command.order, joint_pos=[3, 4, 5, 6, 0, 0])
+    command = idle_command(P2AT)
+    assert command.mode.tolist() == WHEELS_TURN
+    told = run(command.target, command.mode, joint_pos=[3, 4, 5, 6, 0, 0])
     assert not told.ctrl.any()
     assert not command.light
 
 
 def test_sides_drive_their_wheels():
-    told = steer(P2AT, idle(P2AT), {"Left": 1.0, "Right": 2.0})
+    told = set_drive(P2AT, idle_command(P2AT), {"Left": 1.0, "Right": 2.0})
     assert told.target.tolist() == [1, 2, 1, 2, 0, 0]
-    assert told.order.tolist() == WHEELS_TURN
-    assert steer(P2AT, told, {"Right": -3.0}).target.tolist() == [1, -3, 1, -3, 0, 0]
+    assert told.mode.tolist() == WHEELS_TURN
+    assert set_drive(P2AT, told, {"Right": -3.0}).target.tolist() == [1, -3, 1, -3, 0, 0]
 
 
 def test_drive_values_are_broadcast_over_robots_and_clipped():
-    command = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, 3, *x.shape)), idle(P2AT))
-    told = steer(P2AT, command, {"Left": jnp.zeros((2, 3)), "Right": jnp.full((2, 3), 99.0)})
+    command = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, 3, *x.shape)), idle_command(P2AT))
+    told = set_drive(P2AT, command, {"Left": jnp.zeros((2, 3)), "Right": jnp.full((2, 3), 99.0)})
     assert told.target.shape == (2, 3, 6)
     np.testing.assert_allclose(told.target[1, 2], [0, 5.385, 0, 5.385, 0, 0], rtol=1e-6)
 
 
 def test_a_key_of_another_drive_is_refused_with_those_there_are():
     with pytest.raises(UnknownNameError, match=r"P2AT's DRIVE has no key Speed; it has: Left, Right"):
-        steer(P2AT, idle(P2AT), {"Speed": 1.0})
+        set_drive(P2AT, idle_command(P2AT), {"Speed": 1.0})
 
 
 def test_a_drive_takes_its_wheels_back_from_orders_to_single_joints():
-    told = idle(P2AT)
-    told = told.replace(target=told.target.at[0].set(0.7), order=told.order.at[0].set(Order.POSITION))
-    again = steer(P2AT, told, {"Left": 1.0})
-    assert again.order.tolist() == WHEELS_TURN
+    told = idle_command(P2AT)
+    told = told.replace(target=told.target.at[0].set(0.7), mode=told.mode.at[0].set(ControlMode.POSITION))
+    again = set_drive(P2AT, told, {"Left": 1.0})
+    assert again.mode.tolist() == WHEELS_TURN
     assert again.target[0] == 1.0
 
 
 def test_without_power_a_robot_brakes(run):
     told = run([5.0] * 6, ALL_TURN, powered=False)
     assert not told.ctrl.any()
-    told = run([0.0] * 6, [Order.POSITION] * 6, joint_pos=[0, 0, 0, 0, 0.5, 0.2], powered=False)
+    told = run([0.0] * 6, [ControlMode.POSITION] * 6, joint_pos=[0, 0, 0, 0, 0.5, 0.2], powered=False)
     assert not told.ctrl.any(), "it does not go home either"
 
 
 def test_a_torque_is_pulled_with_and_nothing_holds(run):
     """Stiffness times target is the torque, clamped to what the motor can do."""
-    told = run([1.0, -9.0, 0, 0, 0.2, 0], [Order.TORQUE] * 6, joint_pos=np.full(6, 0.3))
+    told = run([1.0, -9.0, 0, 0, 0.2, 0], [ControlMode.TORQUE] * 6, joint_pos=np.full(6, 0.3))
     motor = P2AT_MOTOR
     np.testing.assert_allclose(told.act[:2] * motor.stiffness, [1.0, -motor.torque], rtol=1e-5)
     np.testing.assert_allclose(told.act[4] * LINK_STIFFNESS, 0.2, rtol=1e-4)
@@ -220,8 +230,8 @@ def test_a_torque_is_pulled_with_and_nothing_holds(run):
 def test_a_free_joint_under_a_torque_turns_as_newton_says():
     """A P2AT's camera pans about the vertical: angle = torque / inertia x t^2 / 2, the body being 90 times
     heavier to turn."""
-    rig = Rig("P2AT").move({"CameraPanTilt_Link1": 0.02}, Order.TORQUE)
-    dof = rig.indices[0].dof[PAN]
+    rig = Rig("P2AT").move({"CameraPanTilt_Link1": 0.02}, ControlMode.TORQUE)
+    dof = rig.indices[0].dofadr[PAN]
     inertia = np.zeros((rig.model.nv, rig.model.nv))
     mujoco.mj_forward(rig.model, rig.data)
     mujoco.mj_fullM(rig.model, rig.data, inertia)
@@ -238,30 +248,30 @@ def test_the_servo_is_mujocos_integrated_velocity_servo(run):
     mujoco.mj_forward(rig.model, data)
     act, q, v = (
         x[list(i)][:4]
-        for x, i in ((data.act, index.activation), (data.qpos, index.qpos), (data.qvel, index.dof))
+        for x, i in ((data.act, index.actadr), (data.qpos, index.qposadr), (data.qvel, index.dofadr))
     )
     motor = P2AT_MOTOR
     expected = np.clip(motor.stiffness * (act - q) - motor.damping * v, -motor.torque, motor.torque)
-    np.testing.assert_allclose(data.qfrc_actuator[list(index.dof)][:4], expected, atol=1e-9)
+    np.testing.assert_allclose(data.qfrc_actuator[list(index.dofadr)][:4], expected, atol=1e-9)
 
 
 @pytest.mark.oracle
 def test_a_position_order_is_carried_out_at_max_speed_by_c_mujoco(run):
     scene = build_scene(NOWHERE, ["P2AT"])
-    data, team = mujoco.MjData(scene.model), scene.teams[0]
+    data, team = mujoco.MjData(scene.model), scene.groups[0]
     data.qpos[2] = 0.26
     goal = np.array([0, 0, 0, 0, 0.5, 9.0])  # the tilt's is out of its range
     fastest, arrived = 0.0, None
     for step in range(250):
-        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qpos[0]], act=data.act[team.activation[0]])
-        data.ctrl[team.actuator[0]], data.ctrl[team.hold[0]] = told.ctrl, told.hold
-        data.act[team.activation[0]] = told.act
+        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qposadr[0]], act=data.act[team.actadr[0]])
+        data.ctrl[team.actuator_ids[0]], data.ctrl[team.hold_actuator_ids[0]] = told.ctrl, told.hold
+        data.act[team.actadr[0]] = told.act
         for _ in range(4):
             mujoco.mj_step(scene.model, data)
-        fastest = max(fastest, np.abs(data.qvel[team.dof[0, PAN:]]).max())
-        if arrived is None and abs(data.qpos[team.qpos[0, PAN]] - 0.5) < OVERSHOOT:
+        fastest = max(fastest, np.abs(data.qvel[team.dofadr[0, PAN:]]).max())
+        if arrived is None and abs(data.qpos[team.qposadr[0, PAN]] - 0.5) < OVERSHOOT:
             arrived = (step + 1) * PERIOD
-    camera = data.qpos[team.qpos[0, PAN:]]
+    camera = data.qpos[team.qposadr[0, PAN:]]
     np.testing.assert_allclose(camera, [0.5, TILT_RANGE[1]], atol=OVERSHOOT)
     assert fastest <= CAMERA_SPEED * SPEED_MARGIN
     assert arrived == pytest.approx(0.5 / CAMERA_SPEED, abs=0.2)

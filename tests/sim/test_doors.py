@@ -14,10 +14,10 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, Door, StartPose
-from usarmjx.server.wireless.radio_channel import Ether
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.wireless.radio_channel import RadioChannel
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.radio import present_links
+from usarmjx.sim.radio import update_links
 from usarmjx.sim.scene import build_scene
 
 OPEN = 1.5
@@ -62,14 +62,14 @@ def turned(batch, angle):
     qpos[:, scene.door_qpos[0]] = angle
     pinned, dof = np.zeros((1, scene.model.nq), bool), np.zeros((1, scene.model.nv), bool)
     pinned[:, scene.door_qpos[0]] = True
-    return state.replace(physics=batch.engine.place(state.physics, pinned, dof, qpos))
+    return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, dof, qpos))
 
 
 @pytest.mark.parametrize(("angle", "walls"), [(0.0, 1), (OPEN, 0), (-OPEN, 0)])
 def test_a_closed_door_weakens_a_link_and_an_open_one_does_not(batch, angle, walls):
     state = turned(batch, angle)
     world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
-    links = present_links(batch.scene, world, physics)
+    links = update_links(batch.scene, world, physics)
     assert int(links.walls[0, 1]) == walls
 
 
@@ -77,22 +77,22 @@ def test_a_closed_door_weakens_a_link_and_an_open_one_does_not(batch, angle, wal
 def test_a_scanner_sees_the_door_or_what_is_behind_it(batch, angle, reach):
     """The scanner is 0.144 m ahead of the origin (captured); the door 2 cm thick to either side."""
     _, readings = batch.observe(turned(batch, angle))
-    place = batch.scene.teams[0].suite.place("RangeScanner")
+    place = batch.scene.groups[0].suite.index("RangeScanner")
     ahead = float(readings[0][place].value[0, 0, 90])
     door = 1.5 - 0.1439 - 0.02
     assert ahead == pytest.approx(door, abs=0.01) if reach == "door" else ahead > door + 0.5
 
 
 def test_a_served_radio_counts_doors_where_they_stand():
-    world = LiveWorld(ARENA, Physics(), jax.random.key(0))
-    ether = Ether(world, RadioSettings())
+    world = DynamicWorld(ARENA, Physics(), jax.random.key(0))
+    ether = RadioChannel(world, RadioSettings())
     ends = ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0))
     assert ether.obstacles_between(*ends) == 1
     world._data.qpos[world._model.joint("door/middle").qposadr[0]] = OPEN
     assert ether.obstacles_between(*ends) == 0
     robot = world.spawn(ROBOTS.get("ComStation"), "Base", (2.0, -2.0, 0.0), (0.0, 0.0, 0.0))
     assert world.door_angles()[0] == pytest.approx(OPEN), "a new robot leaves doors as they are"
-    assert ether.has(robot.name)
+    assert ether.has_robot(robot.name)
 
 
 def test_all_engines_take_doors(batch):

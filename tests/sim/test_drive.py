@@ -16,7 +16,7 @@ from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import Shape
-from usarmjx.server.protocol.frames import angles
+from usarmjx.server.protocol.frames import flip_wire_angles
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import FLIP_TIME
 from usarmjx.sim.scene import build_scene
@@ -119,7 +119,7 @@ def test_left_slower_than_right_turns_left(name):
     rig.run(1.0)
     mat = rig.mat("chassis")
     assert rig.data.qpos[1] > 0.01, "it went to its left"
-    assert angles(angles_from_mat(mat))[2] < -0.1
+    assert flip_wire_angles(angles_from_mat(mat))[2] < -0.1
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def camera():
 
     def aim(pan, tilt, seconds):
         rig = Rig("P2AT").move({"CameraPanTilt_Link1": pan, "CameraPanTilt_Link2": tilt})
-        pair, rates = list(rig.indices[0].qpos[-2:]), []
+        pair, rates = list(rig.indices[0].qposadr[-2:]), []
         before = rig.data.qpos[pair].copy()
         for _ in range(round(seconds / PERIOD)):
             rig.step()
@@ -155,7 +155,7 @@ def test_camera_stops_at_the_end_of_its_range(camera):
 
 
 @pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
-@pytest.mark.parametrize("name", [name for name, robot in ROBOTS if robot.drive.wheeled])
+@pytest.mark.parametrize("name", [name for name, robot in ROBOTS if robot.drive.is_wheeled])
 def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):
     """Manual 9.4; within KRobot.uc's flip time."""
     rig = Rig(name, roll=roll)
@@ -202,9 +202,9 @@ def test_a_brawl_in_a_small_room_stays_on_the_ground(seed):
                 rig.tell(robot, Left=left, Right=right)
         rig.step()
         for index in rig.indices:
-            speed = np.linalg.norm(rig.data.qvel[index.root_dof : index.root_dof + 3])
+            speed = np.linalg.norm(rig.data.qvel[index.root_dofadr : index.root_dofadr + 3])
             fastest, travelled = max(fastest, speed), travelled + speed * PERIOD
-            highest = max(highest, rig.data.qpos[index.root_qpos + 2])
+            highest = max(highest, rig.data.qpos[index.root_qposadr + 2])
             assert rig.up.min() > 0.0
     assert fastest < 3.0
     assert highest < 0.5
@@ -226,14 +226,14 @@ def batch_on(engine, scene):
 
 def batch_rates(batch):
     """Straight speed at the top of a P2AT [m/s] and its rate of turning in place [rad/s]."""
-    top, dof = batch.scene.teams[0].robot.drive.max_speed, batch.scene.teams[0].root_dof[0]
+    top, dof = batch.scene.groups[0].robot.drive.max_speed, batch.scene.groups[0].root_dofadr[0]
 
     def steady(left, right):
         state, rows = batch.drive(batch.reset(), 0, {"Left": left, "Right": right}), []
         for _ in range(100):
             state = batch.step(state)
             rows.append(np.asarray(batch.physics(state).qvel)[0, dof])
-        batch.check(state)
+        batch.check_overflow(state)
         return np.array(rows[50:])
 
     speed = np.linalg.norm(steady(top, top)[:, :2], axis=1).mean()
@@ -253,10 +253,12 @@ def test_engines_drive_and_turn_alike(flat, engine):
 def test_an_empty_battery_brakes(flat):
     batch = batch_on("c", flat)
     state = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 4.0})
-    members = state.worlds.teams[0]
-    life = batch.scene.teams[0].robot.battery_life
-    state = batch.with_team(state, 0, members.replace(born=jnp.full_like(members.born, 1.0 - life)))
-    dof, speeds = batch.scene.teams[0].root_dof[0], []
+    members = state.worlds.groups[0]
+    life = batch.scene.groups[0].robot.battery_life
+    state = batch.with_group(
+        state, 0, members.replace(battery_start=jnp.full_like(members.battery_start, 1.0 - life))
+    )
+    dof, speeds = batch.scene.groups[0].root_dofadr[0], []
     for _ in range(100):
         state = batch.step(state)
         speeds.append(np.linalg.norm(np.asarray(batch.physics(state).qvel)[0, dof[:3]]))

@@ -14,15 +14,15 @@ from tests.arenas import FLAT, RAMP, STEP
 from tests.handy import GRABBER, TAGGER, block, known
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.build.parts import joint_names
-from usarmjx.models.effecters import TAG_ROOM
+from usarmjx.models.effecters import MAX_DROPPED_TAGS
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import StartPose
 from usarmjx.models.spec.robot import Mount, Shape, options
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.operate import OK
+from usarmjx.sim.operate import NO_NUMBER
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import look
+from usarmjx.sim.world import sense
 
 WORLDS, ROBOTS = 3, 2
 STACKER = replace(
@@ -57,7 +57,7 @@ def fresh(batch):
 
 
 def members(state):
-    return state.worlds.teams[0]
+    return state.worlds.groups[0]
 
 
 # Operations
@@ -68,7 +68,7 @@ def test_a_value_per_world_and_robot_reaches_the_fingers_and_bad_ones_fail(batch
     state, outcome = batch.operate(fresh, 0, "gripper", "OPEN", angles)
     fine = np.array([[True, True], [False, False], [True, True]])
     np.testing.assert_array_equal(outcome.done, fine)
-    assert (np.asarray(outcome.number) == OK).all()
+    assert (np.asarray(outcome.number) == NO_NUMBER).all()
     expected = np.where(fine, LEVER * np.sin(angles / 2), 0.0)
     for name in ("LeftFinger", "RightFinger"):
         told = members(state).command.target[..., joint_names(TAGGER).index(name)]
@@ -102,7 +102,7 @@ def test_the_command_moves_the_fingers(batch, fresh):
     )
     for _ in range(60):
         state = batch.step(state)
-    team = batch.scene.teams[0]
+    team = batch.scene.groups[0]
     fingers = np.asarray(batch.physics(state).qpos)[:, team.qpos[:, -2:]]
     open_ = LEVER * math.sin(0.5)
     expected = np.array([[open_, open_], [open_, 0.0], [0.0, 0.0]])[..., None]
@@ -126,13 +126,13 @@ def test_robots_without_power_and_parked_ones_fail(batch, fresh):
     team = members(fresh)
     dead = team.replace(
         active=team.active.at[0, 0].set(False),
-        born=team.born.at[1, 1].set(-2 * TAGGER.battery_life),
+        battery_start=team.battery_start.at[1, 1].set(-2 * TAGGER.battery_life),
         drowned=team.drowned.at[2, 0].set(True),
     )
-    state, outcome = batch.operate(batch.with_team(fresh, 0, dead), 0, "Gun", "Release")
+    state, outcome = batch.operate(batch.with_group(fresh, 0, dead), 0, "Gun", "Release")
     expected = np.array([[False, True], [True, False], [False, True]])
     np.testing.assert_array_equal(outcome.done, expected)
-    np.testing.assert_array_equal(members(state).stock[..., 0], 3 - expected)
+    np.testing.assert_array_equal(members(state).releases[..., 0], 3 - expected)
 
 
 # RFID releaser
@@ -142,7 +142,7 @@ def test_a_tag_lies_on_the_ground_below_its_releaser(batch, fresh):
     """Oracle: C MuJoCo's forward kinematics of the chassis, and its ray onto floor and ramp."""
     state, outcome = batch.operate(fresh, 0, "Gun", "Release")
     assert np.asarray(outcome.done).all()
-    model, team = batch.scene.model, batch.scene.teams[0]
+    model, team = batch.scene.model, batch.scene.groups[0]
     data = mujoco.MjData(model)
     model = model.__copy__()
     robots = model.geom_bodyid >= 2
@@ -165,12 +165,12 @@ def test_a_releaser_counts_runs_out_and_is_reloaded(batch, fresh):
     state, first = fresh, np.array([True, False])
     for left in (3, 2, 1, 0):
         state, outcome = batch.operate(state, 0, "Gun", "TagsRemaining", where=first)
-        np.testing.assert_array_equal(outcome.number, np.broadcast_to([left, OK], ANYWHERE))
+        np.testing.assert_array_equal(outcome.number, np.broadcast_to([left, NO_NUMBER], ANYWHERE))
         state, outcome = batch.operate(state, 0, "Gun", "Release", where=first)
         np.testing.assert_array_equal(outcome.done, np.broadcast_to([left > 0, False], ANYWHERE))
     np.testing.assert_array_equal(state.worlds.tags.count, [3] * WORLDS)
     state, _ = batch.operate(state, 0, "Gun", "Reset")
-    np.testing.assert_array_equal(members(state).stock[..., 0], np.full(ANYWHERE, 3))
+    np.testing.assert_array_equal(members(state).releases[..., 0], np.full(ANYWHERE, 3))
     state, outcome = batch.operate(state, 0, "Gun", "Release")
     assert np.asarray(outcome.done).all()
     np.testing.assert_array_equal(state.worlds.tags.count, [5] * WORLDS)
@@ -180,7 +180,7 @@ def test_restarting_a_world_takes_its_tags_away_and_reloads_its_robots(batch, fr
     state, _ = batch.operate(fresh, 0, "Gun", "Release")
     state = batch.reset_where(state, jnp.array([False, True, False]))
     np.testing.assert_array_equal(state.worlds.tags.count, [2, 0, 2])
-    np.testing.assert_array_equal(members(state).stock[:, 0, 0], [2, 3, 2])
+    np.testing.assert_array_equal(members(state).releases[:, 0, 0], [2, 3, 2])
 
 
 def test_a_world_has_room_for_so_many_tags_and_each_a_place_of_its_own():
@@ -191,11 +191,15 @@ def test_a_world_has_room_for_so_many_tags_and_each_a_place_of_its_own():
         count = int(state.worlds.tags.count[0])
         assert np.asarray(outcome.done).sum() == count - max(before, 0)
         before = count
-    assert before == TAG_ROOM
+    assert before == MAX_DROPPED_TAGS
     assert not np.asarray(outcome.done).any()
-    expected = np.resize([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]], (TAG_ROOM, 3))  # the robots' places in turn
+    expected = np.resize(
+        [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]], (MAX_DROPPED_TAGS, 3)
+    )  # the robots' places in turn
     np.testing.assert_allclose(state.worlds.tags.pos[0], expected, atol=1e-5)
-    assert np.asarray(members(state).stock).sum() == 80 - TAG_ROOM, "what had no room was not used up"
+    assert np.asarray(members(state).releases).sum() == 80 - MAX_DROPPED_TAGS, (
+        "what had no room was not used up"
+    )
 
 
 # Loose objects
@@ -252,7 +256,7 @@ def test_loose_objects_start_where_the_arena_has_them_and_go_back_there(pile):
 @pytest.fixture(scope="module")
 def look_around(pile):
     # Without XLA's optimiser, which would take longer than all the rays.
-    return jax.jit(partial(look, pile.scene), compiler_options={"xla_backend_optimization_level": 0})
+    return jax.jit(partial(sense, pile.scene), compiler_options={"xla_backend_optimization_level": 0})
 
 
 @pytest.mark.oracle
@@ -271,14 +275,14 @@ def test_sonar_and_scanner_see_loose_objects_as_c_mujoco_does(pile, look_around,
         )
     world = jax.tree.map(lambda x: x[0], state.worlds)
     (sight,) = look_around(world, physics)
-    team = scene.teams[0]
+    team = scene.groups[0]
     origins, directions = team.suite.rays(jax.tree.map(lambda x: x[0], sight.bodies))
     seen = np.asarray(sight.hits.distance[0])
 
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = physics.qpos
     mujoco.mj_kinematics(model, data)
-    own = np.isin(model.geom_bodyid, team.indices[0].body)
+    own = np.isin(model.geom_bodyid, team.indices[0].body_ids)
     model = model.__copy__()
     model.geom_rgba[own, 3] = 0.0  # a robot's own solids are transparent to it, as to C's rays these are
 
@@ -307,7 +311,7 @@ def test_c_and_jax_agree_on_a_block_that_a_robot_pushes_takes_between_its_finger
     final = []
     for engine in ("c", "jax"):
         batch = Batch(build_scene(arena, ["Grabber"]), 1, engine=engine)
-        team = batch.scene.teams[0]
+        team = batch.scene.groups[0]
 
         def run(state, seconds, batch=batch):
             for _ in range(round(seconds / batch.scene.physics.period)):
@@ -320,10 +324,10 @@ def test_c_and_jax_agree_on_a_block_that_a_robot_pushes_takes_between_its_finger
         state = batch.drive(state, 0, {"Left": 0.0, "Right": 0.0})
         state, _ = batch.operate(state, 0, "Gripper", "Open", 0.0)
         state = run(batch.move(run(state, 1.2), 0, {"Lift_Link1": -0.2}), 1.6)
-        batch.check(state)
+        batch.check_overflow(state)
         qpos = np.asarray(batch.physics(state).qpos)[0]
         block_ = loose_qpos(batch, state)[0, 0, :3]
-        final.append([pushed, *block_, *qpos[team.root_qpos[0, :3]], *qpos[team.qpos[0, -3:]]])
+        final.append([pushed, *block_, *qpos[team.root_qposadr[0, :3]], *qpos[team.qposadr[0, -3:]]])
     c, jax_ = final
     assert c[0] > 0.6, "pushed along"
     assert c[3] > 0.2, "and lifted"

@@ -13,11 +13,11 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.scripts import load
-from usarmjx.models.build.body_plan import body_poses
+from usarmjx.models.build.body_plan import forward_kinematics
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.net import Server, Settings
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.net import BotServer, BotServerSettings
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 PATIENCE = 60.0  # s of real time for what takes well under a second on an idle machine
 FACTOR = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
@@ -39,7 +39,7 @@ def serving(world):
 
     async def main():
         box["loop"] = asyncio.get_running_loop()
-        box["server"] = Server(world, Settings(port=0, realtime_factor=FACTOR))
+        box["server"] = BotServer(world, BotServerSettings(port=0, realtime_factor=FACTOR))
         task = asyncio.create_task(box["server"].run())
         while not box["server"].port and not task.done():
             await asyncio.sleep(0.01)
@@ -74,7 +74,9 @@ class Watched(client.UsarsimClient):
     def poses(self, part):
         """Positions (states, 3) and orientations (states, 3, 3) of a part, from first to last."""
         plan = self.world.robots[0].plan
-        bodies = jax.vmap(partial(body_poses, plan))(jax.tree.map(lambda *rows: np.stack(rows), *self.states))
+        bodies = jax.vmap(partial(forward_kinematics, plan))(
+            jax.tree.map(lambda *rows: np.stack(rows), *self.states)
+        )
         place = plan.parts.index(part)
         return np.array(bodies.pos[:, place]), np.array(bodies.mat[:, place])
 
@@ -82,7 +84,7 @@ class Watched(client.UsarsimClient):
 @contextlib.contextmanager
 def robot_of(name):
     """A connected client whose robot of that class stands on a flat floor."""
-    world = LiveWorld(FLAT, Physics(), jax.random.key(2), seats=1)
+    world = DynamicWorld(FLAT, Physics(), jax.random.key(2), max_robots=1)
     world.prepare(ROBOTS.get(name))
     with serving(world) as port, Watched(world, port) as robot:
         _, place, turn = robot.start_poses()[0]

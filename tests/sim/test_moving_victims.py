@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from usarmjx.models.build.victims import box_names, segment_poses, victim_table
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Loose, Segment, StartPose, Victim
+from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, LooseObject, SegmentMotion, StartPose, Victim
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.rays.raycast import cast
+from usarmjx.sensors.rays.raycast import cast_rays
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.visible import arena_rows, collect
+from usarmjx.sim.visible import ray_geoms, visible_arena
 
-SWEEP = Segment(name="LeftArm", final=(0.0, 0.0, 1.2), initial=(0.0, 0.0, 0.01), rates=(0.0, 0.0, 1.0))
+SWEEP = SegmentMotion(name="LeftArm", final=(0.0, 0.0, 1.2), initial=(0.0, 0.0, 0.01), rates=(0.0, 0.0, 1.0))
 """Lying on its back the victim sweeps the ground beside it, out to 0.9 m and back."""
-BOX = Loose(
+BOX = LooseObject(
     name="box",
     at=(0.1, 0.62, 0.1),
     shapes=(Shape(kind="box", size=(0.1, 0.1, 0.1), mass=0.5, surface="loose"),),
@@ -37,12 +37,12 @@ STEPS = 60
 
 
 def test_only_what_moves_is_data():
-    moved = build_scene(ARENA, ["ComStation"]).moved
+    moved = build_scene(ARENA, ["ComStation"]).moved_geoms
     names = box_names(ARENA.victims, ARENA.false_alarms)
     assert moved is not None
     assert {names[int(name.split("/")[1])] for name in moved.names} == {"Ada/LeftArm", "Ada/LeftHand"}
     still = ArenaSpec(**{**vars(ARENA), "victims": ARENA.victims[1:]})
-    assert build_scene(still, ["ComStation"]).moved is None
+    assert build_scene(still, ["ComStation"]).moved_geoms is None
 
 
 @pytest.fixture(scope="module")
@@ -59,16 +59,16 @@ def test_an_arm_sweeps_a_box_aside(engine, pushed):
     start = state = batch.reset()
     for _ in range(STEPS):
         state = batch.step(state)
-    batch.check(state)
-    ids = [batch.engine.model.geom(name).id for name in scene.moved.names]
+    batch.check_overflow(state)
+    ids = [batch.engine.model.geom(name).id for name in scene.moved_geoms.names]
     physics = state.physics
     seen = batch.engine._datas[1].geom_xpos[ids] if engine == "c" else np.asarray(physics.geom_xpos)[1, ids]
     told = (STEPS - 1) * scene.physics.period  # the last step began then
     pos, _ = segment_poses(victim_table(ARENA.victims), np.float32(told))
-    expected = pos[scene.swinging] + (0.0, 0.0, ARENA.floor)
+    expected = pos[scene.moving_victim_boxes] + (0.0, 0.0, ARENA.floor)
     np.testing.assert_allclose(seen, expected, atol=1e-5)
 
-    root = scene.loose_geoms.root_qpos[0, :2]
+    root = scene.loose_geoms.root_qposadr[0, :2]
     way = np.asarray(batch.physics(state).qpos - batch.physics(start).qpos)[:, root]
     assert np.linalg.norm(way[0]) > 0.4
     pushed[engine] = way
@@ -83,9 +83,9 @@ def test_rays_and_victims_meet_where_the_arm_is_now():
     table = victim_table(ARENA.victims, ARENA.false_alarms)
 
     def height(point, time):
-        geoms = collect(arena_rows(scene, None, jnp.float32(time)))
+        geoms = ray_geoms(visible_arena(scene, None, jnp.float32(time)))
         start = jnp.array([[*point, 1.0]])
-        hits = cast(geoms, start, jnp.array([[0.0, 0.0, -1.0]]), jnp.int32(0))
+        hits = cast_rays(geoms, start, jnp.array([[0.0, 0.0, -1.0]]), jnp.int32(0))
         return 1.0 - float(hits.distance[0])
 
     for time in (0.0, 0.4, 1.0):

@@ -12,17 +12,17 @@ from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.engines.varied import VariedModel
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.variation import RULES, Variation, Varied
+from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization, RandomizedValues
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.base import Sight
+from usarmjx.sensors.base import SensorInput
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import Entry, build_scene
-from usarmjx.sim.world import first_episode
+from usarmjx.sim.scene import RosterEntry, build_scene
+from usarmjx.sim.world import init_world
 
 CONVERGED = Physics(iterations=30, ls_iterations=20)
-EVERYTHING = Variation(
+EVERYTHING = DomainRandomization(
     friction=(0.08, 0.18), mass=(0.8, 1.3), wheel=(0.9, 1.1), torque=(0.7, 1.0), speed=(0.8, 1.1)
 )
 LEAN = replace(ROBOTS.get("P2AT"), sensors=(), cameras=(), packages=())
@@ -39,7 +39,7 @@ class Trip:
 
     def __init__(self, engine, vary=EVERYTHING, worlds=WORLDS):
         self.batch = Batch(build_scene(FLAT, [LEAN], CONVERGED, vary=vary), worlds, engine=engine, seed=3)
-        self.dof, self.root = (getattr(self.batch.scene.teams[0], n)[0] for n in ("root_dof", "root_qpos"))
+        self.dof, self.root = (getattr(self.batch.scene.groups[0], n)[0] for n in ("root_dof", "root_qpos"))
         state = self.batch.drive(self.batch.reset(), 0, {"Left": SPIN, "Right": SPIN})
         self.varied = jax.tree.map(np.asarray, state.worlds.varied)
         self.speeds = []
@@ -49,7 +49,7 @@ class Trip:
                 state = self.batch.drive(state, 0, {"Left": 0.0, "Right": 0.0})
             state = self.batch.step(state)
             self.speeds.append(np.asarray(self.batch.physics(state).qvel)[:, self.dof[0]])
-        self.batch.check(state)
+        self.batch.check_overflow(state)
         self.end = np.asarray(self.batch.physics(state).qpos)[:, self.root]
 
     def of(self, name):
@@ -101,8 +101,10 @@ def test_other_engines_do_to_varied_robots_what_c_does(c, engine):
 @pytest.mark.oracle
 def test_weak_motors_accelerate_by_what_they_exert():
     """Far below traction: a = n T / r / (m + n (I + armature) / r^2), until the speed is reached."""
-    batch = Batch(build_scene(FLAT, [LEAN], CONVERGED, vary=Variation(torque=(0.1, 0.3))), 3, engine="c")
-    dof, wheel = batch.scene.teams[0].root_dof[0], batch.scene.model.body("r0/LeftFWheel").id
+    batch = Batch(
+        build_scene(FLAT, [LEAN], CONVERGED, vary=DomainRandomization(torque=(0.1, 0.3))), 3, engine="c"
+    )
+    dof, wheel = batch.scene.groups[0].root_dofadr[0], batch.scene.model.body("r0/LeftFWheel").id
     state = batch.reset()
     for _ in range(50):  # to rest on the floor
         state = batch.step(state)
@@ -113,7 +115,7 @@ def test_weak_motors_accelerate_by_what_they_exert():
         speeds.append(np.asarray(batch.physics(state).qvel)[:, dof[0]])
     torque = 4.0 * np.asarray(state.worlds.varied.torque)[:, 0]
     inertia = batch.scene.model.body_inertia[wheel].max() + 0.15  # the motor's armature
-    mass = batch.scene.teams[0].plan.mass + 4 * inertia / RADIUS**2
+    mass = batch.scene.groups[0].plan.mass + 4 * inertia / RADIUS**2
     gained = (speeds[-1] - speeds[3]) / (8 * 0.02)
     np.testing.assert_allclose(gained, 4 * torque / RADIUS / mass, rtol=0.02)  # soft contacts slip a little
 
@@ -121,15 +123,15 @@ def test_weak_motors_accelerate_by_what_they_exert():
 @pytest.mark.oracle
 def test_masses_are_those_of_a_robot_that_is_built_so():
     """Oracle: MuJoCo's own numbers for a chassis of that many times the mass."""
-    scene = build_scene(FLAT, [LEAN, "Zerg"], vary=Variation(mass=(0.7, 1.4), classes=("P2AT",)))
-    assert scene.varied is not None
+    scene = build_scene(FLAT, [LEAN, "Zerg"], vary=DomainRandomization(mass=(0.7, 1.4), classes=("P2AT",)))
+    assert scene.varied_bodies is not None
     factor = 1.13  # between two knots
     heavy = scene.spec.copy()
     for geom in heavy.body("r0/chassis").geoms:
         geom.mass *= factor
     model = heavy.compile()
-    told = Varied(mass=jnp.array([[factor, 1.0], [1.0, 1.0]]))
-    fields = VariedModel(scene.model, scene.varied, extra=True).fields(told)
+    told = RandomizedValues(mass=jnp.array([[factor, 1.0], [1.0, 1.0]]))
+    fields = VariedModel(scene.model, scene.varied_bodies, with_dof_m0=True).fields(told)
     assert set(fields) == {
         "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0"
     }  # fmt: skip
@@ -142,12 +144,12 @@ def test_masses_are_those_of_a_robot_that_is_built_so():
 
 def test_fields_that_differ_already_stay_as_they_are():
     """Wheels change in size where the arena's walls do too: both are kept."""
-    scene = build_scene(FLAT, [LEAN], vary=Variation(wheel=(0.9, 1.1)))
-    assert scene.varied is not None
+    scene = build_scene(FLAT, [LEAN], vary=DomainRandomization(wheel=(0.9, 1.1)))
+    assert scene.varied_bodies is not None
     wheel = scene.model.geom("r0/LeftFWheel/0").id
     sizes = jnp.broadcast_to(jnp.arange(scene.model.ngeom * 3.0).reshape(-1, 3), (2, scene.model.ngeom, 3))
-    told = Varied(wheel=jnp.array([[1.1], [0.9]]))
-    size = VariedModel(scene.model, scene.varied).fields(told, {"geom_size": sizes})["geom_size"]
+    told = RandomizedValues(wheel=jnp.array([[1.1], [0.9]]))
+    size = VariedModel(scene.model, scene.varied_bodies).fields(told, {"geom_size": sizes})["geom_size"]
     np.testing.assert_allclose(size[:, wheel, 0] / sizes[:, wheel, 0], [1.1, 0.9], rtol=1e-6)
     others = [g for g in range(scene.model.ngeom) if "Wheel" not in scene.model.geom(g).name]
     np.testing.assert_array_equal(size[:, others], sizes[:, others])
@@ -165,12 +167,12 @@ def test_worlds_with_arenas_of_their_own_keep_them():
         for x in (0.6, 0.9)
     ]
     ends = []
-    for vary in (None, Variation(wheel=(1.0, 1.0))):
+    for vary in (None, DomainRandomization(wheel=(1.0, 1.0))):
         batch = Batch(build_scene(walls, [LEAN], CONVERGED, vary=vary), 2, engine="c")
         state = batch.drive(batch.reset(), 0, {"Left": 5.0, "Right": 5.0})
         for _ in range(60):
             state = batch.step(state)
-        ends.append(np.asarray(batch.physics(state).qpos)[:, batch.scene.teams[0].root_qpos[0, 0]])
+        ends.append(np.asarray(batch.physics(state).qpos)[:, batch.scene.groups[0].root_qposadr[0, 0]])
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)  # sizes are in single precision
     assert ends[0][1] - ends[0][0] == pytest.approx(0.3, abs=0.02)
 
@@ -179,7 +181,7 @@ def test_latency_delays_motion_by_whole_steps_exactly():
     """Bit-equal to robots without latency that are told so many steps later."""
     varied, plain = (
         Batch(build_scene(FLAT, [LEAN], vary=vary), 6, engine="c", seed=1)
-        for vary in (Variation(latency=(0, 4)), None)
+        for vary in (DomainRandomization(latency=(0, 4)), None)
     )
     state, late = varied.reset(), plain.reset()
     latency = np.asarray(state.worlds.varied.latency)[:, 0]
@@ -191,12 +193,14 @@ def test_latency_delays_motion_by_whole_steps_exactly():
         state, late = varied.step(state), plain.step(late)
         np.testing.assert_array_equal(state.physics.qpos, late.physics.qpos)
     again = varied.reset_where(state, np.ones(6, bool))
-    assert not np.asarray(again.worlds.teams[0].trail.target).any(), "a new episode has heard of nothing"
+    assert not np.asarray(again.worlds.groups[0].command_history.target).any(), (
+        "a new episode has heard of nothing"
+    )
 
 
 def test_without_ranges_nothing_changes_bit_for_bit():
     ends = []
-    for vary in (None, Variation()):
+    for vary in (None, DomainRandomization()):
         batch = Batch(build_scene(FLAT, [LEAN], vary=vary), 2, engine="c", seed=1)
         state = batch.drive(batch.reset(), 0, {"Left": 2.0, "Right": 1.0})
         for _ in range(5):
@@ -208,7 +212,7 @@ def test_without_ranges_nothing_changes_bit_for_bit():
 
 # ---- how numbers are drawn
 
-ALL = Variation(
+ALL = DomainRandomization(
     friction=(0.5, 1.0),
     mass=(0.8, 1.2),
     wheel=(0.9, 1.1),
@@ -227,20 +231,22 @@ def drawn(vary, number, roster=(LEAN, LEAN), episodes=1, seed=0):
     """The numbers of a world in its first episodes."""
     scene = build_scene(FLAT, roster, radio=RadioSettings(), vary=vary)
     key = jax.random.fold_in(jax.random.key(seed), number)
-    from usarmjx.models.build.variation import draw
-    from usarmjx.sim.world import VARY_STREAM
+    from usarmjx.models.build.variation import sample_values
+    from usarmjx.sim.world import RANDOMIZATION_STREAM
 
-    stream = jax.random.fold_in(key, VARY_STREAM)
-    assert scene.varied is not None
+    stream = jax.random.fold_in(key, RANDOMIZATION_STREAM)
+    assert scene.varied_bodies is not None
     return [
-        jax.tree.map(np.asarray, draw(vary, scene.varied.varies, jax.random.fold_in(stream, episode)))
+        jax.tree.map(
+            np.asarray, sample_values(vary, scene.varied_bodies.varies, jax.random.fold_in(stream, episode))
+        )
         for episode in range(episodes)
     ]
 
 
 def test_numbers_lie_in_their_ranges_and_differ_by_world_episode_and_robot():
     rows = [one for number in range(20) for one in drawn(ALL, number, episodes=2)]
-    for name, rule in RULES.items():
+    for name, rule in QUANTITY_RULES.items():
         low, high = ALL.range_of(name)
         values = np.stack([getattr(row, name) for row in rows])
         assert values.shape == ((40, 2) if rule.robots else (40,))
@@ -255,7 +261,7 @@ def test_numbers_lie_in_their_ranges_and_differ_by_world_episode_and_robot():
 
 
 def test_a_number_depends_on_world_episode_quantity_and_slot_alone():
-    (everything,), (only,) = drawn(ALL, 5), drawn(Variation(torque=(0.7, 1.1)), 5)
+    (everything,), (only,) = drawn(ALL, 5), drawn(DomainRandomization(torque=(0.7, 1.1)), 5)
     np.testing.assert_array_equal(everything.torque, only.torque)
     (more,) = drawn(ALL, 5, (LEAN, LEAN, LEAN))
     np.testing.assert_array_equal(everything.mass, more.mass[:2])
@@ -266,7 +272,7 @@ def test_a_number_depends_on_world_episode_quantity_and_slot_alone():
 
 def test_a_batch_draws_what_its_worlds_draw():
     scene = build_scene(FLAT, [LEAN, LEAN], radio=RadioSettings(), vary=ALL)
-    world, _ = first_episode(scene, jax.random.fold_in(jax.random.key(0), 7), jnp.int32(7))
+    world, _ = init_world(scene, jax.random.fold_in(jax.random.key(0), 7), jnp.int32(7))
     (alone,) = drawn(ALL, 7)
     for a, b in zip(jax.tree.leaves(world.varied), jax.tree.leaves(alone), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -278,19 +284,21 @@ def test_a_batch_draws_what_its_worlds_draw():
 def test_noise_is_multiplied_and_nothing_else():
     """All rays of a P2AT meet something at 2 m; each sensor draws the same numbers whatever the factor."""
     scene = build_scene(FLAT, ["P2AT"])
-    suite, plan = scene.teams[0].suite, scene.teams[0].plan
-    from usarmjx.models.build.body_plan import body_poses, robot_state
+    suite, plan = scene.groups[0].suite, scene.groups[0].plan
+    from usarmjx.models.build.body_plan import forward_kinematics, robot_state
     from usarmjx.sensors.rays.raycast import Hits
 
-    state = robot_state(scene.teams[0].indices[0], scene.model.qpos0, np.zeros(scene.model.nv))
+    state = robot_state(scene.groups[0].indices[0], scene.model.qpos0, np.zeros(scene.model.nv))
     state = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), state)
     hits = Hits(distance=jnp.full(sum(suite.ray_counts), 2.0), cosine=jnp.ones(sum(suite.ray_counts)))
 
     @jax.jit
     def read(noise):
-        sight = Sight(time=jnp.float32(0), state=state, bodies=body_poses(plan, state), hits=hits)
-        sight = sight.replace(noise=noise)
-        _, readings = suite.read(sight, suite.start(sight, jax.random.key(1)), jax.random.key(2))
+        sight = SensorInput(
+            time=jnp.float32(0), state=state, bodies=forward_kinematics(plan, state), hits=hits
+        )
+        sight = sight.replace(noise_factor=noise)
+        _, readings = suite.read(sight, suite.init_memory(sight, jax.random.key(1)), jax.random.key(2))
         return [reading.value for reading in readings]
 
     silent, usual, double, same = (
@@ -308,7 +316,7 @@ def test_noise_is_multiplied_and_nothing_else():
 
 
 def test_each_world_has_its_own_radio():
-    vary = Variation(radio_n=(1.0, 4.0), radio_pdo=(-60.0, -40.0), radio_cutoff=(-60.0, -50.0))
+    vary = DomainRandomization(radio_n=(1.0, 4.0), radio_pdo=(-60.0, -40.0), radio_cutoff=(-60.0, -50.0))
     usual = RadioSettings(n=2.0)
     batch = Batch(build_scene(FLAT, [LEAN, LEAN], radio=usual, vary=vary), 4, engine="c")
     state, links = batch.links(batch.reset())
@@ -340,7 +348,7 @@ def test_each_world_has_its_own_radio():
 )
 def test_ranges_that_make_no_sense_are_refused(ranges, words):
     with pytest.raises(SpecError, match=words):
-        Variation(**ranges)
+        DomainRandomization(**ranges)
 
 
 @pytest.mark.parametrize(
@@ -363,13 +371,15 @@ def test_ranges_that_make_no_sense_are_refused(ranges, words):
     ],
 )
 def test_what_a_quantity_cannot_be_about_is_refused_by_name(roster, ranges, words):
-    entries = [Entry(robot=name, parked=True) for name in roster]
+    entries = [RosterEntry(robot=name, parked=True) for name in roster]
     with pytest.raises(SpecError, match=words):
-        build_scene(FLAT, entries, vary=Variation(**ranges))
+        build_scene(FLAT, entries, vary=DomainRandomization(**ranges))
 
 
 def test_mixed_teams_vary_by_class():
-    scene = build_scene(FLAT, ["AirRobot", "P2AT"], vary=Variation(mass=(0.9, 1.1), classes=("P2AT",)))
-    assert scene.varied is not None
-    assert scene.varied.varies.tolist() == [False, True]
-    assert ROBOTS.get("P2AT") == scene.teams[1].robot
+    scene = build_scene(
+        FLAT, ["AirRobot", "P2AT"], vary=DomainRandomization(mass=(0.9, 1.1), classes=("P2AT",))
+    )
+    assert scene.varied_bodies is not None
+    assert scene.varied_bodies.varies.tolist() == [False, True]
+    assert ROBOTS.get("P2AT") == scene.groups[1].robot

@@ -12,9 +12,9 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.world import first_episode
-from usarmjx.train.envs.actions import carry_out
-from usarmjx.train.envs.task import View
+from usarmjx.sim.world import init_world
+from usarmjx.train.envs.actions import apply_actions
+from usarmjx.train.envs.task import TaskView
 from usarmjx.train.tasks.team_parts import scanner_poses
 
 WIDTH, DEPTH = 6.0, 3.0
@@ -58,8 +58,8 @@ def scan(pose, settings, width=WIDTH, depth=DEPTH):
 def begin(task):
     """The scene, and its world and physics at the start."""
     scene = task.scene()
-    sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.sites)
-    world, qpos = first_episode(scene, jax.random.key(0), jnp.int32(0), sites)
+    sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
+    world, qpos = init_world(scene, jax.random.key(0), jnp.int32(0), sites)
     model = scene.model
     return scene, world, PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
 
@@ -77,9 +77,9 @@ def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
         step: Control step.
     """
     poses, qpos, readings = np.asarray(poses, np.float32), np.array(physics.qpos), []
-    for team in scene.teams:
+    for team in scene.groups:
         here = poses[team.slots]
-        for address, (x, y, yaw) in zip(team.root_qpos, here, strict=True):
+        for address, (x, y, yaw) in zip(team.root_qposadr, here, strict=True):
             qpos[address[:2]] = x, y
             qpos[address[3:]] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         values = []
@@ -97,17 +97,17 @@ def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
             fresh = jnp.ones(len(here), bool)
             values.append(Reading(value=jnp.asarray(value, jnp.float32), fresh=fresh))
         readings.append(tuple(values))
-    robots = scene.robots
+    robots = scene.num_robots
     linked = np.zeros((robots, robots), bool) if linked is None else linked
     links = no_links(robots).replace(
         in_range=jnp.asarray(linked),
         paired=jnp.asarray(~np.eye(robots, dtype=bool)),
-        chance=jnp.asarray(linked, jnp.float32),
-        known=jnp.ones((), bool),
+        delivery_probability=jnp.asarray(linked, jnp.float32),
+        evaluated=jnp.ones((), bool),
     )
     world = world.replace(links=links, step=jnp.int32(step))
     physics = physics.replace(qpos=jnp.asarray(qpos, jnp.float32))
-    return View(world=world, physics=physics, readings=tuple(readings), scene=scene)
+    return TaskView(world=world, physics=physics, readings=tuple(readings), scene=scene)
 
 
 def play(task, paths, linked=None, met=None):
@@ -136,12 +136,12 @@ def play(task, paths, linked=None, met=None):
 @cache
 def _machine(task):
     """Scene and compiled functions of a task, once for all tests."""
-    return begin(task), jax.jit(task.start), jax.jit(task.judge), jax.jit(partial(_told, task))
+    return begin(task), jax.jit(task.start), jax.jit(task.evaluate), jax.jit(partial(_told, task))
 
 
 def _told(task, view, memory):
     """The world after the letters of a step."""
     sizes, scene = task.action_sizes(view.scene), view.scene
-    groups = zip(task.groups(scene), sizes, strict=True)
-    still = tuple(jnp.zeros((len(scene.teams[team].slots), size)) for team, size in groups)
-    return carry_out(scene, view.world, view.physics, task.act(view, memory, still))
+    groups = zip(task.agent_groups(scene), sizes, strict=True)
+    still = tuple(jnp.zeros((len(scene.groups[team].slots), size)) for team, size in groups)
+    return apply_actions(scene, view.world, view.physics, task.act(view, memory, still))

@@ -84,7 +84,7 @@ def checksums(folder, name="last"):
 
 
 if __name__ == "__main__":
-    from usarmjx.train.processes.group import join
+    from usarmjx.train.processes.group import initialize
 
-    join()
+    initialize()
     run(sys.argv[1], resume="--resume" in sys.argv)

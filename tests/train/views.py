@@ -7,30 +7,30 @@ import numpy as np
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.world import first_episode
-from usarmjx.train.envs.task import View
+from usarmjx.sim.world import init_world
+from usarmjx.train.envs.task import TaskView
 
 
 def view_of(task, scene=None):
     """A world of a task as it starts."""
     scene = scene or task.scene()
-    world, qpos = first_episode(scene, jax.random.key(0), np.int32(0))
+    world, qpos = init_world(scene, jax.random.key(0), np.int32(0))
     physics = PhysicsState(qpos=qpos, qvel=np.zeros(scene.model.nv), act=np.zeros(scene.model.na))
-    return View(world=world, physics=physics, readings=(), scene=scene)
+    return TaskView(world=world, physics=physics, readings=(), scene=scene)
 
 
 def placed(view, *poses, team=0):
     """The same view with a team's robots at x, y, z, roll, pitch, yaw."""
     qpos = view.physics.qpos
-    for address, (x, y, z, *turn) in zip(view.scene.teams[team].root_qpos, poses, strict=True):
+    for address, (x, y, z, *turn) in zip(view.scene.groups[team].root_qposadr, poses, strict=True):
         qpos = qpos.at[address].set(jnp.array([x, y, z, *np.asarray(quat_from_angles(*turn))], jnp.float32))
     return view.replace(physics=view.physics.replace(qpos=qpos))
 
 
 def told(view, team=0, **values):
     """The same view with what a team's sensors told, by type; others told nothing that is right."""
-    suite = view.scene.teams[team].suite
-    known = {suite.place(kind): jnp.asarray(value, jnp.float32) for kind, value in values.items()}
-    fresh = jnp.ones(len(view.scene.teams[team].slots), bool)
+    suite = view.scene.groups[team].suite
+    known = {suite.index(kind): jnp.asarray(value, jnp.float32) for kind, value in values.items()}
+    fresh = jnp.ones(len(view.scene.groups[team].slots), bool)
     readings = tuple(Reading(value=known.get(i), fresh=fresh) for i in range(len(suite.sensors)))
     return view.replace(readings=(readings,))

@@ -20,7 +20,7 @@ def mat_from_quat(quat: jax.Array) -> jax.Array:
     return jnp.stack(rows, -2)
 
 
-def turned(mat: Array, vector: Array) -> jax.Array:
+def matvec(mat: Array, vector: Array) -> jax.Array:
     """Return `mat @ vector`, (..., 3, 3) and (..., 3), as sums of products.
 
     Unlike thousands of small matrix products, these melt into what is computed before and after them, and
@@ -29,9 +29,9 @@ def turned(mat: Array, vector: Array) -> jax.Array:
     return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
 
 
-def composed(mat: Array, other: Array) -> jax.Array:
-    """Return `mat @ other`, both (..., 3, 3), as `turned` does."""
-    return jnp.stack([turned(mat, other[..., i]) for i in range(3)], -1)
+def matmul(mat: Array, other: Array) -> jax.Array:
+    """Return `mat @ other`, both (..., 3, 3), as `matvec` does."""
+    return jnp.stack([matvec(mat, other[..., i]) for i in range(3)], -1)
 
 
 def rotation_vector(mat: jax.Array) -> jax.Array:

@@ -11,19 +11,19 @@ import sys
 
 from usarmjx.base.errors import EngineError
 
-ENOUGH = 8
+MIN_THREADS = 8
 _started_before_us = False
 
 
-def guard() -> None:
+def ensure_pool_size() -> None:
     """Make sure that JAX's CPU thread pool will be large enough, however few cores there are."""
     global _started_before_us
     asked = os.environ.get("NPROC", "")
     size = int(asked) if asked.isdecimal() else 0
-    if (size if asked else cores()) >= ENOUGH:
+    if (size if asked else cores()) >= MIN_THREADS:
         return
     _started_before_us = _backend_runs()
-    os.environ["NPROC"] = str(ENOUGH)
+    os.environ["NPROC"] = str(MIN_THREADS)
 
 
 def cores() -> int:
@@ -36,7 +36,7 @@ def _backend_runs() -> bool:
     return bool(bridge and bridge.backends_are_initialized())
 
 
-def check() -> None:
+def check_pool_size() -> None:
     """Refuse to run where the deadlock could strike.
 
     Raises:
@@ -45,5 +45,5 @@ def check() -> None:
     if _started_before_us:
         raise EngineError(
             "JAX was already running, with too few threads to be safe from a deadlock of its CPU backend, "
-            f"when usarmjx was imported; import usarmjx first, or set NPROC={ENOUGH} in the environment"
+            f"when usarmjx was imported; import usarmjx first, or set NPROC={MIN_THREADS} in the environment"
         )

@@ -16,7 +16,7 @@ import numpy as np
 Vec3 = tuple[float, float, float]
 GRAVITY = 9.81
 """MuJoCo's default [m/s2]."""
-UPRIGHT = 1e-5
+GIMBAL_LOCK_COS = 1e-5
 """Cosine of the pitch below which roll and yaw cannot be told apart in single precision."""
 Array = Any
 """A numpy or a JAX array."""
@@ -51,7 +51,7 @@ def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
 
     Of a body that points straight up or down, which has no roll and yaw of its own, all of the turn is yaw.
     """
-    upright = xp.hypot(mat[..., 0, 0], mat[..., 1, 0]) < UPRIGHT
+    upright = xp.hypot(mat[..., 0, 0], mat[..., 1, 0]) < GIMBAL_LOCK_COS
     roll = xp.where(upright, 0.0, xp.arctan2(mat[..., 2, 1], mat[..., 2, 2]))
     pitch = xp.arcsin(xp.clip(-mat[..., 2, 0], -1.0, 1.0))
     turned = xp.arctan2(-mat[..., 0, 1], mat[..., 1, 1])

@@ -16,18 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.peer import measure_peer, with_camera
-from usarmjx.bench.tools import append, heading, timed
+from usarmjx.bench.peer import measure_mujoco_warp, with_camera
+from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.cameras.light import daylight
-from usarmjx.cameras.mounts import cameras_of, find_camera
+from usarmjx.cameras.mounts import camera_index, cameras_of
 from usarmjx.cameras.picture import check_size
 from usarmjx.engines.base import PhysicsState
-from usarmjx.sim.batch import Batch, State
+from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.scene import Scene, build_scene
-from usarmjx.sim.views import each, look_around, pictures
+from usarmjx.sim.views import build_render_scene, map_pictures, render_group
 from usarmjx.sim.world import World
 
-ZOOM = 0.99
+FOV_FACTOR = 0.99
 """By how much the field of view changes from one picture to the next."""
 
 
@@ -51,10 +51,10 @@ class CameraCase:
     peer: bool = False
 
 
-def _loop(case: CameraCase, batch: Batch, state: State) -> Callable[[jax.Array], jax.Array]:
+def _loop(case: CameraCase, batch: Batch, state: BatchState) -> Callable[[jax.Array], jax.Array]:
     """Return a function that takes pictures `steps` times, and sums them up so that all are needed."""
-    place = find_camera(batch.scene.teams[0].robot)
-    eye, size = (0, cameras_of(batch.scene.teams[0].robot)[place], place), (case.width, case.height)
+    place = camera_index(batch.scene.groups[0].robot)
+    eye, size = (0, cameras_of(batch.scene.groups[0].robot)[place], place), (case.width, case.height)
     check_size(eye[1], *size)
     worlds, physics = state.worlds, batch.physics(state)
 
@@ -63,9 +63,11 @@ def _loop(case: CameraCase, batch: Batch, state: State) -> Callable[[jax.Array],
     @jax.default_matmul_precision("highest")
     def run(total: jax.Array, worlds: World, physics: PhysicsState) -> jax.Array:
         def body(i: jax.Array, total: jax.Array) -> jax.Array:
-            robots = worlds.teams[0]
-            zoomed = worlds.replace(teams=(robots.replace(fov=robots.fov * ZOOM**i),))
-            picture = each(lambda world, now: pictures(batch.scene, world, now, eye, size), zoomed, physics)
+            robots = worlds.groups[0]
+            zoomed = worlds.replace(groups=(robots.replace(fov=robots.fov * FOV_FACTOR**i),))
+            picture = map_pictures(
+                lambda world, now: render_group(batch.scene, world, now, eye, size), zoomed, physics
+            )
             depth = jnp.where(jnp.isfinite(picture.depth), picture.depth, 0.0)
             return total + picture.rgb.sum(dtype=jnp.float32) + depth.sum() + picture.segmentation.sum()
 
@@ -74,14 +76,14 @@ def _loop(case: CameraCase, batch: Batch, state: State) -> Callable[[jax.Array],
     return lambda total: run(total, worlds, physics)
 
 
-def _seen(scene: Scene, batch: Batch, state: State) -> dict[str, Any]:
+def _scene_summary(scene: Scene, batch: Batch, state: BatchState) -> dict[str, Any]:
     """Return what there is to see in a world."""
     world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
-    stage, _ = look_around(scene, world, physics)
+    stage, _ = build_render_scene(scene, world, physics)
     materials: dict[str, int] = {}
     for material, block in zip(stage.geoms.materials, stage.geoms.blocks, strict=True):
         materials[material] = materials.get(material, 0) + len(block.owner)
-    lit_by = "the sun" if float(daylight(stage.lamps)) else f"{len(stage.lamps.rgb)} lamps"
+    lit_by = "the sun" if float(daylight(stage.lights)) else f"{len(stage.lights.rgb)} lamps"
     return {"geoms": sum(materials.values()), "materials": materials, "lit_by": lit_by}
 
 
@@ -98,30 +100,32 @@ def measure_camera(case: CameraCase, file: Path | None = None) -> str:
     scene = build_scene(case.arena, [case.robot] * case.robots)
     batch = Batch(scene, case.worlds, engine=case.engine, seed=case.seed)
     state = batch.reset()
-    first, times, _ = timed(_loop(case, batch, state), jnp.zeros(()), case.repeats)
+    first, times, _ = time_repeats(_loop(case, batch, state), jnp.zeros(()), case.repeats)
     work = case.worlds * case.robots * case.steps
     record = {
-        **heading("camera"),
+        **record_header("camera"),
         "case": asdict(case),
         "in_the_picture": "colours with shadows, bricks and checkers, mirrors (once), glass, headlights; "
         "depth; segmentation",
-        "scene": _seen(scene, batch, state),
+        "scene": _scene_summary(scene, batch, state),
         "frames_per_s": work / statistics.median(times),
         "pixels_per_s": work * case.width * case.height / statistics.median(times),
         "times_s": times,
         "compile_s": first - times[0],
         "peer": _peer(case, scene, batch, state) if case.peer else None,
     }
-    append(record, file)
+    append_record(record, file)
     return _summary(record)
 
 
-def _peer(case: CameraCase, scene: Scene, batch: Batch, state: State) -> list[dict[str, Any]]:
+def _peer(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> list[dict[str, Any]]:
     """Return what MuJoCo Warp's renderer takes for the same, with and without shadows."""
-    robot, size = scene.teams[0].robot, (case.width, case.height)
-    model = with_camera(scene, cameras_of(robot)[find_camera(robot)], size)
+    robot, size = scene.groups[0].robot, (case.width, case.height)
+    model = with_camera(scene, cameras_of(robot)[camera_index(robot)], size)
     qpos = np.asarray(batch.physics(state).qpos)
-    return [measure_peer(model, qpos, size, case.steps, case.repeats, shadows) for shadows in (True, False)]
+    return [
+        measure_mujoco_warp(model, qpos, size, case.steps, case.repeats, shadows) for shadows in (True, False)
+    ]
 
 
 def _summary(record: dict[str, Any]) -> str:

@@ -26,21 +26,21 @@ def with_camera(scene: Scene, camera: Camera, size: tuple[int, int]) -> mujoco.M
     Raises:
         UsageError: Another camera, which MuJoCo does not have.
     """
-    if camera.lens != "pinhole" or len(camera.eyes) > 1:
+    if camera.lens != "pinhole" or len(camera.eye_offsets) > 1:
         raise UsageError(
             f"{camera.mount.name} has a mirror or two eyes; MuJoCo Warp's renderer needs a pinhole camera"
         )
     spec = scene.spec.copy()
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, (camera.mat @ OUR_TO_MUJOCO).ravel())
-    upright = 2 * np.arctan(np.tan(camera.default / 2) * size[1] / size[0])
-    body = spec.body(f"r0/{scene.teams[0].plan.parts[camera.body]}")
-    body.add_camera(pos=camera.at, quat=quat, fovy=np.degrees(upright))
+    upright = 2 * np.arctan(np.tan(camera.default_fov / 2) * size[1] / size[0])
+    body = spec.body(f"r0/{scene.groups[0].plan.parts[camera.body]}")
+    body.add_camera(pos=camera.pos, quat=quat, fovy=np.degrees(upright))
     body.add_light(pos=[0.0, 0.0, 3.0], dir=[0.0, 0.0, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec.compile()
 
 
-def measure_peer(
+def measure_mujoco_warp(
     model: mujoco.MjModel, qpos: np.ndarray, size: tuple[int, int], steps: int, repeats: int, shadows: bool
 ) -> dict[str, Any]:
     """Measure MuJoCo Warp's renderer: colours, depth and segmentation of the model's only camera.

@@ -17,15 +17,15 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.bench.tools import append, heading, timed
+from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.links import Links, evaluate, no_links
+from usarmjx.comms.links import Links, evaluate_links, no_links
 from usarmjx.models.spec.robot import OPAQUE
-from usarmjx.sensors.rays.targets import Block, Geoms
+from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 
-SIDE = 20.0
+ARENA_SIDE = 20.0
 """Arenas are this long and wide [m]."""
-SPEED = 0.02
+MOVE_PER_EVALUATION = 0.02
 """Robots go this far between two evaluations [m]."""
 
 
@@ -46,21 +46,24 @@ def random_walls(key: jax.Array, walls: int) -> Geoms:
     place, turn, size = jax.random.split(key, 3)
     low, high = jnp.array([0.025, 0.5, 0.3]), jnp.array([0.15, 2.0, 1.0])
     size = jax.random.uniform(size, (walls, 3), minval=low, maxval=high)
-    at = jax.random.uniform(place, (walls, 2), minval=-SIDE / 2, maxval=SIDE / 2)
+    at = jax.random.uniform(place, (walls, 2), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
     yaw = jax.random.uniform(turn, (walls,), maxval=2 * jnp.pi)
     cos, sin, none, one = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros(walls), jnp.ones(walls)
     mat = jnp.stack([cos, -sin, none, sin, cos, none, none, none, one], -1).reshape(walls, 3, 3)
     pos = jnp.concatenate([at, size[:, 2:]], -1)
     owner = jnp.full(walls, -1)
-    block = Block(pos=pos, mat=mat, size=size, owner=owner)
-    return Geoms(blocks=(block,), types=(int(mujoco.mjtGeom.mjGEOM_BOX),), materials=(OPAQUE,))
+    block = GeomBlock(pos=pos, mat=mat, size=size, owner=owner)
+    return Geoms(blocks=(block,), kinds=(int(mujoco.mjtGeom.mjGEOM_BOX),), materials=(OPAQUE,))
 
 
-def _antennas(key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:
+def _random_antennas(key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:
     """Return places 0.3 m to 1 m above the floor, and by how much they move between two evaluations [m]."""
     place, move = jax.random.split(key)
-    low, high = jnp.array([-SIDE / 2, -SIDE / 2, 0.3]), jnp.array([SIDE / 2, SIDE / 2, 1.0])
-    level = jnp.array([SPEED, SPEED, 0.0])
+    low, high = (
+        jnp.array([-ARENA_SIDE / 2, -ARENA_SIDE / 2, 0.3]),
+        jnp.array([ARENA_SIDE / 2, ARENA_SIDE / 2, 1.0]),
+    )
+    level = jnp.array([MOVE_PER_EVALUATION, MOVE_PER_EVALUATION, 0.0])
     places = jax.random.uniform(place, (robots, 3), minval=low, maxval=high)
     return places, jax.random.uniform(move, (robots, 3), minval=-level, maxval=level)
 
@@ -69,9 +72,11 @@ def _loop(case: RadioCase, geoms: Geoms, *, shared: bool, key: jax.Array) -> Cal
     """Return a function that evaluates the links of all worlds `steps` times."""
     numbers = jnp.arange(case.worlds)
     keys = jax.vmap(partial(jax.random.fold_in, key))(numbers)
-    places, moves = jax.vmap(partial(_antennas, robots=case.robots))(keys)
+    places, moves = jax.vmap(partial(_random_antennas, robots=case.robots))(keys)
     in_use = jnp.ones((case.worlds, case.robots), bool)
-    look = jax.vmap(partial(evaluate, RadioSettings()), in_axes=(None if shared else 0, (0, 0), 0, 0, None))
+    look = jax.vmap(
+        partial(evaluate_links, RadioSettings()), in_axes=(None if shared else 0, (0, 0), 0, 0, None)
+    )
 
     # Everything is an argument: what a jitted function closes over is compiled in as constants.
     @jax.jit
@@ -90,12 +95,12 @@ def measure_radio(case: RadioCase, file: Path | None = None) -> str:
     many = jax.vmap(partial(random_walls, walls=case.walls))(jax.random.split(key, case.worlds))
     one = jax.tree.map(lambda x: x[0], many)
     start = jax.vmap(lambda _: no_links(case.robots))(jnp.arange(case.worlds))
-    own_first, own, links = timed(_loop(case, many, shared=False, key=key), start, case.repeats)
-    shared_first, shared, _ = timed(_loop(case, one, shared=True, key=key), start, case.repeats)
+    own_first, own, links = time_repeats(_loop(case, many, shared=False, key=key), start, case.repeats)
+    shared_first, shared, _ = time_repeats(_loop(case, one, shared=True, key=key), start, case.repeats)
     work = case.worlds * case.robots * (case.robots - 1) // 2 * case.steps
     paired = np.asarray(links.paired)
     record = {
-        **heading("radio"),
+        **record_header("radio"),
         "case": asdict(case),
         "in_the_step": "of every unordered pair of robots the distance, the walls on the way (boxes, own for "
         "each world), the power, whether it holds and whether that changed; as a table both ways",
@@ -109,7 +114,7 @@ def measure_radio(case: RadioCase, file: Path | None = None) -> str:
         "mean_walls": float(np.asarray(links.walls)[paired].mean()) if paired.any() else 0.0,
         "most_walls": int(np.asarray(links.walls).max()),
     }
-    append(record, file)
+    append_record(record, file)
     return _summary(record)
 
 

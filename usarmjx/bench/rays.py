@@ -18,20 +18,26 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.radio import SIDE, random_walls
-from usarmjx.bench.tools import append, heading, timed
-from usarmjx.models.build.body_plan import Bodies, BodyPlan, body_plan, body_poses, geom_poses
+from usarmjx.bench.radio import ARENA_SIDE, random_walls
+from usarmjx.bench.tools import append_record, record_header, time_repeats
+from usarmjx.models.build.body_plan import (
+    BodyPoses,
+    KinematicTree,
+    forward_kinematics,
+    geom_poses,
+    kinematic_tree_of,
+)
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.raycast import First, distance_to, nearest
-from usarmjx.sensors.rays.targets import Block, Geoms, gather
+from usarmjx.sensors.rays.raycast import GeomHits, distance_to, nearest_hits
+from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 from usarmjx.sensors.suite import suite_of
 
-MOVE, TURN = 0.02, 0.05
+MAX_MOVE, MAX_TURN = 0.02, 0.05
 """Robots move [m] and turn [rad] so far at most between two scans."""
-APART = 1e-3
+DISTANCE_TOLERANCE = 1e-3
 """Distances that differ by more count as different [m]."""
 KINDS = mujoco.mjtGeom
 
@@ -49,7 +55,7 @@ class RayCase:
     seed: int = 0
 
 
-class _Team(struct.PyTreeNode, kw_only=True):
+class _MovingRobots(struct.PyTreeNode, kw_only=True):
     """Robots of one world: places [m] (n, 3) and headings [rad] (n,), and how they change per scan."""
 
     pos: jax.Array
@@ -57,33 +63,35 @@ class _Team(struct.PyTreeNode, kw_only=True):
     move: jax.Array
     turn: jax.Array
 
-    def after(self, scans: jax.Array) -> "_Team":
+    def after(self, scans: jax.Array) -> "_MovingRobots":
         return self.replace(pos=self.pos + scans * self.move, yaw=self.yaw + scans * self.turn)
 
 
-def _team(key: jax.Array, robots: int, height: float) -> _Team:
+def _moving_robots(key: jax.Array, robots: int, height: float) -> _MovingRobots:
     place, yaw, move, turn = jax.random.split(key, 4)
     flat = jnp.array([1.0, 1.0, 0.0])
-    at = jax.random.uniform(place, (robots, 3), minval=-SIDE / 2, maxval=SIDE / 2)
-    return _Team(
+    at = jax.random.uniform(place, (robots, 3), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
+    return _MovingRobots(
         pos=at * flat + jnp.array([0.0, 0.0, height]),
         yaw=jax.random.uniform(yaw, (robots,), maxval=2 * jnp.pi),
-        move=jax.random.uniform(move, (robots, 3), minval=-MOVE, maxval=MOVE) * flat,
-        turn=jax.random.uniform(turn, (robots,), minval=-TURN, maxval=TURN),
+        move=jax.random.uniform(move, (robots, 3), minval=-MAX_MOVE, maxval=MAX_MOVE) * flat,
+        turn=jax.random.uniform(turn, (robots,), minval=-MAX_TURN, maxval=MAX_TURN),
     )
 
 
-def _bodies(plan: BodyPlan, team: _Team) -> Bodies:
+def _bodies(plan: KinematicTree, team: _MovingRobots) -> BodyPoses:
     """Return the robots' bodies; their joints are at zero."""
     count, joints = len(team.yaw), len(plan.parts) - 1
     zero = jnp.zeros(count)
     quat = jnp.stack([jnp.cos(team.yaw / 2), zero, zero, jnp.sin(team.yaw / 2)], -1)
     still = {"linear": jnp.zeros((count, 3)), "angular": jnp.zeros((count, 3))}
     at_rest = {"joint_pos": jnp.zeros((count, joints)), "joint_vel": jnp.zeros((count, joints))}
-    return jax.vmap(partial(body_poses, plan))(RobotState(pos=team.pos, quat=quat, **still, **at_rest))
+    return jax.vmap(partial(forward_kinematics, plan))(
+        RobotState(pos=team.pos, quat=quat, **still, **at_rest)
+    )
 
 
-def _geoms(plan: BodyPlan, walls: Block, bodies: Bodies) -> Geoms:
+def _geoms(plan: KinematicTree, walls: GeomBlock, bodies: BodyPoses) -> Geoms:
     """Return walls, floor and robots of one world."""
     count, parts = len(bodies.pos), len(plan.geom_type)
     pos, mat = jax.vmap(partial(geom_poses, plan))(bodies)
@@ -100,7 +108,7 @@ def _geoms(plan: BodyPlan, walls: Block, bodies: Bodies) -> Geoms:
         [np.full(len(walls.pos), KINDS.mjGEOM_BOX), [KINDS.mjGEOM_PLANE], np.tile(plan.geom_type, count)]
     )
     parts_of_robots = np.arange(len(kind)) > len(walls.pos)
-    return gather(kind, pos, mat, size, owner, compact=parts_of_robots.tolist())
+    return make_geoms(kind, pos, mat, size, owner, compact=parts_of_robots.tolist())
 
 
 def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
@@ -108,7 +116,7 @@ def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
 
     def one(start: jax.Array, along: jax.Array) -> jax.Array:
         first = jnp.asarray(jnp.inf)
-        for kind, block in zip(geoms.types, geoms.blocks, strict=True):
+        for kind, block in zip(geoms.kinds, geoms.blocks, strict=True):
             reach = jnp.where(block.owner == viewer, jnp.inf, distance_to(kind, block, start, along))
             first = jnp.minimum(first, reach.min())
         return first
@@ -116,24 +124,26 @@ def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
     return jax.vmap(one)(*fans.rays())
 
 
-def _culled(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
-    first: First = nearest(geoms, *fans.rays(), viewer, fans=fans)
+def _bounding_volume_cast(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
+    first: GeomHits = nearest_hits(geoms, *fans.rays(), viewer, fans=fans)
     return first.distance
 
 
-def _scans(caster: Callable[..., jax.Array], plan: BodyPlan, walls: Block, team: _Team) -> jax.Array:
+def _scans(
+    caster: Callable[..., jax.Array], plan: KinematicTree, walls: GeomBlock, team: _MovingRobots
+) -> jax.Array:
     """Return one world's scans (robots, beams)."""
     bodies = _bodies(plan, team)
     geoms = _geoms(plan, walls, bodies)
     scanner = _scanner(plan)
 
-    def scan(body: Bodies, slot: jax.Array) -> jax.Array:
+    def scan(body: BodyPoses, slot: jax.Array) -> jax.Array:
         return caster(geoms, scanner.fans(body), slot)
 
     return jax.vmap(scan)(bodies, jnp.arange(len(team.yaw)))
 
 
-def _scanner(plan: BodyPlan) -> RangeScanner:
+def _scanner(plan: KinematicTree) -> RangeScanner:
     sensors = suite_of(plan.robot).sensors
     found = [sensor for sensor in sensors if isinstance(sensor, RangeScanner)]
     if not found:
@@ -143,12 +153,16 @@ def _scanner(plan: BodyPlan) -> RangeScanner:
 
 
 def _loop(
-    case: RayCase, caster: Callable[..., jax.Array], plan: BodyPlan, walls: Block, teams: _Team
+    case: RayCase,
+    caster: Callable[..., jax.Array],
+    plan: KinematicTree,
+    walls: GeomBlock,
+    teams: _MovingRobots,
 ) -> Callable[[jax.Array], jax.Array]:
     """Return a function that scans `steps` times in all worlds, and returns the last scans."""
 
     @jax.jit
-    def run(scans: jax.Array, walls: Block, teams: _Team) -> jax.Array:
+    def run(scans: jax.Array, walls: GeomBlock, teams: _MovingRobots) -> jax.Array:
         def body(i: jax.Array, scans: jax.Array) -> jax.Array:
             del scans
             return jax.vmap(partial(_scans, caster, plan))(walls, teams.after(i))
@@ -166,21 +180,23 @@ def measure_rays(case: RayCase, file: Path | None = None) -> str:
         UsageError: One without a range scanner.
     """
     key = jax.random.key(case.seed)
-    plan = body_plan(ROBOTS.get(case.robot))
+    plan = kinematic_tree_of(ROBOTS.get(case.robot))
     walls = jax.vmap(lambda k: random_walls(k, case.walls).blocks[0])(jax.random.split(key, case.worlds))
-    teams = jax.vmap(partial(_team, robots=case.robots, height=plan.clearance))(
+    teams = jax.vmap(partial(_moving_robots, robots=case.robots, height=plan.clearance))(
         jax.random.split(jax.random.fold_in(key, 1), case.worlds)
     )
-    beams = len(_scanner(plan).lines())
+    beams = len(_scanner(plan).directions())
     scans = jnp.zeros((case.worlds, case.robots, beams))
-    first, times, ours = timed(_loop(case, _culled, plan, walls, teams), scans, case.repeats)
-    slow_first, slow, theirs = timed(_loop(case, brute_force, plan, walls, teams), scans, case.repeats)
+    first, times, ours = time_repeats(
+        _loop(case, _bounding_volume_cast, plan, walls, teams), scans, case.repeats
+    )
+    slow_first, slow, theirs = time_repeats(_loop(case, brute_force, plan, walls, teams), scans, case.repeats)
     rays = case.worlds * case.robots * beams
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     both = np.isfinite(ours) & np.isfinite(theirs)
     apart = np.abs(ours[both] - theirs[both])
     record = {
-        **heading("rays"),
+        **record_header("rays"),
         "case": asdict(case),
         "geoms_per_world": case.walls + 1 + case.robots * len(plan.geom_type),
         "geoms_per_robot": len(plan.geom_type),
@@ -193,9 +209,11 @@ def measure_rays(case: RayCase, file: Path | None = None) -> str:
         "brute_force_times_s": slow,
         "compile_s": {"rays": first - times[0], "brute_force": slow_first - slow[0]},
         "hits": float(np.isfinite(ours).mean()),
-        "different": float((np.isfinite(ours) != np.isfinite(theirs)).mean() + (apart > APART).mean()),
+        "different": float(
+            (np.isfinite(ours) != np.isfinite(theirs)).mean() + (apart > DISTANCE_TOLERANCE).mean()
+        ),
     }
-    append(record, file)
+    append_record(record, file)
     return _summary(record)
 
 

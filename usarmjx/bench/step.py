@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.bench.tools import append, heading, timed
+from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
@@ -26,24 +26,24 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.generate import generate_many
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.worlds.make import parse_roster
-from usarmjx.sim.batch import Batch, State
-from usarmjx.sim.control import Order, idle, steer
-from usarmjx.sim.scene import Scene, Team, build_scene, start_height
-from usarmjx.sim.site import places
+from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.control import ControlMode, idle_command, set_drive
+from usarmjx.sim.scene import RobotGroup, Scene, build_scene, start_height
+from usarmjx.sim.site import moved_geom_poses
 
 RESET_SHARE = 0.01
 """Share of worlds that start again at each control step of the whole step."""
 BASELINE_STEPS = 400
-SAMPLE = 64
+SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class StepCase:
     """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
 
     With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
-    worlds share one: the one with the most loose objects, and then solids, of `SAMPLE`, for a fair
+    worlds share one: the one with the most loose objects, and then solids, of `SAMPLE_ARENAS`, for a fair
     comparison, as a batch of many has room for the most of everything.
     """
 
@@ -85,9 +85,9 @@ def _bare_inputs(batch: Batch, speeds: jax.Array) -> Inputs:
     )
 
 
-def _random_values(batch: Batch, team: Team, key: jax.Array) -> dict[str, jax.Array]:
+def _random_values(batch: Batch, team: RobotGroup, key: jax.Array) -> dict[str, jax.Array]:
     """Return a random number within its limits for every key of a team's DRIVE (worlds, robots)."""
-    full, shape = team.robot.drive.full, (batch.worlds, len(team.slots))
+    full, shape = team.robot.drive.full_scale, (batch.worlds, len(team.slots))
     keys = (jax.random.fold_in(key, int(team.slots[0]) * 16 + i) for i in range(len(full)))
     return {
         name: jax.random.uniform(k, shape, minval=-top, maxval=top)
@@ -95,35 +95,39 @@ def _random_values(batch: Batch, team: Team, key: jax.Array) -> dict[str, jax.Ar
     }
 
 
-def _bare(batch: Batch, key: jax.Array, state: State) -> Callable[[jax.Array, Any], Any]:
+def _physics_only(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[jax.Array, Any], Any]:
     """The engine alone: new random wheel speeds each control step, servo targets kept near the joints.
 
     What of the arenas is data stays as it is at the start.
     """
     scene, start = batch.scene, jnp.zeros(())
-    standing = jax.vmap(lambda world: places(scene, world.site, start))(state.worlds)
+    standing = jax.vmap(lambda world: moved_geom_poses(scene, world.arena_state, start))(state.worlds)
 
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         now = batch.engine.state(physics)
         ctrl, act = jnp.zeros((batch.worlds, batch.scene.model.nu)), now.act
-        for team in batch.scene.teams:
+        for team in batch.scene.groups:
             values = _random_values(batch, team, jax.random.fold_in(key, i))
             shape = (batch.worlds, len(team.slots))
-            still = jax.tree.map(lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle(team.robot))
+            still = jax.tree.map(
+                lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle_command(team.robot)
+            )
             here = team.plan.actuated
-            told = steer(team.robot, still, values)
-            speeds = jnp.where(told.order == Order.VELOCITY, told.target, 0.0)
-            ctrl = ctrl.at[:, team.actuator].set(speeds[..., here]).at[:, team.hold].set(1.0)
-            act = act.at[:, team.activation].set(now.qpos[:, team.qpos[:, here]])
-        return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, places=standing))
+            told = set_drive(team.robot, still, values)
+            speeds = jnp.where(told.mode == ControlMode.VELOCITY, told.target, 0.0)
+            ctrl = ctrl.at[:, team.actuator_ids].set(speeds[..., here]).at[:, team.hold_actuator_ids].set(1.0)
+            act = act.at[:, team.actadr].set(now.qpos[:, team.qposadr[:, here]])
+        return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, geom_poses=standing))
 
     return body
 
 
-def _whole(batch: Batch, key: jax.Array, *, sensing: bool = True) -> Callable[[jax.Array, State], State]:
-    def body(i: jax.Array, state: State) -> State:
+def _full_step(
+    batch: Batch, key: jax.Array, *, sensing: bool = True
+) -> Callable[[jax.Array, BatchState], BatchState]:
+    def body(i: jax.Array, state: BatchState) -> BatchState:
         now = jax.random.fold_in(key, i)
-        for t, team in enumerate(batch.scene.teams):
+        for t, team in enumerate(batch.scene.groups):
             state = batch.drive(state, t, _random_values(batch, team, now))
         state = batch.step(state)
         if sensing:
@@ -140,28 +144,28 @@ def _baseline(scene: Scene, speeds: np.ndarray) -> float:
     """Robot-steps per second of plain `mj_step` on one CPU core, one world."""
     model = c_model(scene.model)
     data = mujoco.MjData(model)
-    for team in scene.teams:
-        for slot, address in zip(team.slots, team.root_qpos, strict=True):
+    for team in scene.groups:
+        for slot, address in zip(team.slots, team.root_qposadr, strict=True):
             start = scene.arena.starts[slot]
             data.qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, team.robot))
     data.ctrl[: speeds.size] = speeds
     mujoco.mj_step(model, data, nstep=BASELINE_STEPS // 4)
     began = time.perf_counter()
     mujoco.mj_step(model, data, nstep=BASELINE_STEPS)
-    return BASELINE_STEPS * scene.robots / (time.perf_counter() - began)
+    return BASELINE_STEPS * scene.num_robots / (time.perf_counter() - began)
 
 
-def _arena(case: Case) -> str | ArenaSpec | list[ArenaSpec]:
+def _arena(case: StepCase) -> str | ArenaSpec | list[ArenaSpec]:
     """Return the arena of a case, or all its arenas; a single generated one is shared by all worlds."""
     if not case.generated:
         return case.arena
     if case.generated > 1:
         return generate_many(case.arena, case.generated, seed=case.seed)
-    sample = generate_many(case.arena, SAMPLE, seed=case.seed)
+    sample = generate_many(case.arena, SAMPLE_ARENAS, seed=case.seed)
     return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
 
 
-def measure(case: Case, file: Path | None = None) -> str:
+def measure_step(case: StepCase, file: Path | None = None) -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
 
     Raises:
@@ -173,20 +177,20 @@ def measure(case: Case, file: Path | None = None) -> str:
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
-    run = partial(timed, repeats=case.repeats)
-    bare_first, bare, _ = run(_loop(batch, _bare(batch, key, state), case.steps), state.physics)
-    whole_first, whole, state = run(_loop(batch, _whole(batch, key), case.steps), state)
-    _, blind, state = run(_loop(batch, _whole(batch, key, sensing=False), case.steps), state)
-    batch.check(state)
-    work = case.worlds * scene.robots * case.substeps * case.steps
-    status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.status))
-    rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.teams)
+    run = partial(time_repeats, repeats=case.repeats)
+    bare_first, bare, _ = run(_loop(batch, _physics_only(batch, key, state), case.steps), state.physics)
+    whole_first, whole, state = run(_loop(batch, _full_step(batch, key), case.steps), state)
+    _, blind, state = run(_loop(batch, _full_step(batch, key, sensing=False), case.steps), state)
+    batch.check_overflow(state)
+    work = case.worlds * scene.num_robots * case.substeps * case.steps
+    status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.faults))
+    rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.groups)
     bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
     record = {
-        **heading("step", host=engine == "c"),
+        **record_header("step", host=engine == "c"),
         "case": {**asdict(case), "engine": engine},
-        "robots_per_world": scene.robots,
-        "arena_geoms": len(scene.fixed_look.kind) + len(scene.moved_look.kind),
+        "robots_per_world": scene.num_robots,
+        "arena_geoms": len(scene.fixed_geoms.kind) + len(scene.moved_geom_table.kind),
         "loose_objects": len(scene.arena.loose),
         "timestep": scene.physics.timestep,
         "in_the_step": "contacts, random commands, control, all sensors of the robots when due, "
@@ -200,7 +204,7 @@ def measure(case: Case, file: Path | None = None) -> str:
         "bare_robot_steps_per_s": bare_rate,
         "robot_steps_per_s": whole_rate,
         "whole_to_bare": whole_rate / bare_rate,
-        "sensors": {team.robot.name: [sensor.kind for sensor in team.suite.sensors] for team in scene.teams},
+        "sensors": {team.robot.name: [sensor.kind for sensor in team.suite.sensors] for team in scene.groups},
         "sensors_share": 1 - statistics.median(blind) / statistics.median(whole),
         "bare_times_s": bare,
         "whole_times_s": whole,
@@ -209,7 +213,7 @@ def measure(case: Case, file: Path | None = None) -> str:
         "cpu_mujoco_robot_steps_per_s": _baseline(scene, np.full(scene.model.nu, 1.0)),
         "faults": status,
     }
-    append(record, file)
+    append_record(record, file)
     return _summary(record)
 
 

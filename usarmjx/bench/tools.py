@@ -40,7 +40,7 @@ def device(*, host: bool = False) -> str:
     return platform.processor() or platform.machine() if host or kind == "cpu" else kind
 
 
-def heading(benchmark: str, *, host: bool = False) -> dict[str, Any]:
+def record_header(benchmark: str, *, host: bool = False) -> dict[str, Any]:
     """Return the first entries of a record: which benchmark, when, where, of what."""
     return {
         "benchmark": benchmark,
@@ -51,7 +51,7 @@ def heading(benchmark: str, *, host: bool = False) -> dict[str, Any]:
     }
 
 
-def append(record: Mapping[str, Any], file: Path | None) -> None:
+def append_record(record: Mapping[str, Any], file: Path | None) -> None:
     """Append a record to a file as a line of JSON; None: do not."""
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +59,7 @@ def append(record: Mapping[str, Any], file: Path | None) -> None:
             lines.write(json.dumps(record) + "\n")
 
 
-def timed(run: Callable[[Any], Any], state: Any, repeats: int) -> tuple[float, list[float], Any]:  # noqa: ANN401
+def time_repeats(run: Callable[[Any], Any], state: Any, repeats: int) -> tuple[float, list[float], Any]:  # noqa: ANN401
     """Return the first call's time (with compilation), the later ones', and the last state [s]."""
     times = []
     for _ in range(repeats + 1):

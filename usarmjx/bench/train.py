@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.bench.tools import append, heading
-from usarmjx.plots.training_plots import Curve, of_run
+from usarmjx.bench.tools import append_record, record_header
+from usarmjx.plots.training_plots import Curve, curve_of_run
 from usarmjx.train.learning.config import differences, task_config
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
@@ -16,7 +16,7 @@ DIGITS = 4
 """Decimals of scores in a record; times have one."""
 
 
-def time_to(curve: Curve, score: float) -> float | None:
+def time_to_score(curve: Curve, score: float) -> float | None:
     """Return when a run's score first was that high [s]; None: never."""
     there = np.flatnonzero(curve.score >= score)
     return float(curve.seconds[there[0]]) if there.size else None
@@ -32,11 +32,11 @@ def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
     Raises:
         UsageError: The folder is no run, or no episode has ended in it.
     """
-    run, curve, lines = load_record(folder), of_run(folder), read_lines(folder / "metrics.jsonl")
+    run, curve, lines = load_record(folder), curve_of_run(folder), read_lines(folder / "metrics.jsonl")
     rates = [line["steps_per_s"] for line in lines]
     changed = differences(task_config(run.task), run.config, but=("steps", "worlds", "seed"))
     return {
-        **heading("train"),
+        **record_header("train"),
         "task": run.task,
         "engine": run.engine,
         "worlds": run.config.worlds,
@@ -49,7 +49,7 @@ def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
         "score": float(curve.score[-1]),
         "bad": float(np.mean([line["bad"] for line in lines])),
         "baseline": baseline,
-        "baseline_reached_s": None if baseline is None else time_to(curve, baseline),
+        "baseline_reached_s": None if baseline is None else time_to_score(curve, baseline),
         "curve": [
             [int(steps), round(float(score), DIGITS), round(float(seconds), 1)]
             for steps, score, seconds in zip(curve.steps, curve.score, curve.seconds, strict=True)
@@ -60,7 +60,7 @@ def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
 def record_run(folder: Path, baseline: float | None, file: Path | None) -> str:
     """Append the record of a run to a file; return it in a line."""
     record = train_record(folder, baseline)
-    append(record, file)
+    append_record(record, file)
     reached, text = record["baseline_reached_s"], ""
     if baseline is not None:
         text = f"; baseline {baseline:g} " + ("not reached" if reached is None else f"after {reached:.0f} s")

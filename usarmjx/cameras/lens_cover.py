@@ -3,30 +3,30 @@
 import mujoco
 import numpy as np
 
-from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 
-CLOSE = 0.04
+COVER_DISTANCE = 0.04
 """How near to the lens a solid covers it [m]."""
 GeomType = mujoco.mjtGeom
 
 
-def covers(plan: BodyPlan, body: int, at: np.ndarray) -> np.ndarray:
+def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray:
     """Return which of a robot's geoms a camera at a place (3,) on a body does not see (geoms,).
 
-    Those of the body itself, and those nearer than `CLOSE` with all joints at 0.
+    Those of the body itself, and those nearer than `COVER_DISTANCE` with all joints at 0.
     """
-    turn = [np.eye(3)]
-    for parent, own in zip(plan.parent[1:], plan.turn[1:], strict=True):
-        turn.append(turn[parent] @ own)
-    turn = np.stack(turn)
-    eye = plan.rest_pos[body] + turn[body] @ at
-    mat = turn[plan.geom_body]
+    rest_mat = [np.eye(3)]
+    for parent, own in zip(plan.parent[1:], plan.rest_mat[1:], strict=True):
+        rest_mat.append(rest_mat[parent] @ own)
+    rest_mat = np.stack(rest_mat)
+    lens_pos = plan.rest_pos[body] + rest_mat[body] @ at
+    mat = rest_mat[plan.geom_body]
     pos = plan.rest_pos[plan.geom_body] + np.einsum("gij,gj->gi", mat, plan.geom_pos)
     mat = mat @ plan.geom_mat
-    local = np.einsum("gji,gj->gi", mat, eye - pos)
+    local = np.einsum("gji,gj->gi", mat, lens_pos - pos)
     rows = zip(plan.geom_type.tolist(), local, plan.geom_size, strict=True)
-    near = np.array([_away(kind, point, size) < CLOSE for kind, point, size in rows], bool)
+    near = np.array([_away(kind, point, size) < COVER_DISTANCE for kind, point, size in rows], bool)
     return near | (plan.geom_body == body)
 
 

@@ -14,27 +14,27 @@ import numpy as np
 
 TILE = 8
 """Side of the tiles that pixels come in."""
-RIM = math.radians(105.0)
+MIRROR_RIM_ANGLE = math.radians(105.0)
 """Half of what the mirror shows, measured from its axis: 15 degrees above the horizon (chosen) [rad]."""
 MIRROR_DISTANCE = 0.09
 """How far the mirror's focus is in front of the camera (manual 10.15.2: Z=0.09) [m]."""
 
 
-class Rays(NamedTuple):
+class CameraRays(NamedTuple):
     """The rays of a picture's pixels, tile by tile.
 
     Attributes:
-        along: Unit vectors in the camera's axes (rays, 3).
-        depth: What a ray's length is multiplied by to be a depth (rays,).
+        direction: Unit vectors in the camera's axes (rays, 3).
+        depth_scale: What a ray's length is multiplied by to be a depth (rays,).
         inside: Whether the pixel shows anything at all (rays,).
     """
 
-    along: jax.Array
-    depth: jax.Array
+    direction: jax.Array
+    depth_scale: jax.Array
     inside: jax.Array
 
 
-def pixels(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def pixel_offsets(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Return how far right and up of a picture's middle its pixels are, in pixels, tile by tile (rays,)."""
     columns, rows = (-(-side // TILE) * TILE for side in (width, height))
     right = np.broadcast_to(np.arange(columns) + 0.5 - width / 2, (rows, columns))
@@ -50,13 +50,13 @@ def tiled(values: np.ndarray) -> np.ndarray:
 
 
 def untiled(values: jax.Array, width: int, height: int) -> jax.Array:
-    """Return what `pixels` has put tile by tile (rays, ...) as a picture (height, width, ...)."""
+    """Return what `pixel_offsets` has put tile by tile (rays, ...) as a picture (height, width, ...)."""
     columns, rows = (-(-side // TILE) for side in (width, height))
     cut = values.reshape(rows, columns, TILE, TILE, *values.shape[1:]).swapaxes(1, 2)
     return cut.reshape(rows * TILE, columns * TILE, *values.shape[1:])[:height, :width]
 
 
-def pinhole(width: int, height: int, fov: jax.Array) -> Rays:
+def pinhole_rays(width: int, height: int, fov: jax.Array) -> CameraRays:
     """Return the rays of a pinhole camera.
 
     With f = (width / 2) / tan(fov / 2) the pixel in column c and row r looks along
@@ -67,21 +67,21 @@ def pinhole(width: int, height: int, fov: jax.Array) -> Rays:
         height: Rows; pixels are square.
         fov: Horizontal field of view [rad] ().
     """
-    right, up = pixels(width, height)
+    right, up = pixel_offsets(width, height)
     focal = width / 2 / jnp.tan(fov / 2)
     along = jnp.stack([jnp.broadcast_to(focal, right.shape), -right, up], -1)
     along /= jnp.sqrt((along * along).sum(-1, keepdims=True))
-    return Rays(along, along[:, 0], jnp.ones(len(right), bool))
+    return CameraRays(along, along[:, 0], jnp.ones(len(right), bool))
 
 
-def omni(width: int, height: int, zoom: jax.Array) -> Rays:
+def omni_rays(width: int, height: int, zoom: jax.Array) -> CameraRays:
     """Return the rays of a camera that looks into a parabolic mirror; they start at the mirror's focus.
 
     The mirror is the paraboloid z = (h^2 - r^2) / (2 h) about the optical axis, its focus in the origin and z
     towards the camera, whose rays are parallel to the axis. One that meets the mirror at the radius r is
     thrown back as if it came from the focus: at the angle t from z with r = h tan(t / 2). The middle of the
     picture looks back at the camera, the horizon is where r = h, and the circle that fills the picture is
-    the mirror's rim, where t = `RIM`. Right and up in the picture are right and up of the camera; what is
+    the mirror's rim, where t = `MIRROR_RIM_ANGLE`. Right and up in the picture are right and up of the camera; what is
     outside the rim shows nothing. Depth is the distance from the focus.
 
     Args:
@@ -89,10 +89,10 @@ def omni(width: int, height: int, zoom: jax.Array) -> Rays:
         height: Rows.
         zoom: How much larger than the picture the mirror appears ().
     """
-    right, up = pixels(width, height)
+    right, up = pixel_offsets(width, height)
     radius = np.hypot(right, up) / (min(width, height) / 2)  # in radii of the circle that fills the picture
     share = radius / zoom
-    angle = 2 * jnp.arctan(share * math.tan(RIM / 2))
+    angle = 2 * jnp.arctan(share * math.tan(MIRROR_RIM_ANGLE / 2))
     side = np.stack([-right, up], -1) / np.maximum(np.hypot(right, up), 1e-9)[:, None]
     along = jnp.concatenate([-jnp.cos(angle)[:, None], jnp.sin(angle)[:, None] * side], -1)
-    return Rays(along, jnp.ones(len(right)), jnp.asarray(share <= 1))
+    return CameraRays(along, jnp.ones(len(right)), jnp.asarray(share <= 1))

@@ -13,21 +13,21 @@ from usarmjx.models.spec.arena import Light
 
 AMBIENT, DIFFUSE = 0.45, 0.6
 """Daylight from everywhere, and that of the sun on what faces it."""
-INDOORS = 0.3
+INDOOR_AMBIENT = 0.3
 """Light from everywhere in an arena with lamps."""
-SUN: Vec3 = (0.45, 0.35, 0.82)
+SUN_DIRECTION: Vec3 = (0.45, 0.35, 0.82)
 """Direction to the sun; need not be a unit vector."""
-ROUND = np.array([0.12, -0.08, 0.2], np.float32) / AMBIENT
+AMBIENT_GRADIENT = np.array([0.12, -0.08, 0.2], np.float32) / AMBIENT
 """By which share light from everywhere changes with a surface's slope, so that sides in shadow differ."""
-NEAR = 0.25
+MIN_LIGHT_DISTANCE = 0.25
 """What is nearer to a light than this is lit as at this distance [m]."""
-BEAM_ANGLE, CORE = math.radians(30.0), math.radians(20.0)
+SPOT_OUTER_ANGLE, SPOT_INNER_ANGLE = math.radians(30.0), math.radians(20.0)
 """Half the opening of a headlight's cone, and within which it is at its brightest (chosen) [rad]."""
-BEAM = 2.0
+HEADLIGHT_BRIGHTNESS = 2.0
 """Brightness of a headlight at 1 m, as `Light.brightness` (chosen)."""
 
 
-class Lamps(struct.PyTreeNode, kw_only=True):
+class PointLights(struct.PyTreeNode, kw_only=True):
     """An arena's lamps.
 
     Attributes:
@@ -44,13 +44,13 @@ class Headlights(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         pos: Where they are [m] (n, 3).
-        along: Where they shine, unit vectors (n, 3).
+        direction: Where they shine, unit vectors (n, 3).
         on: Which shine (n,).
         label: Label of the robot, which does not stand in the way of its own light (n,).
     """
 
     pos: Array
-    along: Array
+    direction: Array
     on: Array
     label: Array
 
@@ -58,28 +58,30 @@ class Headlights(struct.PyTreeNode, kw_only=True):
 def no_headlights() -> Headlights:
     """Return none."""
     none = np.zeros((0, 3), np.float32)
-    return Headlights(pos=none, along=none, on=np.zeros(0, bool), label=np.zeros(0, np.int32))
+    return Headlights(pos=none, direction=none, on=np.zeros(0, bool), label=np.zeros(0, np.int32))
 
 
-def lamps_of(lights: Sequence[Light], floor: float) -> Lamps:
+def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
     """Return an arena's lamps; numpy arrays."""
     pos = [np.add(light.at, (0.0, 0.0, floor)) for light in lights]
     rgb = [np.multiply(light.rgb, light.brightness) for light in lights]
-    return Lamps(pos=np.array(pos, np.float32).reshape(-1, 3), rgb=np.array(rgb, np.float32).reshape(-1, 3))
+    return PointLights(
+        pos=np.array(pos, np.float32).reshape(-1, 3), rgb=np.array(rgb, np.float32).reshape(-1, 3)
+    )
 
 
-def daylight(lamps: Lamps) -> jax.Array:
+def daylight(lamps: PointLights) -> jax.Array:
     """Return 1 where the sun lights the arena, 0 where it has lamps ()."""
     return 1.0 - (jnp.asarray(lamps.rgb) > 0).any().astype(jnp.float32)
 
 
 def falloff(distance: jax.Array) -> jax.Array:
     """Return a light's brightness at a distance [m], that at 1 m being 1."""
-    return 1.0 / jnp.square(jnp.maximum(distance, NEAR))
+    return 1.0 / jnp.square(jnp.maximum(distance, MIN_LIGHT_DISTANCE))
 
 
-def beam(cosine: jax.Array) -> jax.Array:
+def spot_falloff(cosine: jax.Array) -> jax.Array:
     """Return a headlight's brightness off its axis, from 1 in its core to 0 at the edge of its cone."""
-    edge, core = math.cos(BEAM_ANGLE), math.cos(CORE)
+    edge, core = math.cos(SPOT_OUTER_ANGLE), math.cos(SPOT_INNER_ANGLE)
     share = jnp.clip((cosine - edge) / (core - edge), 0.0, 1.0)
     return share * share * (3 - 2 * share)

@@ -9,12 +9,12 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.base.transforms import Array, Vec3, flip_angles, flip_vector, mat_from_angles
-from usarmjx.cameras.lens_cover import covers
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.cameras.lens_cover import covering_geoms
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.still import Headlight
 from usarmjx.models.spec.robot import CHASSIS, Mount, RobotSpec
-from usarmjx.sensors.settings import CameraSettings, resolve
+from usarmjx.sensors.settings import CameraSettings, resolve_settings
 
 OMNI_PACKAGES = ("OmniCamera", "OmniCamPillar")
 """Mission packages that carry a mirror: a camera on one of their links looks into it (manual 10.15.2)."""
@@ -27,34 +27,34 @@ class Camera:
     Attributes:
         mount: Where it is described.
         body: The body it sits on, as a place in `BodyPlan.parts`.
-        at: Position on it [m] (3,).
+        pos: Position on it [m] (3,).
         mat: Orientation on it; x is the optical axis (3, 3).
-        default: Field of view that it starts with [rad].
-        low: Smallest field of view [rad].
-        high: Largest [rad].
+        default_fov: Field of view that it starts with [rad].
+        min_fov: Smallest field of view [rad].
+        max_fov: Largest [rad].
         lens: What it looks through.
-        eyes: Where its eyes are, in its own axes: one in the middle, or the left one and the right
+        eye_offsets: Where its eyes are, in its own axes: one in the middle, or the left one and the right
             one [m] (n, 3).
-        hides: The geoms of its robot that it does not see, since they would cover its lens (`lens_cover`):
+        hidden_geoms: The geoms of its robot that it does not see, since they would cover its lens (`lens_cover`):
             captured mounts leave the original's finer bodies free, and lie on or in our solids (geoms,).
     """
 
     mount: Mount
     body: int
-    at: np.ndarray
+    pos: np.ndarray
     mat: np.ndarray
-    default: float
-    low: float
-    high: float
+    default_fov: float
+    min_fov: float
+    max_fov: float
     lens: Literal["pinhole", "omni"]
-    eyes: np.ndarray
-    hides: np.ndarray
+    eye_offsets: np.ndarray
+    hidden_geoms: np.ndarray
 
     def clamp(self, fov: Array, xp: ModuleType = np) -> Array:
         """Return what field of view it has when told one [rad] (...,): 0 is the default (manual 9.4)."""
         fov = xp.asarray(fov, xp.float32)
-        wanted = xp.where(xp.isnan(fov) | (fov == 0), self.default, fov)
-        return xp.clip(wanted, self.low, self.high).astype(xp.float32)
+        wanted = xp.where(xp.isnan(fov) | (fov == 0), self.default_fov, fov)
+        return xp.clip(wanted, self.min_fov, self.max_fov).astype(xp.float32)
 
 
 @cache
@@ -70,7 +70,7 @@ def cameras_of(robot: RobotSpec) -> tuple[Camera, ...]:
 
 def _camera(robot: RobotSpec, mount: Mount) -> Camera:
     where = f"{robot.name}: {mount.kind} {mount.name}"
-    settings, plan = resolve(CameraSettings, mount.options, where), body_plan(robot)
+    settings, plan = resolve_settings(CameraSettings, mount.options, where), kinematic_tree_of(robot)
     parts = plan.parts
     if mount.parent not in parts:
         raise SpecError(f"{where}: no part {mount.parent!r}; parts: {', '.join(parts)}")
@@ -85,14 +85,14 @@ def _camera(robot: RobotSpec, mount: Mount) -> Camera:
     return Camera(
         mount=mount,
         body=body,
-        at=at,
+        pos=at,
         mat=mat_from_angles(np.array(roll), np.array(pitch), np.array(yaw)).astype(np.float32),
-        default=settings.camera_def_fov,
-        low=low,
-        high=high,
+        default_fov=settings.camera_def_fov,
+        min_fov=low,
+        max_fov=high,
         lens="omni" if settings.omni or mount.parent.rsplit("_Link", 1)[0] in OMNI_PACKAGES else "pinhole",
-        eyes=_eyes(where, settings),
-        hides=covers(plan, body, at),
+        eye_offsets=_eyes(where, settings),
+        hidden_geoms=covering_geoms(plan, body, at),
     )
 
 
@@ -108,7 +108,7 @@ def _eyes(where: str, settings: CameraSettings) -> np.ndarray:
     return np.array([flip_vector(tuple(-x for x in right)), flip_vector(right)], np.float32)  # type: ignore
 
 
-def find_camera(robot: RobotSpec, name: str | int | None = None) -> int:
+def camera_index(robot: RobotSpec, name: str | int | None = None) -> int:
     """Return the place of a camera, by its name (case ignored) or its place; None: the main one.
 
     Raises:
@@ -126,31 +126,31 @@ def find_camera(robot: RobotSpec, name: str | int | None = None) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Lamp:
+class HeadlightMount:
     """Where a robot class has its headlight; lengths and axes are ours.
 
     Attributes:
         body: The body it sits on, as a place in `BodyPlan.parts`.
-        at: Position on it [m] (3,).
-        along: Where it shines, a unit vector (3,).
+        pos: Position on it [m] (3,).
+        direction: Where it shines, a unit vector (3,).
     """
 
     body: int
-    at: np.ndarray
-    along: np.ndarray
+    pos: np.ndarray
+    direction: np.ndarray
 
 
 @cache
-def headlight_of(robot: RobotSpec) -> Lamp:
+def headlight_of(robot: RobotSpec) -> HeadlightMount:
     """Return the headlight: its effecter's, or else in the middle of the robot's front (manual 11.5)."""
     mounts = [one.mount for one in effecters_of(robot) if isinstance(one, Headlight)]
     front: Vec3 = (robot.dimensions[0] / 2, 0.0, 0.0)
     mount = mounts[0] if mounts else Mount(kind="Headlight", name="Headlight", at=front)
-    parts = body_plan(robot).parts
+    parts = kinematic_tree_of(robot).parts
     roll, pitch, yaw = flip_angles(mount.direction)
     mat = mat_from_angles(np.array(roll), np.array(pitch), np.array(yaw))
-    return Lamp(
+    return HeadlightMount(
         body=parts.index(mount.parent) if mount.parent in parts else parts.index(CHASSIS),
-        at=np.array(flip_vector(mount.at), np.float32),
-        along=mat[:, 0].astype(np.float32),
+        pos=np.array(flip_vector(mount.at), np.float32),
+        direction=mat[:, 0].astype(np.float32),
     )

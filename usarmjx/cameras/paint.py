@@ -7,82 +7,100 @@ from flax import struct
 
 from usarmjx.base.transforms import Array
 from usarmjx.models.build.compose_arena import ARENA as ARENA_NAMES
-from usarmjx.models.build.compose_arena import BONE, DOOR, LOOSE
+from usarmjx.models.build.compose_arena import DOOR, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.build.victims import victim_table
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import GLASS, MIRROR
 
-OUTSIDE, SKY_LABEL, ARENA, LOOSE_OBJECT, DOOR_LABEL, VICTIM, FALSE_ALARM, WATER = range(-1, 7)
+(
+    OUTSIDE_LABEL,
+    SKY_LABEL,
+    ARENA_LABEL,
+    LOOSE_LABEL,
+    DOOR_LABEL,
+    VICTIM_LABEL,
+    FALSE_ALARM_LABEL,
+    WATER_LABEL,
+) = range(-1, 7)
 """What a pixel of a segmentation shows: nothing, since it is outside of an omnidirectional camera's mirror;
 the sky; floor and fixed solids; a loose object; a door; a victim; a body part that is no victim's; water,
 which no pixel has, since it lets light through."""
-ROBOT = 16
-"""The robot in roster slot k has the label `ROBOT` + k."""
+ROBOT_LABEL = 16
+"""The robot in roster slot k has the label `ROBOT_LABEL` + k."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
-PIECES = 1 << 16
+MAX_ROBOT_GEOMS = 1 << 16
 """More than any robot has geoms."""
-NOBODY = -2
+EXCLUDE_NONE = -2
 """A viewer to whom every geom is visible."""
-CLEAR = 0.65
+GLASS_TRANSPARENCY = 0.65
 """How much of what is behind it glass shows."""
-GLOSS = 0.75
+MIRROR_REFLECTANCE = 0.75
 """How much of what a mirror shows is what it reflects."""
-WATER_RGB, WATER_CLEAR = (0.25, 0.5, 0.65), 0.55
+WATER_RGB, WATER_TRANSPARENCY = (0.25, 0.5, 0.65), 0.55
 
 
-class Paint(struct.PyTreeNode, kw_only=True):
+class GeomAppearance(struct.PyTreeNode, kw_only=True):
     """How geoms look, in the order of the blocks of their `Geoms`, one block after the other.
 
     Attributes:
         rgb: Colours, in [0, 1] (n, 3).
-        clear: Share of what is behind that is seen through them (n,).
-        gloss: Share of what they reflect in how they look (n,).
+        transparency: Share of what is behind that is seen through them (n,).
+        reflectance: Share of what they reflect in how they look (n,).
         label: What they are in a segmentation (n,).
     """
 
     rgb: Array
-    clear: Array
-    gloss: Array
+    transparency: Array
+    reflectance: Array
     label: Array
 
 
-def piece_of(slot: Array, piece: Array) -> Array:
+def robot_geom_owner(slot: Array, geom: Array) -> Array:
     """Return the owner that tells a robot's geom, by its place in the class's `BodyPlan`, from all others."""
-    return slot * PIECES + piece
+    return slot * MAX_ROBOT_GEOMS + geom
 
 
-def hidden(owner: Array, slot: Array, hides: Array) -> Array:
+def camera_owners(owner: Array, slot: Array, hidden_geoms: Array) -> Array:
     """Return the owners (n,) as those see it that look through a camera of the robot in a slot ().
 
-    What its class's camera does not see (`Camera.hides`) belongs to the slot; nothing else belongs to anyone.
+    What its class's camera does not see (`Camera.hidden_geoms`) belongs to the slot; nothing else belongs to anyone.
     """
-    piece = jnp.append(jnp.asarray(hides), False)[jnp.clip(owner - slot * PIECES, 0, len(hides))]
-    return jnp.where((owner // PIECES == slot) & piece, slot, -1)
+    piece = jnp.append(jnp.asarray(hidden_geoms), False)[
+        jnp.clip(owner - slot * MAX_ROBOT_GEOMS, 0, len(hidden_geoms))
+    ]
+    return jnp.where((owner // MAX_ROBOT_GEOMS == slot) & piece, slot, -1)
 
 
-def clears(material: np.ndarray) -> np.ndarray:
+def transparencies(material: np.ndarray) -> np.ndarray:
     """Return how much of what is behind things of some materials (n,) show (n,)."""
-    return np.array([CLEAR * (name == GLASS) for name in material], np.float32)
+    return np.array([GLASS_TRANSPARENCY * (name == GLASS) for name in material], np.float32)
 
 
-def glosses(material: np.ndarray) -> np.ndarray:
+def reflectances(material: np.ndarray) -> np.ndarray:
     """Return how much of what things of some materials (n,) look like they reflect (n,)."""
-    return np.array([GLOSS * (name == MIRROR) for name in material], np.float32)
+    return np.array([MIRROR_REFLECTANCE * (name == MIRROR) for name in material], np.float32)
 
 
 def bone_labels(owner: Array, xp: object = np) -> Array:
     """Return the labels of victims' boxes (n,) from their owners in a `VictimTable` (n,)."""
-    return xp.where(owner >= 0, VICTIM, FALSE_ALARM)  # type: ignore[attr-defined]
+    return xp.where(owner >= 0, VICTIM_LABEL, FALSE_ALARM_LABEL)  # type: ignore[attr-defined]
 
 
 def labels_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
-    """Return the labels of a model's geoms (ngeom,); robots have `ROBOT`, whichever they are."""
+    """Return the labels of a model's geoms (ngeom,); robots have `ROBOT_LABEL`, whichever they are."""
     bones = bone_labels(victim_table(arena.victims, arena.false_alarms).owner)
     names = [model.geom(i).name for i in range(model.ngeom)]
-    known = {f"{BONE}{i}": int(label) for i, label in enumerate(bones)} | {"floor": ARENA}
-    starts = {ARENA_NAMES: ARENA, LOOSE: LOOSE_OBJECT, DOOR: DOOR_LABEL, BONE: VICTIM}
+    known = {f"{VICTIM_PREFIX}{i}": int(label) for i, label in enumerate(bones)} | {"floor": ARENA_LABEL}
+    starts = {
+        ARENA_NAMES: ARENA_LABEL,
+        LOOSE_PREFIX: LOOSE_LABEL,
+        DOOR: DOOR_LABEL,
+        VICTIM_PREFIX: VICTIM_LABEL,
+    }
 
     def label(name: str) -> int:
-        return known.get(name) or next((v for start, v in starts.items() if name.startswith(start)), ROBOT)
+        return known.get(name) or next(
+            (v for start, v in starts.items() if name.startswith(start)), ROBOT_LABEL
+        )
 
     return np.array([label(name) for name in names], np.int32)

@@ -9,15 +9,15 @@ from flax import struct
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Array
-from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni, pinhole, untiled
+from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
 from usarmjx.cameras.mounts import Camera
-from usarmjx.cameras.paint import OUTSIDE, hidden
-from usarmjx.cameras.shading import Stage, shade
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.cameras.paint import OUTSIDE_LABEL, camera_owners
+from usarmjx.cameras.shading import RenderScene, shade
+from usarmjx.models.build.body_plan import BodyPoses
 
-LARGEST = 4096
+MAX_SIDE = 4096
 """Most pixels along a side."""
-ROOM = 64
+HIDDEN_GEOMS_MULTIPLE = 64
 """Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
 
 
@@ -27,25 +27,25 @@ class Viewpoint(struct.PyTreeNode, kw_only=True):
     Attributes:
         pos: Where the camera is [m] (3,).
         mat: Its orientation; x is the optical axis, z up in the picture (3, 3).
-        eyes: Where its eyes are, in its own axes [m] (eyes, 3).
+        eye_offsets: Where its eyes are, in its own axes [m] (eyes, 3).
         fov: Its field of view [rad] ().
-        default: That which it starts with [rad] ().
+        default_fov: That which it starts with [rad] ().
         slot: Its robot's slot in the roster ().
-        hides: Geoms of its robot that it does not see: `Camera.hides`, then False (geoms,).
+        hidden_geoms: Geoms of its robot that it does not see: `Camera.hidden_geoms`, then False (geoms,).
         lens: What it looks through; static.
     """
 
     pos: Array
     mat: Array
-    eyes: Array
+    eye_offsets: Array
     fov: Array
-    default: Array
+    default_fov: Array
     slot: Array
-    hides: Array
+    hidden_geoms: Array
     lens: str = struct.field(pytree_node=False)
 
 
-def viewpoint(camera: Camera, bodies: Bodies, slot: Array, fov: Array) -> Viewpoint:
+def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array) -> Viewpoint:
     """Return from where a robot's camera looks; numpy arrays if those given are.
 
     Args:
@@ -56,13 +56,13 @@ def viewpoint(camera: Camera, bodies: Bodies, slot: Array, fov: Array) -> Viewpo
     """
     pos, mat = bodies.pos[camera.body], bodies.mat[camera.body]
     return Viewpoint(
-        pos=pos + mat @ camera.at,
+        pos=pos + mat @ camera.pos,
         mat=mat @ camera.mat,
-        eyes=camera.eyes,
+        eye_offsets=camera.eye_offsets,
         fov=fov,
-        default=np.float32(camera.default),
+        default_fov=np.float32(camera.default_fov),
         slot=slot,
-        hides=np.pad(camera.hides, (0, -len(camera.hides) % ROOM)),
+        hidden_geoms=np.pad(camera.hidden_geoms, (0, -len(camera.hidden_geoms) % HIDDEN_GEOMS_MULTIPLE)),
         lens=camera.lens,
     )
 
@@ -87,41 +87,46 @@ def check_size(camera: Camera, width: int, height: int) -> None:
     """Refuse sizes that a picture cannot have.
 
     Raises:
-        UsageError: A side below 1 or above `LARGEST`, or an odd width of a stereo pair.
+        UsageError: A side below 1 or above `MAX_SIDE`, or an odd width of a stereo pair.
     """
-    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
-        raise UsageError(f"a picture of {width} x {height} pixels; expected 1 to {LARGEST} along each side")
-    if width % len(camera.eyes):
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise UsageError(f"a picture of {width} x {height} pixels; expected 1 to {MAX_SIDE} along each side")
+    if width % len(camera.eye_offsets):
         raise UsageError(f"a stereo picture is {width} pixels wide; expected an even number, for two eyes")
 
 
-def take(stage: Stage, eye: Viewpoint, width: int, height: int) -> Picture:
+def render_picture(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
     """Return what a robot's camera sees; pure, the size is static.
 
-    The robot sees itself, but for what would cover the lens, see `Camera.hides`. A stereo camera's picture
+    The robot sees itself, but for what would cover the lens, see `Camera.hidden_geoms`. A stereo camera's picture
     has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
     3.2.6.2). The mirror of an omnidirectional camera fills the picture at the default field of view, and
     grows as it shrinks.
 
     Args:
-        stage: What there is to see.
-        eye: From where.
+        render_scene: What there is to see.
+        viewpoint: From where.
         width: Pixels along a row.
         height: Rows.
     """
-    offsets = jnp.asarray(eye.eyes)
+    offsets = jnp.asarray(viewpoint.eye_offsets)
     eyes, wide = len(offsets), width // len(offsets)
-    if eye.lens == "omni":
-        rays = omni(wide, height, jnp.tan(eye.default / 2) / jnp.tan(eye.fov / 2))
+    if viewpoint.lens == "omni":
+        rays = omni_rays(wide, height, jnp.tan(viewpoint.default_fov / 2) / jnp.tan(viewpoint.fov / 2))
         offsets += jnp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
-        rays = pinhole(wide, height, eye.fov)
-    along = jnp.stack([sum(eye.mat[i, j] * rays.along[:, j] for j in range(3)) for i in range(3)], -1)
-    start = jnp.repeat(eye.pos + offsets @ eye.mat.T, len(along), 0)
-    blocks = [block.replace(owner=hidden(block.owner, eye.slot, eye.hides)) for block in stage.geoms.blocks]
-    stage = stage.replace(geoms=stage.geoms.replace(blocks=tuple(blocks)))
-    seen = shade(stage, start, jnp.tile(along, (eyes, 1)), jnp.asarray(eye.slot))
-    inside, depth = jnp.tile(rays.inside, eyes), seen.distance * jnp.tile(rays.depth, eyes)
+        rays = pinhole_rays(wide, height, viewpoint.fov)
+    along = jnp.stack(
+        [sum(viewpoint.mat[i, j] * rays.direction[:, j] for j in range(3)) for i in range(3)], -1
+    )
+    start = jnp.repeat(viewpoint.pos + offsets @ viewpoint.mat.T, len(along), 0)
+    blocks = [
+        block.replace(owner=camera_owners(block.owner, viewpoint.slot, viewpoint.hidden_geoms))
+        for block in render_scene.geoms.blocks
+    ]
+    render_scene = render_scene.replace(geoms=render_scene.geoms.replace(blocks=tuple(blocks)))
+    seen = shade(render_scene, start, jnp.tile(along, (eyes, 1)), jnp.asarray(viewpoint.slot))
+    inside, depth = jnp.tile(rays.inside, eyes), seen.distance * jnp.tile(rays.depth_scale, eyes)
     levels = jnp.where(inside[:, None], jnp.floor(255 * seen.rgb + 0.5), 0.0).astype(jnp.uint8)
 
     def picture(values: jax.Array) -> jax.Array:
@@ -131,12 +136,12 @@ def take(stage: Stage, eye: Viewpoint, width: int, height: int) -> Picture:
     return Picture(
         rgb=picture(levels),
         depth=picture(jnp.where(inside, depth, jnp.inf)),
-        segmentation=picture(jnp.where(inside, seen.label, OUTSIDE).astype(jnp.int32)),
+        segmentation=picture(jnp.where(inside, seen.label, OUTSIDE_LABEL).astype(jnp.int32)),
     )
 
 
 @partial(jax.jit, static_argnames=("width", "height"))
 @jax.default_matmul_precision("highest")
-def shoot(stage: Stage, eye: Viewpoint, width: int, height: int) -> Picture:
-    """As `take`, compiled once for all cameras with as many eyes and the same lens."""
-    return take(stage, eye, width, height)
+def render_picture_jit(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
+    """As `render_picture`, compiled once for all cameras with as many eyes and the same lens."""
+    return render_picture(render_scene, viewpoint, width, height)

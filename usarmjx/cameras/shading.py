@@ -18,61 +18,61 @@ from usarmjx.base.transforms import Array
 from usarmjx.cameras.lenses import TILE
 from usarmjx.cameras.light import (
     AMBIENT,
-    BEAM,
+    AMBIENT_GRADIENT,
     DIFFUSE,
-    INDOORS,
-    ROUND,
+    HEADLIGHT_BRIGHTNESS,
+    INDOOR_AMBIENT,
     Headlights,
-    Lamps,
-    beam,
+    PointLights,
     daylight,
     falloff,
+    spot_falloff,
 )
-from usarmjx.cameras.paint import ARENA, NOBODY, PLANE, SKY_LABEL, Paint
+from usarmjx.cameras.paint import ARENA_LABEL, EXCLUDE_NONE, PLANE, SKY_LABEL, GeomAppearance
 from usarmjx.models.spec.robot import GLASS, MATERIALS, MIRROR, SKY
-from usarmjx.sensors.rays.raycast import First, Gaze, nearest, normals
-from usarmjx.sensors.rays.targets import FAR_AWAY, Geoms
+from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, nearest_hits, normals
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms
 
 SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
 NIGHT_RGB = np.array([0.1, 0.11, 0.14], np.float32)
 """The sky above arenas with lamps."""
-TILES = np.array([[0.86, 0.86, 0.84], [0.78, 0.78, 0.76]], np.float32)
+CHECKER_RGB = np.array([[0.86, 0.86, 0.84], [0.78, 0.78, 0.76]], np.float32)
 """Colours of the floor's checkers."""
-PLAIN = np.array([0.87, 0.88, 0.88], np.float32)
+FLOOR_RGB = np.array([0.87, 0.88, 0.88], np.float32)
 """Colour of the floor beyond them."""
-TINT = 0.03
+BRICK_CONTRAST = 0.03
 """By which share the bricks of the arena's solids are brighter or darker than their colour."""
-LIFT, LIFT_FAR = 5e-4, 3e-5
+RAY_BIAS, RAY_BIAS_PER_METRE = 5e-4, 3e-5
 """Rays that leave a surface start this far off [m], and this far for every metre of the way there."""
-BUNDLE = TILE * TILE
+TILE_BUNDLE_SIZE = TILE * TILE
 """Rays that go about the same way."""
-FAINT = 1e-3
+MIN_LIGHT = 1e-3
 """Light that is not looked for."""
-SOLID = Gaze(frozenset({SKY, GLASS}), BUNDLE)
-PANES = Gaze(frozenset(MATERIALS) - {GLASS}, BUNDLE)
+SOLID_QUERY = RayQuery(frozenset({SKY, GLASS}), TILE_BUNDLE_SIZE)
+PANE_QUERY = RayQuery(frozenset(MATERIALS) - {GLASS}, TILE_BUNDLE_SIZE)
 """What rays pass that look for solids, and for panes."""
 
 
-class Stage(struct.PyTreeNode, kw_only=True):
+class RenderScene(struct.PyTreeNode, kw_only=True):
     """All that there is to see in one world.
 
     Attributes:
-        geoms: What rays meet; of whole worlds with the owners of `paint.piece_of`.
-        paint: What that looks like.
-        sun: Direction to the sun, a unit vector (3,).
-        lamps: The arena's lamps; with any, there is no sun.
+        geoms: What rays meet; of whole worlds with the owners of `paint.robot_geom_owner`.
+        appearance: What that looks like.
+        sun_direction: Direction to the sun, a unit vector (3,).
+        lights: The arena's lamps; with any, there is no sun.
         headlights: The robots' headlights.
-        tile: Side of the floor's checkers [m] ().
-        tiled: Where the floor has checkers: least and largest x and y [m] (2, 2).
+        checker_size: Side of the floor's checkers [m] ().
+        checker_bounds: Where the floor has checkers: least and largest x and y [m] (2, 2).
     """
 
     geoms: Geoms
-    paint: Paint
-    sun: Array
-    lamps: Lamps
+    appearance: GeomAppearance
+    sun_direction: Array
+    lights: PointLights
     headlights: Headlights
-    tile: Array
-    tiled: Array
+    checker_size: Array
+    checker_bounds: Array
 
 
 class Shaded(NamedTuple):
@@ -96,39 +96,49 @@ class _Surface(NamedTuple):
 
     Attributes:
         met: Whether they end at all (rays,).
-        which: On which geom (rays,).
+        geom_index: On which geom (rays,).
         point: Just off its surface [m] (3, rays).
         normal: The surface's, towards the rays (3, rays).
         rgb: Its colour (3, rays).
     """
 
     met: jax.Array
-    which: jax.Array
+    geom_index: jax.Array
     point: jax.Array
     normal: jax.Array
     rgb: jax.Array
 
 
-def shade(stage: Stage, start: jax.Array, along: jax.Array, viewer: jax.Array) -> Shaded:
+def shade(
+    render_scene: RenderScene, origin: jax.Array, direction: jax.Array, exclude_owner: jax.Array
+) -> Shaded:
     """Return what rays see.
 
     Args:
-        stage: What there is.
-        start: Where they start [m] (rays, 3).
-        along: Unit vectors (rays, 3).
-        viewer: Geoms of this owner are transparent to them; `NOBODY`: none ().
+        render_scene: What there is.
+        origin: Where they start [m] (rays, 3).
+        direction: Unit vectors (rays, 3).
+        exclude_owner: Geoms of this owner are transparent to them; `NOBODY`: none ().
     """
-    first = nearest(stage.geoms, start, along, viewer, SOLID)
-    surface = _surface(stage, first, start, along)
-    rgb = _lit(stage, surface)
-    if MIRROR in stage.geoms.materials:
-        gloss = jnp.where(surface.met, jnp.asarray(stage.paint.gloss)[surface.which], 0.0)
-        rgb = _if((gloss > 0).any(), lambda rgb: _reflected(stage, surface, along, gloss, rgb), rgb)
-    if GLASS in stage.geoms.materials:
-        pane = nearest(stage.geoms, start, along, viewer, PANES)
-        pane = First(pane.distance, jnp.where(pane.distance < first.distance, pane.which, -1))
-        rgb = _if((pane.which >= 0).any(), lambda rgb: _behind_panes(stage, pane, start, along, rgb), rgb)
-    label = jnp.where(surface.met, jnp.asarray(stage.paint.label)[surface.which], SKY_LABEL)
+    first = nearest_hits(render_scene.geoms, origin, direction, exclude_owner, SOLID_QUERY)
+    surface = _surface(render_scene, first, origin, direction)
+    rgb = _lit(render_scene, surface)
+    if MIRROR in render_scene.geoms.materials:
+        gloss = jnp.where(
+            surface.met, jnp.asarray(render_scene.appearance.reflectance)[surface.geom_index], 0.0
+        )
+        rgb = _if(
+            (gloss > 0).any(), lambda rgb: _reflected(render_scene, surface, direction, gloss, rgb), rgb
+        )
+    if GLASS in render_scene.geoms.materials:
+        pane = nearest_hits(render_scene.geoms, origin, direction, exclude_owner, PANE_QUERY)
+        pane = GeomHits(pane.distance, jnp.where(pane.distance < first.distance, pane.geom_index, -1))
+        rgb = _if(
+            (pane.geom_index >= 0).any(),
+            lambda rgb: _behind_panes(render_scene, pane, origin, direction, rgb),
+            rgb,
+        )
+    label = jnp.where(surface.met, jnp.asarray(render_scene.appearance.label)[surface.geom_index], SKY_LABEL)
     return Shaded(rgb.T, first.distance, label)
 
 
@@ -141,108 +151,114 @@ def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def _reflected(
-    stage: Stage, surface: _Surface, along: jax.Array, gloss: jax.Array, rgb: jax.Array
+    render_scene: RenderScene, surface: _Surface, along: jax.Array, gloss: jax.Array, rgb: jax.Array
 ) -> jax.Array:
     """Return colours with what mirrors reflect, in which a camera sees all of its robot."""
     ahead = along.T
     back = ahead - 2 * _dot(ahead, surface.normal) * surface.normal
     start, back = _needed(gloss > 0, surface.point, back)
-    first = nearest(stage.geoms, start, back, jnp.asarray(NOBODY), SOLID)
-    mirrored = _lit(stage, _surface(stage, first, start, back))
+    first = nearest_hits(render_scene.geoms, start, back, jnp.asarray(EXCLUDE_NONE), SOLID_QUERY)
+    mirrored = _lit(render_scene, _surface(render_scene, first, start, back))
     return jnp.where(gloss > 0, (1 - gloss) * rgb + gloss * mirrored, rgb)
 
 
-def _behind_panes(stage: Stage, pane: First, start: jax.Array, along: jax.Array, rgb: jax.Array) -> jax.Array:
+def _behind_panes(
+    render_scene: RenderScene, pane: GeomHits, start: jax.Array, along: jax.Array, rgb: jax.Array
+) -> jax.Array:
     """Return colours with the panes that are in front of them: lit, whatever is in between."""
-    surface = _surface(stage, pane, start, along)
-    clear = jnp.asarray(stage.paint.clear)[surface.which]
-    seen = (1 - clear) * _lit(stage, surface, shadows=False) + clear * rgb
+    surface = _surface(render_scene, pane, start, along)
+    clear = jnp.asarray(render_scene.appearance.transparency)[surface.geom_index]
+    seen = (1 - clear) * _lit(render_scene, surface, shadows=False) + clear * rgb
     return jnp.where(surface.met, seen, rgb)
 
 
-def _surface(stage: Stage, first: First, start: jax.Array, along: jax.Array) -> _Surface:
-    met, which = first.which >= 0, jnp.maximum(first.which, 0)
+def _surface(render_scene: RenderScene, first: GeomHits, start: jax.Array, along: jax.Array) -> _Surface:
+    met, which = first.geom_index >= 0, jnp.maximum(first.geom_index, 0)
     reach = jnp.where(met, first.distance, 0.0)
-    point, normal = start.T + reach * along.T, normals(stage.geoms, first, start, along).T
-    kinds = zip(stage.geoms.types, stage.geoms.blocks, strict=True)
+    point, normal = start.T + reach * along.T, normals(render_scene.geoms, first, start, along).T
+    kinds = zip(render_scene.geoms.kinds, render_scene.geoms.blocks, strict=True)
     floor = np.concatenate([np.full(len(block.owner), kind == PLANE) for kind, block in kinds])
     of_floor = jnp.asarray(floor)[which]
-    rgb = jnp.asarray(stage.paint.rgb).T[:, which]
-    bricks = (jnp.asarray(stage.paint.label)[which] == ARENA) & ~of_floor
-    rgb *= jnp.where(bricks, 1 + TINT * _bricks(stage, point, normal), 1.0)
-    rgb = jnp.where(of_floor, _checkers(stage, point), rgb)
-    return _Surface(met, which, point + (LIFT + LIFT_FAR * reach) * normal, normal, rgb)
+    rgb = jnp.asarray(render_scene.appearance.rgb).T[:, which]
+    bricks = (jnp.asarray(render_scene.appearance.label)[which] == ARENA_LABEL) & ~of_floor
+    rgb *= jnp.where(bricks, 1 + BRICK_CONTRAST * _bricks(render_scene, point, normal), 1.0)
+    rgb = jnp.where(of_floor, _checkers(render_scene, point), rgb)
+    return _Surface(met, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
 
 
-def _checkers(stage: Stage, point: jax.Array) -> jax.Array:
+def _checkers(render_scene: RenderScene, point: jax.Array) -> jax.Array:
     """Return the floor's colour at points (3, rays)."""
     x, y = point[0], point[1]
-    odd = (jnp.floor(x / stage.tile) + jnp.floor(y / stage.tile)).astype(int) % 2 == 1
-    (x0, x1), (y0, y1) = stage.tiled
+    odd = (jnp.floor(x / render_scene.checker_size) + jnp.floor(y / render_scene.checker_size)).astype(
+        int
+    ) % 2 == 1
+    (x0, x1), (y0, y1) = render_scene.checker_bounds
     within = (x > x0) & (x < x1) & (y > y0) & (y < y1)
-    light, dark = TILES[:, :, None]
-    return jnp.where(within, jnp.where(odd, dark, light), PLAIN[:, None])
+    light, dark = CHECKER_RGB[:, :, None]
+    return jnp.where(within, jnp.where(odd, dark, light), FLOOR_RGB[:, None])
 
 
-def _bricks(stage: Stage, point: jax.Array, normal: jax.Array) -> jax.Array:
+def _bricks(render_scene: RenderScene, point: jax.Array, normal: jax.Array) -> jax.Array:
     """Return -1 or 1 by turns along a surface: on walls bricks half as high as long, on ground squares."""
     level = jnp.abs(normal[2]) > 0.7
     side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
-    across = jnp.where(level, point[0], side) / stage.tile
-    up = jnp.where(level, point[1], 2 * point[2]) / stage.tile
+    across = jnp.where(level, point[0], side) / render_scene.checker_size
+    up = jnp.where(level, point[1], 2 * point[2]) / render_scene.checker_size
     return 1.0 - 2.0 * ((jnp.floor(across) + jnp.floor(up)).astype(int) % 2)
 
 
-def _lit(stage: Stage, surface: _Surface, *, shadows: bool = True) -> jax.Array:
+def _lit(render_scene: RenderScene, surface: _Surface, *, shadows: bool = True) -> jax.Array:
     """Return the colours of surfaces in their light (3, rays), of the sky where rays met nothing."""
-    day = daylight(stage.lamps)
-    everywhere = jnp.where(day > 0, AMBIENT, INDOORS) * (1 + _dot(surface.normal, jnp.asarray(ROUND)))
-    light = everywhere + _main_light(stage, surface, day, shadows=shadows)
-    if len(stage.headlights.on):
-        on = jnp.asarray(stage.headlights.on).any()
-        light = _if(on, lambda light: light + _headlight(stage, surface, shadows=shadows), light)
+    day = daylight(render_scene.lights)
+    everywhere = jnp.where(day > 0, AMBIENT, INDOOR_AMBIENT) * (
+        1 + _dot(surface.normal, jnp.asarray(AMBIENT_GRADIENT))
+    )
+    light = everywhere + _main_light(render_scene, surface, day, shadows=shadows)
+    if len(render_scene.headlights.on):
+        on = jnp.asarray(render_scene.headlights.on).any()
+        light = _if(on, lambda light: light + _headlight(render_scene, surface, shadows=shadows), light)
     sky = jnp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
     return jnp.where(surface.met, jnp.clip(surface.rgb * light, 0, 1), sky)
 
 
-def _main_light(stage: Stage, surface: _Surface, day: jax.Array, *, shadows: bool) -> jax.Array:
+def _main_light(render_scene: RenderScene, surface: _Surface, day: jax.Array, *, shadows: bool) -> jax.Array:
     """Return the light of the sun, or of the lamp that gives most (3, rays)."""
-    facing = jnp.clip(_dot(surface.normal, stage.sun), 0.0)
+    facing = jnp.clip(_dot(surface.normal, render_scene.sun_direction), 0.0)
     best = DIFFUSE * 3 * day * facing  # of all three colours together
     colour = jnp.broadcast_to(jnp.ones((3, 1)) / 3, surface.point.shape)
-    toward = jnp.broadcast_to(stage.sun[:, None], surface.point.shape)
+    toward = jnp.broadcast_to(render_scene.sun_direction[:, None], surface.point.shape)
     away = jnp.full(len(best), jnp.inf)
-    for pos, rgb in zip(stage.lamps.pos, stage.lamps.rgb, strict=True):
+    for pos, rgb in zip(render_scene.lights.pos, render_scene.lights.rgb, strict=True):
         way, distance = _way(surface.point, pos)
         total = rgb.sum()
         lamp = total * jnp.clip(_dot(surface.normal, way), 0.0) * falloff(distance)
         more = lamp > best
         best, toward = jnp.where(more, lamp, best), jnp.where(more, way, toward)
         away = jnp.where(more, distance, away)
-        colour = jnp.where(more, rgb[:, None] / jnp.maximum(total, FAINT), colour)
+        colour = jnp.where(more, rgb[:, None] / jnp.maximum(total, MIN_LIGHT), colour)
     if shadows:
-        block = _between(stage, surface.met & (best > FAINT), surface, toward)
+        block = _between(render_scene, surface.met & (best > MIN_LIGHT), surface, toward)
         best *= block.distance >= away
     return best * colour
 
 
-def _headlight(stage: Stage, surface: _Surface, *, shadows: bool) -> jax.Array:
+def _headlight(render_scene: RenderScene, surface: _Surface, *, shadows: bool) -> jax.Array:
     """Return the light of the headlight that gives most (rays,); its own robot does not stand in its way."""
     best, toward = jnp.zeros(len(surface.met)), jnp.zeros_like(surface.point)
     away, label = jnp.zeros(len(surface.met)), jnp.zeros(len(surface.met), int)
-    lights = stage.headlights
-    for pos, along, on, robot in zip(lights.pos, lights.along, lights.on, lights.label, strict=True):
+    lights = render_scene.headlights
+    for pos, along, on, robot in zip(lights.pos, lights.direction, lights.on, lights.label, strict=True):
         way, distance = _way(surface.point, pos)
-        own = jnp.clip(_dot(surface.normal, way), 0.0) * beam(-_dot(way, along))
-        own *= BEAM * falloff(distance) * on
+        own = jnp.clip(_dot(surface.normal, way), 0.0) * spot_falloff(-_dot(way, along))
+        own *= HEADLIGHT_BRIGHTNESS * falloff(distance) * on
         more = own > best
         best, away = jnp.where(more, own, best), jnp.where(more, distance, away)
         toward, label = jnp.where(more, way, toward), jnp.where(more, robot, label)
     if shadows:
-        wanted = surface.met & (best > FAINT)
-        block = _between(stage, wanted, surface, toward)
-        own = jnp.asarray(stage.paint.label)[jnp.maximum(block.which, 0)] == label
-        best *= wanted & ((block.distance >= away) | (own & (block.which >= 0)))
+        wanted = surface.met & (best > MIN_LIGHT)
+        block = _between(render_scene, wanted, surface, toward)
+        own = jnp.asarray(render_scene.appearance.label)[jnp.maximum(block.geom_index, 0)] == label
+        best *= wanted & ((block.distance >= away) | (own & (block.geom_index >= 0)))
     return best
 
 
@@ -253,10 +269,10 @@ def _way(point: jax.Array, to: jax.Array) -> tuple[jax.Array, jax.Array]:
     return way / jnp.maximum(distance, 1e-9), distance
 
 
-def _between(stage: Stage, wanted: jax.Array, surface: _Surface, toward: jax.Array) -> First:
+def _between(render_scene: RenderScene, wanted: jax.Array, surface: _Surface, toward: jax.Array) -> GeomHits:
     """Return what is met first on the way from surfaces to a light."""
     start, along = _needed(wanted, surface.point, toward)
-    return nearest(stage.geoms, start, along, jnp.asarray(NOBODY), SOLID)
+    return nearest_hits(render_scene.geoms, start, along, jnp.asarray(EXCLUDE_NONE), SOLID_QUERY)
 
 
 def _needed(wanted: jax.Array, start: jax.Array, along: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -264,8 +280,8 @@ def _needed(wanted: jax.Array, start: jax.Array, along: jax.Array) -> tuple[jax.
 
     A bundle of which none is wanted looks up from far above, where it meets nothing and costs little.
     """
-    missing = -len(wanted) % BUNDLE
-    asked = jnp.pad(wanted, (0, missing)).reshape(-1, BUNDLE)
+    missing = -len(wanted) % TILE_BUNDLE_SIZE
+    asked = jnp.pad(wanted, (0, missing)).reshape(-1, TILE_BUNDLE_SIZE)
     other = jnp.argmax(asked, 1)[:, None]
     some, up = asked.any(1)[:, None], jnp.array([0.0, 0.0, 1.0])
 
@@ -277,4 +293,4 @@ def _needed(wanted: jax.Array, start: jax.Array, along: jax.Array) -> tuple[jax.
             columns.append(jnp.where(some, row, fill).reshape(-1)[: len(wanted)])
         return jnp.stack(columns, -1)
 
-    return chosen(start, FAR_AWAY * up), chosen(along, up)
+    return chosen(start, PADDING_DISTANCE * up), chosen(along, up)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure, SeedOption
+from usarmjx.cli.tools import ErrorExit, SeedOption
 
 if TYPE_CHECKING:
     from usarmjx.models.spec.arena import ArenaSpec
@@ -22,7 +22,7 @@ LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, 
 @app.command("list")
 def list_arenas() -> None:
     """List the arenas that ship with usarmjx, with what is in them."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.cli.arena_tables import arenas_table
 
         typer.echo(arenas_table())
@@ -35,7 +35,7 @@ def draw(
     perspective: ViewOption = None,
 ) -> None:
     """Draw an arena's floor plan, or the arena from a corner above, or both."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.base.errors import UsageError
         from usarmjx.models.files.load import find_arena
 
@@ -52,7 +52,7 @@ def check(
     perspective: ViewOption = None,
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.models.check.arena import check_arena
         from usarmjx.models.files.load import find_arena
 
@@ -86,7 +86,7 @@ def generate(
     xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.cli.arena_tables import read_size, summary
         from usarmjx.models.build.compose import Physics, new_spec
         from usarmjx.models.files.load import save_arena
@@ -116,7 +116,7 @@ def generate(
 @app.command()
 def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")]) -> None:
     """Draw the pictures of docs/arenas.md: all arenas, and a generated one of each kind."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.models.arenas import ARENAS
         from usarmjx.models.generate import KINDS
         from usarmjx.models.generate import generate as make
@@ -133,10 +133,10 @@ def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")
 
 
 def _draw(arena: "ArenaSpec", png: Path | None, perspective: Path | None) -> None:
-    from usarmjx.plots.floor_plan import plan
+    from usarmjx.plots.floor_plan import floor_plan_picture
     from usarmjx.plots.gallery import perspective as view
 
-    for write, path in ((plan, png), (view, perspective)):
+    for write, path in ((floor_plan_picture, png), (view, perspective)):
         if path is not None:
             write(arena, path)
             typer.echo(f"wrote {path}")

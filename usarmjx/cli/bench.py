@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import EngineOption, Failure, IniOption, SeedOption, UnitOption, configure_from
+from usarmjx.cli.tools import EngineOption, ErrorExit, IniOption, SeedOption, UnitOption, configure_from
 
 app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
 
@@ -21,7 +21,7 @@ def bench_radio(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure the links of all pairs of robots, walls counted."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.bench.radio import RadioCase, measure_radio
 
         case = RadioCase(worlds=worlds, robots=robots, walls=walls, steps=steps, repeats=repeats, seed=seed)
@@ -40,7 +40,7 @@ def bench_rays(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure laser scans of all robots, and the same by brute force."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.bench.rays import RayCase, measure_rays
 
         size = {"worlds": worlds, "robots": robots, "walls": walls, "steps": steps, "repeats": repeats}
@@ -62,7 +62,7 @@ def bench_camera(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.bench.camera import CameraCase, measure_camera
         from usarmjx.server.protocol.images import parse_size
 
@@ -90,7 +90,7 @@ def bench_train(
     json: Annotated[Path | None, typer.Option(help="Append the records to this file.")] = None,
 ) -> None:
     """Record runs of `usarmjx train`: their speed and curves, and when they were as good as by hand."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.bench.train import record_run
 
         for run in runs:
@@ -116,11 +116,11 @@ def bench_step(
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
-    with Failure():
+    with ErrorExit():
         configure_from(ini, uu_per_metre)
-        from usarmjx.bench.step import Case, measure
+        from usarmjx.bench.step import StepCase, measure_step
 
-        case = Case(
+        case = StepCase(
             worlds=worlds,
             roster=roster,
             arena=arena,
@@ -132,4 +132,4 @@ def bench_step(
             repeats=repeats,
             seed=seed,
         )
-        typer.echo(measure(case, json))
+        typer.echo(measure_step(case, json))

@@ -35,7 +35,7 @@ def robots_table() -> str:
     ]
     for name, robot in ROBOTS:
         drive = robot.drive
-        keys = ", ".join(f"{key} {value:.4g}" for key, value in drive.full.items()) or "-"
+        keys = ", ".join(f"{key} {value:.4g}" for key, value in drive.full_scale.items()) or "-"
         size = " x ".join(f"{side:.3g}" for side in robot.dimensions)
         sources = "; ".join(f"{field}: {source}" for field, source in robot.sources)
         figures.append(
@@ -54,7 +54,7 @@ def _names(mounts: Sequence[Mount]) -> str:
 
 
 def _joints(robot: RobotSpec) -> str:
-    others = [part.name for part in robot.parts if not part.rolls and part.motor is not None]
+    others = [part.name for part in robot.parts if not part.is_wheel and part.motor is not None]
     return ", ".join([f"{len(robot.wheels)} wheels"] * bool(robot.wheels) + others) or "-"
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure
+from usarmjx.cli.tools import ErrorExit
 
 
 def demo(
@@ -14,7 +14,7 @@ def demo(
     seconds: Annotated[float, typer.Option(min=1.0, help="Simulated seconds to wander.")] = 20.0,
 ) -> None:
     """Run the main job: serve a batch, let the example client drive a P2AT, draw what it did."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.cli.demo_run import run_demo
 
         sys.exit(run_demo(out, seconds))

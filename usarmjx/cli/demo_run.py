@@ -21,7 +21,7 @@ from usarmjx.base.errors import UsarmjxError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.plots.picture import arena_picture, tracks
+from usarmjx.plots.picture import run_picture, tracked_poses
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTROLLER = ROOT / "examples" / "wander.py"
@@ -32,11 +32,11 @@ STOP_LIMIT = 15.0
 """How long it may take to stop [s]."""
 MIN_SPEED = 0.15
 """Average speed that a run must reach [m/s]: 3 m in 20 s."""
-LOW = 0.1
+OBSTACLE_MIN_HEIGHT = 0.1
 """What is lower than this is for driving over, as ramps are [m]; a P2AT's wheel has 0.13."""
-TOUCH = 0.01
+TOUCH_CLEARANCE = 0.01
 """Clearance below which the hull counts as touching: the last place of GroundTruth's numbers [m]."""
-BETWEEN = 4
+POSES_PER_REPORT = 4
 """Poses looked at per report: 0.2 s at 0.45 m/s would leave 9 cm unseen."""
 LISTENING = re.compile(r"listening on [\d.]+:(\d+)")
 SIMULATED = re.compile(r"\s*([\d.]+) s")
@@ -47,7 +47,7 @@ class DemoError(UsarmjxError):
 
 
 @dataclass(frozen=True)
-class Account:
+class RunReport:
     """What came out of a run.
 
     Attributes:
@@ -73,18 +73,18 @@ class Account:
     @property
     def touched(self) -> bool:
         """Whether the hull met a wall or an obstacle."""
-        return self.clearance < TOUCH
+        return self.clearance < TOUCH_CLEARANCE
 
 
 def obstacles(arena: ArenaSpec) -> np.ndarray:
     """Return x0, y0, x1, y1 of the solids to keep away from [m] (solids, 4).
 
-    Those are upright boxes taller than `LOW`; ramps are tilted, boards are low.
+    Those are upright boxes taller than `OBSTACLE_MIN_HEIGHT`; ramps are tilted, boards are low.
     """
     boxes = [
         (s.at[0] - s.size[0], s.at[1] - s.size[1], s.at[0] + s.size[0], s.at[1] + s.size[1])
         for s in arena.shapes
-        if s.kind == "box" and not any(s.rotation) and s.at[2] + s.size[2] > LOW
+        if s.kind == "box" and not any(s.rotation) and s.at[2] + s.size[2] > OBSTACLE_MIN_HEIGHT
     ]
     return np.array(boxes, float).reshape(-1, 4)
 
@@ -123,12 +123,12 @@ def least_clearance(arena: ArenaSpec, truth: np.ndarray) -> float:
     """Return the least clearance of a P2AT along a path of poses (n, 3) [m]."""
     half, boxes = (P2AT.dimensions[0] / 2, P2AT.dimensions[1] / 2), obstacles(arena)
     smooth = np.column_stack([truth[:, :2], np.unwrap(truth[:, 2])])
-    at = np.linspace(0, len(truth) - 1, BETWEEN * (len(truth) - 1) + 1)
+    at = np.linspace(0, len(truth) - 1, POSES_PER_REPORT * (len(truth) - 1) + 1)
     poses = np.column_stack([np.interp(at, np.arange(len(truth)), column) for column in smooth.T])
     return min(clearance(pose, half, boxes) for pose in poses)
 
 
-def account_of(arena: ArenaSpec, log: Mapping[str, Any]) -> Account:
+def report_of(arena: ArenaSpec, log: Mapping[str, Any]) -> RunReport:
     """Judge the log of a run.
 
     Raises:
@@ -136,12 +136,12 @@ def account_of(arena: ArenaSpec, log: Mapping[str, Any]) -> Account:
     """
     if len(log["track"]) < 2:
         raise DemoError("the controller received fewer than two reports with poses")
-    paths = tracks(log)
+    paths = tracked_poses(log)
     truth = paths["truth"]
     ends = {name: float(np.linalg.norm(path[-1, :2] - truth[-1, :2])) for name, path in paths.items()}
     distance = float(np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1).sum())
     simulated = log["track"][-1][0] - log["track"][0][0]
-    return Account(
+    return RunReport(
         distance=distance,
         odometry_error=ends["odometry"],
         ins_error=ends["ins"],
@@ -154,7 +154,7 @@ def account_of(arena: ArenaSpec, log: Mapping[str, Any]) -> Account:
 
 
 @contextmanager
-def server(errors: Path, console: Console) -> Iterator[int]:
+def running_server(errors: Path, console: Console) -> Iterator[int]:
     """Run a server of a batch as a subprocess for as long as the context lasts; yields its port.
 
     Args:
@@ -202,7 +202,7 @@ def _port_of(process: subprocess.Popen[str], errors: Path) -> int:
     raise DemoError(f"the server did not start within {START_LIMIT:g} s; see {errors}")
 
 
-def drive(port: int, seconds: float, log: Path, console: Console) -> None:
+def run_controller(port: int, seconds: float, log: Path, console: Console) -> None:
     """Run the example controller against a server and show how far it is.
 
     Args:
@@ -243,7 +243,7 @@ def drive(port: int, seconds: float, log: Path, console: Console) -> None:
         raise DemoError(f"the controller ended with status {process.returncode}: {reason}")
 
 
-def table_of(account: Account, picture: Path) -> Table:
+def table_of(account: RunReport, picture: Path) -> Table:
     """Return the account as a table for the terminal."""
     verdict = "touched!" if account.touched else "nothing touched"
     driven = "" if account.fast_enough else " (too little)"
@@ -279,11 +279,11 @@ def run_demo(out: Path, seconds: float = 20.0) -> int:
     out.mkdir(parents=True, exist_ok=True)
     console = Console()
     record, picture = out / "wander.json", out / "wander.png"
-    with server(out / "server.log", console) as port:
-        drive(port, seconds, record, console)
+    with running_server(out / "server.log", console) as port:
+        run_controller(port, seconds, record, console)
     log = json.loads(record.read_text(encoding="utf-8"))
     arena = ARENAS.get(log["level"])
-    account = account_of(arena, log)
-    arena_picture(arena, log, picture)
+    account = report_of(arena, log)
+    run_picture(arena, log, picture)
     console.print(table_of(account, picture))
     return int(account.touched or not account.fast_enough)

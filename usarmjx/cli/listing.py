@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure, IniOption, UnitOption, configure_from
+from usarmjx.cli.tools import ErrorExit, IniOption, UnitOption, configure_from
 
 
 def list_everything(
@@ -15,7 +15,7 @@ def list_everything(
     uu_per_metre: UnitOption = 250.0,
 ) -> None:
     """List robots, arenas, sensors and engines."""
-    with Failure():
+    with ErrorExit():
         configure_from(ini, uu_per_metre)
         from usarmjx.base.errors import UsageError
         from usarmjx.cli.catalogue import catalogue, robots_table

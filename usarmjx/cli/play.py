@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure, SeedOption
+from usarmjx.cli.tools import ErrorExit, SeedOption
 
 if TYPE_CHECKING:
-    from usarmjx.train.policies.sources import Source
+    from usarmjx.train.policies.sources import PolicySource
 
 app = typer.Typer()
 
@@ -32,7 +32,7 @@ SettingsOption = Annotated[
 ]
 
 
-def _source(policy: str | None, baseline: str | None, task: str | None, checkpoint: str) -> "Source":
+def _source(policy: str | None, baseline: str | None, task: str | None, checkpoint: str) -> "PolicySource":
     """Return the policy that a command line names."""
     from dataclasses import replace
 
@@ -50,7 +50,7 @@ def _source(policy: str | None, baseline: str | None, task: str | None, checkpoi
     return found if same else replace(found, task=str(task), overrides={})
 
 
-def _noted(notes: list[str]) -> None:
+def _echo_notes(notes: list[str]) -> None:
     for note in notes:
         typer.echo(f"usarmjx: note: {note}", err=True)
 
@@ -75,16 +75,16 @@ def evaluate_policy(
     ] = None,
 ) -> None:
     """Tell a policy's mean final score and the 95 % interval of that mean."""
-    with Failure():
-        from usarmjx.train.evaluation.evaluate import as_record, evaluate
+    with ErrorExit():
+        from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 
         found = _source(policy, baseline, task, checkpoint)
         many = min(worlds, episodes)
         env, driver, notes = found.env(settings or (), worlds=many, engine=engine, seed=seed)
-        _noted(notes)
-        result = evaluate(env, driver, episodes, range(seed, seed + seeds), level)
-        score, count = result.score, sum(len(run.scores) for run in result.seeds)
-        bad = sum(run.bad for run in result.seeds)
+        _echo_notes(notes)
+        result = evaluate_episodes(env, driver, episodes, range(seed, seed + seeds), level)
+        score, count = result.score, sum(len(run.scores) for run in result.episodes)
+        bad = sum(run.bad for run in result.episodes)
         over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"
         interval = f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.low) else "unknown"
         typer.echo(
@@ -126,27 +126,27 @@ def play(
     ] = None,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, or serve it."""
-    with Failure():
-        from usarmjx.plots.play import check_ending, film, write
+    with ErrorExit():
+        from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
-        check_ending(out)
+        check_suffix(out)
         env, driver, notes = _source(policy, baseline, task, checkpoint).env(
             settings or (), engine=engine, seed=seed
         )
-        _noted(notes)
+        _echo_notes(notes)
         if serve:
-            from usarmjx.server.net import Settings
+            from usarmjx.server.net import BotServerSettings
             from usarmjx.server.net import serve as run
             from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-            from usarmjx.server.worlds.policy_world import DrivenWorld
+            from usarmjx.server.worlds.policy_world import PolicyWorld
 
-            world = DrivenWorld(env, driver, seed=seed)
+            world = PolicyWorld(env, driver, seed=seed)
             typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
             page = None if spectator_port is None else SpectatorSettings(host, spectator_port)
             services = () if page is None else (SpectatorServer(world, page),)
-            run(world, Settings(host=host, port=port, realtime_factor=realtime_factor), services)
+            run(world, BotServerSettings(host=host, port=port, realtime_factor=realtime_factor), services)
             return
-        shown = film(env, driver, math.inf if seconds is None else seconds, seed)
-        write(shown, out)
+        shown = record_episode(env, driver, math.inf if seconds is None else seconds, seed)
+        save_recording(shown, out)
         last = f"{shown.times[-1]:.1f} s, score {shown.scores[-1]:.2f}"
         typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")

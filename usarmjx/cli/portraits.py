@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure
+from usarmjx.cli.tools import ErrorExit
 
 
 def portraits(
@@ -13,7 +13,7 @@ def portraits(
     robots: Annotated[list[str] | None, typer.Argument(help="Robot classes; all without any.")] = None,
 ) -> None:
     """Draw robots with the sensors' raycaster."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.models.robots import ROBOTS
         from usarmjx.plots.portrait import portraits as draw_all
 

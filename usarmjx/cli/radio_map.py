@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure
+from usarmjx.cli.tools import ErrorExit
 
 
 def radio_map(
@@ -21,11 +21,11 @@ def radio_map(
     ini: Annotated[Path | None, typer.Option(help="USARComServer.ini with the radio's constants.")] = None,
 ) -> None:
     """Draw a map of the power that a radio's signal has all over an arena."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
         from usarmjx.models.files.load import find_arena
-        from usarmjx.plots.radio_map import radio_picture, read_place
+        from usarmjx.plots.radio_map import parse_position, radio_picture
 
         settings = RadioSettings() if ini is None else radio_settings(ini)
-        radio_picture(find_arena(arena), out, read_place(source), settings, height=height)
+        radio_picture(find_arena(arena), out, parse_position(source), settings, height=height)
         typer.echo(f"wrote {out}")

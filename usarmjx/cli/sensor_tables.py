@@ -10,12 +10,12 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, Options, options
 from usarmjx.models.spec.settings import field_name
-from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor
-from usarmjx.sensors.quantities import total
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings
+from usarmjx.sensors.quantities import total_size
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.server.messages.generic import key_of
 from usarmjx.server.messages.sensors import sensor_report
-from usarmjx.server.protocol.grammar import format as line_of
+from usarmjx.server.protocol.grammar import format_message as line_of
 
 HEAD = """# All sensors
 
@@ -25,9 +25,9 @@ captured from a real server. A value has the leading axes worlds and robots.
 """
 MESSAGES = """What they say over TCP; those of the scanners are with fewer beams:
 """
-SHOWN = 3
+ROBOTS_NAMED = 3
 """So many robots are named."""
-TIME = 62.01
+MESSAGE_TIME = 62.01
 """Of the messages shown [s]."""
 SECTIONS = {
     "Sonar": "10.2",
@@ -67,7 +67,7 @@ SAMPLES = {
     "CO2Sensor": 0.01,
 }
 """Values in our axes, of one mount."""
-FEW = {
+SHORT_OPTIONS = {
     "RangeScanner": options(Resolution=1.5707, ScanFov=3.1415),
     "IRScanner": options(Resolution=1.5707, ScanFov=3.1415),
     "RangeScanner3D": options(
@@ -75,7 +75,7 @@ FEW = {
     ),
 }
 """Options with which the messages shown are short."""
-SPELT = {
+KEY_SPELLINGS = {
     field_name(key): key
     for key in (
         "dBmTXPower",
@@ -91,7 +91,7 @@ SPELT = {
     )
 }
 """Keys with capitals of their own, by field."""
-BARE = ("hidden_sensor", "drifting")
+FLAGS_WITHOUT_B = ("hidden_sensor", "drifting")
 """Flags that the manual writes without a b."""
 
 
@@ -103,7 +103,7 @@ def suite_with(kind: str, given: Options = ()) -> Suite:
     return suite_of(replace(P2AT, name=f"P2AT with {kind}", sensors=(mount,)))
 
 
-def about(sensor: type[Sensor]) -> tuple[str, str]:
+def describe(sensor: type[Sensor]) -> tuple[str, str]:
     """Return what a type of sensor does, and what its value is, as its docstring tells."""
     first = inspect.cleandoc(sensor.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     what, _, value = first.rstrip(".").partition("; value: ")
@@ -112,8 +112,8 @@ def about(sensor: type[Sensor]) -> tuple[str, str]:
 
 def ini_key(field: str, value: object) -> str:
     """Return the ini key of a setting: `max_range` -> `MaxRange`, `with_time_stamp` -> `bWithTimeStamp`."""
-    flag = "b" if isinstance(value, bool) and field not in BARE else ""
-    return SPELT.get(field, flag + key_of(field))
+    flag = "b" if isinstance(value, bool) and field not in FLAGS_WITHOUT_B else ""
+    return KEY_SPELLINGS.get(field, flag + key_of(field))
 
 
 def ini_value(value: object) -> str:
@@ -125,9 +125,9 @@ def ini_value(value: object) -> str:
 
 def own_options(settings: type) -> str:
     """Return the options of a type with their defaults, without those that it has as others do."""
-    usual = defaults_of(Measuring if issubclass(settings, Measuring) else Common)
+    usual = defaults_of(NoisySensorSettings if issubclass(settings, NoisySensorSettings) else SensorSettings)
     own = {name: value for name, value in defaults_of(settings).items() if usual.get(name, ...) != value}
-    return written(own) or "-"
+    return ini_text(own) or "-"
 
 
 def defaults_of(settings: type) -> dict[str, object]:
@@ -135,24 +135,24 @@ def defaults_of(settings: type) -> dict[str, object]:
     return {field.name: field.default for field in dataclasses.fields(settings)}
 
 
-def written(values: dict[str, object]) -> str:
+def ini_text(values: dict[str, object]) -> str:
     """Return settings by field as an ini file has them."""
     return ", ".join(f"{ini_key(name, value)}={ini_value(value)}" for name, value in values.items())
 
 
-def sample(kind: str) -> str:
+def sample_message(kind: str) -> str:
     """Return a message of a type of sensor."""
-    (sensor,) = suite_with(kind, FEW.get(kind, ())).sensors
-    numbers = SAMPLES.get(kind, np.zeros(max(1, total(sensor.tells))))
-    message = sensor_report(sensor, np.array(numbers, np.float32), TIME)
+    (sensor,) = suite_with(kind, SHORT_OPTIONS.get(kind, ())).sensors
+    numbers = SAMPLES.get(kind, np.zeros(max(1, total_size(sensor.quantities))))
+    message = sensor_report(sensor, np.array(numbers, np.float32), MESSAGE_TIME)
     return "" if message is None else line_of(message)
 
 
-def carriers(kind: str) -> str:
+def robots_with(kind: str) -> str:
     """Return the robots that have sensors of a type."""
     names = [name for name, robot in ROBOTS if any(mount.kind == kind for mount in robot.sensors)]
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "") or "-"
+    more = len(names) - ROBOTS_NAMED
+    return ", ".join(names[:ROBOTS_NAMED]) + (f" and {more} more" if more > 0 else "") or "-"
 
 
 def sensors_table() -> str:
@@ -161,19 +161,19 @@ def sensors_table() -> str:
     kinds += [kind for kind in SENSORS.names() if kind not in kinds]
     lines = ["| type | what it does | value in a batch | rays | robots | from |", "|---|---|---|---|---|---|"]
     for kind in kinds:
-        what, value = about(SENSORS.get(kind))
+        what, value = describe(SENSORS.get(kind))
         (rays,) = suite_with(kind).ray_counts
         source = SECTIONS.get(kind, "own")
-        lines.append(f"| {kind} | {what} | {value} | {rays or '-'} | {carriers(kind)} | {source} |")
+        lines.append(f"| {kind} | {what} | {value} | {rays or '-'} | {robots_with(kind)} | {source} |")
     lines += [
         "",
         "| type | options, and what they are unless a mount or an ini file says otherwise |",
         "|---|---|",
     ]
-    settings = {kind: SENSORS.get(kind).defaults for kind in kinds}
-    noisy = ", ".join(kind for kind, own in settings.items() if issubclass(own, Measuring))
-    common, noise = defaults_of(Common), defaults_of(Measuring)
-    lines.append(f"| all | {written(common)} |")
-    lines.append(f"| {noisy} | {written({name: noise[name] for name in noise if name not in common})} |")
+    settings = {kind: SENSORS.get(kind).settings_class for kind in kinds}
+    noisy = ", ".join(kind for kind, own in settings.items() if issubclass(own, NoisySensorSettings))
+    common, noise = defaults_of(SensorSettings), defaults_of(NoisySensorSettings)
+    lines.append(f"| all | {ini_text(common)} |")
+    lines.append(f"| {noisy} | {ini_text({name: noise[name] for name in noise if name not in common})} |")
     lines += [f"| {kind} | {own_options(own)} |" for kind, own in settings.items()]
-    return "\n".join([HEAD, *lines, "", MESSAGES, "```text", *map(sample, kinds), "```"])
+    return "\n".join([HEAD, *lines, "", MESSAGES, "```text", *map(sample_message, kinds), "```"])

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.tools import Failure
+from usarmjx.cli.tools import ErrorExit
 
 
 def sensor_plots(
@@ -13,7 +13,7 @@ def sensor_plots(
     only: Annotated[list[str] | None, typer.Argument(help="Which of them; all without any.")] = None,
 ) -> None:
     """Draw what sensors see and how wrong they are: the pictures of docs/sensors.md."""
-    with Failure():
+    with ErrorExit():
         import usarmjx.plots.camera_plots  # noqa: F401 - adds its plots
         from usarmjx.plots.sensor_plots import PLOTS, plot
 

@@ -9,7 +9,7 @@ import typer
 from usarmjx.cli.tools import (
     ArenaOption,
     EngineOption,
-    Failure,
+    ErrorExit,
     IniOption,
     SeedOption,
     UnitOption,
@@ -86,10 +86,10 @@ def serve(
     """Serve one world of a batch over the Gamebots protocol, its radio and its cameras."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
-    with Failure():
+    with ErrorExit():
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
         from usarmjx.server.bot_server import read_bot_server
-        from usarmjx.server.net import Service, Settings
+        from usarmjx.server.net import BotServerSettings, Service
         from usarmjx.server.net import serve as run
         from usarmjx.server.pictures.image_server import SIZE, ImageServer, ImageSettings
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
@@ -112,7 +112,7 @@ def serve(
         pictures = ImageSettings(host, image_port, size, image_fps, number, multi_view=shared)
         given = {"port": port, "max_connections": max_connections}
         told = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
-        settings = Settings(host=host, realtime_factor=realtime_factor, **told)
+        settings = BotServerSettings(host=host, realtime_factor=realtime_factor, **told)
         configure_from(ini, uu_per_metre)
         world = make_world(
             arena,
@@ -120,7 +120,7 @@ def serve(
             worlds=worlds,
             instance=instance,
             roster=roster,
-            seats=settings.max_connections,
+            max_robots=settings.max_connections,
             seed=seed,
         )
         services: list[Service] = [make_wireless(world, radio, air)] if wireless else []

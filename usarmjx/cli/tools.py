@@ -8,7 +8,7 @@ import typer
 from usarmjx.base.errors import UsarmjxError
 
 
-class Failure:
+class ErrorExit:
     """Turns our own exceptions into one line and exit code 2; anything else is a bug and shows itself."""
 
     def __enter__(self) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from usarmjx.cli.tools import Failure, SeedOption
+from usarmjx.cli.tools import ErrorExit, SeedOption
 
 app = typer.Typer()
 
@@ -35,15 +35,15 @@ def train(
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
-    with Failure():
+    with ErrorExit():
         if processes > 1:
-            from usarmjx.train.processes.launch import place_of, spawn
+            from usarmjx.train.processes.launch import process_info, spawn
 
-            if place_of(os.environ) is None:
+            if process_info(os.environ) is None:
                 raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        from usarmjx.train.processes.group import together
+        from usarmjx.train.processes.group import distributed_run
 
-        with together() as place:
+        with distributed_run() as place:
             told = {"worlds": worlds, "steps": steps, "seed": seed}
             score = _train(task, told, settings or [], (out, engine, resume, not quiet and not place.index))
             if place.index == 0:
@@ -64,25 +64,25 @@ def _train(
     Returns:
         What came of it, in a line.
     """
-    from usarmjx.train.learning.record import Origin
+    from usarmjx.train.learning.record import EnvArguments
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
 
     out, engine, resume, bar = how
     told = {key: value for key, value in given.items() if value is not None}
-    config, overrides = _sorted_out(task, pairs, told)
+    config, overrides = _split_settings(task, pairs, told)
 
     def worlds_of(count: int, first: int) -> Any:  # noqa: ANN401 - an Env
         return make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
 
     typed = dict(pair.split("=", 1) for pair in pairs)
-    origin = Origin(engine, {key: typed[key] for key in overrides})
+    origin = EnvArguments(engine, {key: typed[key] for key in overrides})
     done = run(worlds_of, config, out, resume, origin=origin, progress=bar)
-    score = done.last.get("score")
+    score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
 
 
-def _sorted_out(task: str, pairs: list[str], given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Return the settings of the training, and the fields of the task that are set otherwise."""
     from dataclasses import asdict, fields
 
@@ -108,7 +108,7 @@ def export(
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
 ) -> None:
     """Write the policy of a run to a file that NumPy alone can run."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.train.policies.export import export_run
 
         export_run(run, out, checkpoint, half)
@@ -123,7 +123,7 @@ def curves(
     out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
 ) -> None:
     """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
-    with Failure():
+    with ErrorExit():
         from usarmjx.plots.training_plots import plot_curves
 
         plot_curves(sources, out)

@@ -7,7 +7,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, flip_vector
 from usarmjx.models.spec.robot import RobotSpec
 
-LOWEST = 0.01
+MIN_ANTENNA_HEIGHT = 0.01
 """No antenna is lower than this above the arena's floor: a robot on its back would have it below [m]."""
 
 
@@ -20,7 +20,7 @@ def antenna_of(robot: RobotSpec) -> Vec3:
     return (0.0, 0.0, -robot.dimensions[2] / 2) if robot.antenna is None else robot.antenna
 
 
-def antenna_places(robot: RobotSpec, pos: jax.Array, quat: jax.Array, floor: float) -> jax.Array:
+def antenna_positions(robot: RobotSpec, pos: jax.Array, quat: jax.Array, floor: float) -> jax.Array:
     """Return where the antennas of robots of one class are in the world [m] (..., 3).
 
     Args:
@@ -30,5 +30,5 @@ def antenna_places(robot: RobotSpec, pos: jax.Array, quat: jax.Array, floor: flo
         floor: Height of the arena's floor [m].
     """
     mat, (x, y, z) = mat_from_quat(quat), flip_vector(antenna_of(robot))
-    place = pos + mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
-    return place.at[..., 2].set(jnp.maximum(place[..., 2], floor + LOWEST))
+    position = pos + mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
+    return position.at[..., 2].set(jnp.maximum(position[..., 2], floor + MIN_ANTENNA_HEIGHT))

@@ -19,9 +19,9 @@ from usarmjx.base.transforms import Array
 from usarmjx.models.ini.parse import IniFile, Line, read_ini
 from usarmjx.models.ini.read import as_bool, as_number, fail
 
-NEAREST = 1e-3
+MIN_ANTENNA_DISTANCE = 1e-3
 """Antennas that are closer than this are taken to be this far apart [m]: the formula has no end at 0."""
-MOST_PORT = 65535
+MAX_PORT = 65535
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class RadioSettings:
         for name in ("pdo", "do", "n", "cutoff", "atten_fac", "period", "shadowing", "loss_band"):
             _check(self, name, math.isfinite(getattr(self, name)), "a finite number")
         whole = isinstance(self.listen_port, int) and isinstance(self.max_obs, int)
-        _check(self, "listen_port", whole and 0 <= self.listen_port <= MOST_PORT, f"0 to {MOST_PORT}")
+        _check(self, "listen_port", whole and 0 <= self.listen_port <= MAX_PORT, f"0 to {MAX_PORT}")
         _check(self, "max_obs", whole and self.max_obs >= 0, "a whole number from 0")
         _check(self, "do", self.do > 0, "a distance above 0")
         for name in ("n", "atten_fac", "period", "shadowing", "loss_band"):
             _check(self, name, getattr(self, name) >= 0, "a number from 0")
 
 
-class VariedRadio(struct.PyTreeNode, kw_only=True):
+class WorldRadioSettings(struct.PyTreeNode, kw_only=True):
     """Constants of one world's radios where they differ between worlds: see `RadioSettings`."""
 
     pdo: Array
@@ -86,7 +86,7 @@ class VariedRadio(struct.PyTreeNode, kw_only=True):
     loss_band: float = struct.field(pytree_node=False)
 
 
-Radio = RadioSettings | VariedRadio
+AnyRadioSettings = RadioSettings | WorldRadioSettings
 """What the functions of links take."""
 
 
@@ -98,7 +98,7 @@ def _check(settings: RadioSettings, name: str, fits: bool, allowed: str) -> None
 COM_SERVER, COM_CONNECTION, COM_LINK = (
     f"USARBotAPI.{part}" for part in ("ComServer", "ComConnection", "ComLink")
 )
-KEYS = {
+INI_KEYS = {
     COM_SERVER: {"ListenPort": "listen_port", "bDebug": "debug"},
     COM_CONNECTION: {
         "ePdo": "pdo",
@@ -128,7 +128,7 @@ def radio_settings(source: Path | IniFile) -> RadioSettings:
     """
     file = source if isinstance(source, IniFile) else read_ini(source)
     values: dict[str, float | bool] = {}
-    for section, keys in KEYS.items():
+    for section, keys in INI_KEYS.items():
         fields = {key.lower(): field for key, field in keys.items()}
         for line in file.section(section).lines:
             field = fields.get(line.key.lower())
@@ -152,11 +152,11 @@ def _read(line: Line, field: str, debug: object) -> float | bool:
     return int(value)
 
 
-def received_power(settings: Radio, distance: Array, walls: Array) -> jax.Array:
+def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) -> jax.Array:
     """Return the power that arrives [dBm], by the formula of manual 3.2.4.
 
     Below the reference distance the same formula goes on, so that power rises above `pdo`; under 1 mm it
-    rises no more (`NEAREST`), so that two antennas in one place hear each other with a finite power.
+    rises no more (`MIN_ANTENNA_DISTANCE`), so that two antennas in one place hear each other with a finite power.
     Differentiable in the distance, with slope 0 under 1 mm.
 
     Args:
@@ -164,12 +164,12 @@ def received_power(settings: Radio, distance: Array, walls: Array) -> jax.Array:
         distance: Between the antennas [m] (...).
         walls: How many solids lie between them (...).
     """
-    apart = jnp.maximum(jnp.asarray(distance, jnp.float32), NEAREST)
+    apart = jnp.maximum(jnp.asarray(distance, jnp.float32), MIN_ANTENNA_DISTANCE)
     fading = 10.0 * settings.n * jnp.log10(apart / settings.do)
     return settings.pdo - fading - jnp.minimum(walls, settings.max_obs) * settings.atten_fac
 
 
-def reach(settings: RadioSettings, walls: int) -> float:
+def link_range(settings: RadioSettings, walls: int) -> float:
     """Return the distance up to which a link behind that many solids holds [m]; infinite if n is 0."""
     margin = settings.pdo - min(walls, settings.max_obs) * settings.atten_fac - settings.cutoff
     if settings.n == 0:

@@ -18,7 +18,7 @@ def _squarings(robots: int) -> int:
 
 
 @jax.jit
-def joined(linked: jax.Array) -> jax.Array:
+def transitive_closure(linked: jax.Array) -> jax.Array:
     """Return who reaches whom over any number of hops, everyone itself too (..., robots, robots)."""
     robots = linked.shape[-1]
     paths = linked | np.eye(robots, dtype=bool)
@@ -50,21 +50,21 @@ def hops(linked: jax.Array, base: jax.Array | int) -> jax.Array:
 
 
 @partial(jax.jit, static_argnames="most")
-def reachable(linked: jax.Array, base: jax.Array | int, most: int | None = None) -> jax.Array:
+def reachable(linked: jax.Array, base: jax.Array | int, max_hops: int | None = None) -> jax.Array:
     """Return who reaches the base station, itself included (..., robots).
 
     Args:
         linked: Which links hold (..., robots, robots).
         base: Slot of the base station ().
-        most: Over so many hops at most; None: over any number.
+        max_hops: Over so many hops at most; None: over any number.
     """
-    if most is None:
-        return jnp.take(joined(linked), base, -2)
-    return hops(linked, base) <= min(most, linked.shape[-1] - 1)
+    if max_hops is None:
+        return jnp.take(transitive_closure(linked), base, -2)
+    return hops(linked, base) <= min(max_hops, linked.shape[-1] - 1)
 
 
 @jax.jit
-def components(linked: jax.Array) -> jax.Array:
+def connected_components(linked: jax.Array) -> jax.Array:
     """Return a number for each robot, the same for all that reach each other: the lowest slot among them.
 
     Args:
@@ -73,7 +73,7 @@ def components(linked: jax.Array) -> jax.Array:
     Returns:
         int32 (..., robots); a robot without links has its own slot.
     """
-    return jnp.argmax(joined(linked), -1).astype(jnp.int32)
+    return jnp.argmax(transitive_closure(linked), -1).astype(jnp.int32)
 
 
 @jax.jit
@@ -114,5 +114,5 @@ def bottleneck_link(power: jax.Array, base: jax.Array | int) -> tuple[jax.Array,
     there = jnp.isfinite(power).any(-1)
     weakest = jnp.where(there, bottleneck(power)[base], jnp.inf).min()
     upper = np.triu(np.ones((robots, robots), bool), 1)
-    place = jnp.argmax((power == weakest) & upper)
-    return weakest, place // robots, place % robots
+    index = jnp.argmax((power == weakest) & upper)
+    return weakest, index // robots, index % robots

@@ -6,11 +6,11 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.transforms import Array
-from usarmjx.comms.attenuation import Radio, received_power
+from usarmjx.comms.attenuation import AnyRadioSettings, received_power
 from usarmjx.comms.walls import count_walls
 from usarmjx.sensors.rays.targets import Geoms
 
-SHORTEST = 1e-12
+MIN_SQUARED_DISTANCE = 1e-12
 """Keeps the square root of a distance differentiable where two antennas are in one place [m2]."""
 
 
@@ -22,10 +22,10 @@ class Links(struct.PyTreeNode, kw_only=True):
         walls: Solids between the antennas; 0 where there is no pair (robots, robots).
         paired: Whether both robots are in use, and two: nobody has a link to itself (robots, robots).
         in_range: Whether the link holds: the power is not below the cutoff (robots, robots).
-        chance: Probability that a message over it arrives; 0 if it does not hold (robots, robots).
-        lost: Whether the link held at the last evaluation and does not now (robots, robots).
-        gained: Whether it holds now and did not then (robots, robots).
-        known: Whether this episode has been looked at; if not, there are no links yet ().
+        delivery_probability: Probability that a message over it arrives; 0 if it does not hold (robots, robots).
+        went_down: Whether the link held at the last evaluation and does not now (robots, robots).
+        came_up: Whether it holds now and did not then (robots, robots).
+        evaluated: Whether this episode has been looked at; if not, there are no links yet ().
         step: Control step of the episode in which this was evaluated ().
     """
 
@@ -33,10 +33,10 @@ class Links(struct.PyTreeNode, kw_only=True):
     walls: Array
     paired: Array
     in_range: Array
-    chance: Array
-    lost: Array
-    gained: Array
-    known: Array
+    delivery_probability: Array
+    went_down: Array
+    came_up: Array
+    evaluated: Array
     step: Array
 
 
@@ -48,10 +48,10 @@ def no_links(robots: int) -> Links:
         walls=jnp.zeros((robots, robots), jnp.int32),
         paired=never,
         in_range=never,
-        chance=jnp.zeros((robots, robots)),
-        lost=never,
-        gained=never,
-        known=jnp.zeros((), bool),
+        delivery_probability=jnp.zeros((robots, robots)),
+        went_down=never,
+        came_up=never,
+        evaluated=jnp.zeros((), bool),
         step=jnp.zeros((), jnp.int32),
     )
 
@@ -65,14 +65,14 @@ def _square(values: jax.Array, robots: int, diagonal: float) -> jax.Array:
     """Return values of pairs (pairs,) as a symmetric table (robots, robots)."""
     # Gathered, not scattered: every entry of the table picks its pair.
     low, high = pairs_of(robots)
-    place = np.zeros((robots, robots), int)
-    place[low, high] = place[high, low] = np.arange(len(low))
+    index = np.zeros((robots, robots), int)
+    index[low, high] = index[high, low] = np.arange(len(low))
     if not len(low):
         return jnp.full((robots, robots), diagonal, values.dtype)
-    return jnp.where(np.eye(robots, dtype=bool), jnp.asarray(diagonal, values.dtype), values[place])
+    return jnp.where(np.eye(robots, dtype=bool), jnp.asarray(diagonal, values.dtype), values[index])
 
 
-def shadowing(settings: Radio, key: jax.Array, robots: int) -> jax.Array:
+def shadowing(settings: AnyRadioSettings, key: jax.Array, robots: int) -> jax.Array:
     """Return by how much surroundings strengthen or weaken each pair's link [dB] (pairs,).
 
     Log-normal: normal in decibels. A pair keeps its number as long as the key is the same, whoever else
@@ -87,7 +87,7 @@ def shadowing(settings: Radio, key: jax.Array, robots: int) -> jax.Array:
     return settings.shadowing * jax.vmap(draw)(*map(jnp.asarray, pairs_of(robots)))
 
 
-def delivery_chance(settings: Radio, power: jax.Array) -> jax.Array:
+def delivery_probability(settings: AnyRadioSettings, power: jax.Array) -> jax.Array:
     """Return the probability that a message gets through at a power [dBm] (...)."""
     margin = power - settings.cutoff
     if settings.loss_band == 0:
@@ -96,7 +96,7 @@ def delivery_chance(settings: Radio, power: jax.Array) -> jax.Array:
 
 
 def pair_powers(
-    settings: Radio, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
+    settings: AnyRadioSettings, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
 ) -> tuple[jax.Array, jax.Array]:
     """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
 
@@ -111,13 +111,13 @@ def pair_powers(
     low, high = pairs_of(len(antennas))
     start, end = antennas[low], antennas[high]
     way = end - start
-    distance = jnp.sqrt(jnp.maximum((way * way).sum(-1), SHORTEST))
+    distance = jnp.sqrt(jnp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
     walls = count_walls(geoms, jax.lax.stop_gradient(start), jax.lax.stop_gradient(end))
     return received_power(settings, distance, walls) + shadow, walls
 
 
-def evaluate(
-    settings: Radio,
+def evaluate_links(
+    settings: AnyRadioSettings,
     geoms: Geoms,
     robots: tuple[jax.Array, jax.Array],
     before: Links,
@@ -146,20 +146,20 @@ def evaluate(
         walls=jnp.where(paired, _square(walls, count, 0), 0),
         paired=paired,
         in_range=in_range,
-        chance=delivery_chance(settings, power),
-        lost=before.known & before.in_range & ~in_range,
-        gained=before.known & ~before.in_range & in_range,
-        known=jnp.ones((), bool),
+        delivery_probability=delivery_probability(settings, power),
+        went_down=before.evaluated & before.in_range & ~in_range,
+        came_up=before.evaluated & ~before.in_range & in_range,
+        evaluated=jnp.ones((), bool),
         step=jnp.asarray(step, jnp.int32),
     )
 
 
 def is_due(links: Links, step: jax.Array, every: int) -> jax.Array:
     """Return whether it is time to evaluate again: so many control steps have passed, or none was yet ()."""
-    return ~links.known | (step >= links.step + every)
+    return ~links.evaluated | (step >= links.step + every)
 
 
-def repeat(links: Links, step: jax.Array) -> Links:
+def without_old_events(links: Links, step: jax.Array) -> Links:
     """Return the last table for another look at it: its events stay events of their own control step."""
     same = links.step == step
-    return links.replace(lost=links.lost & same, gained=links.gained & same)
+    return links.replace(lost=links.went_down & same, gained=links.came_up & same)

@@ -19,13 +19,13 @@ BYTES_PER_NUMBER = 4
 
 
 @dataclass(frozen=True)
-class MailSettings:
+class MessageSettings:
     """Sizes of the mail of a scene.
 
     Attributes:
         numbers: Numbers in a message.
         capacity: Messages that a robot's box holds until it is emptied.
-        budget: Bytes that a robot may send in a control step, each receiver counted [bytes].
+        bytes_per_step: Bytes that a robot may send in a control step, each receiver counted [bytes].
 
     Raises:
         SpecError: A size below 1.
@@ -33,7 +33,7 @@ class MailSettings:
 
     numbers: int = 8
     capacity: int = 8
-    budget: int = 1500
+    bytes_per_step: int = 1500
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -43,30 +43,30 @@ class MailSettings:
                 raise SpecError(f"mail: {name} is {value}, allowed is a whole number from 1")
 
 
-class Dropped(struct.PyTreeNode, kw_only=True):
+class DropCounts(struct.PyTreeNode, kw_only=True):
     """Messages that did not arrive since the episode began, by sender; a message to three counts thrice.
 
     Attributes:
         over_budget: The sender had no bytes left in the control step (robots,).
         no_link: There was no link that holds (robots,).
         lost: Lost near the cutoff (robots,).
-        box_full: The receiver's box was full (robots,).
+        inbox_full: The receiver's box was full (robots,).
     """
 
     over_budget: Array
     no_link: Array
     lost: Array
-    box_full: Array
+    inbox_full: Array
 
 
-class Mail(struct.PyTreeNode, kw_only=True):
+class Inboxes(struct.PyTreeNode, kw_only=True):
     """The boxes of one world's robots; what lies behind the first `count` places means nothing.
 
     Attributes:
         count: Messages in the box (robots,).
         sender: Slots of their senders, in the order of arrival (robots, capacity).
         time: When they were sent [s] (robots, capacity).
-        length: What they stand for [bytes] (robots, capacity).
+        size_bytes: What they stand for [bytes] (robots, capacity).
         payload: What they say (robots, capacity, numbers).
         spent: Sent in the control step `step` [bytes] (robots,).
         step: Control step of the last sending ().
@@ -77,12 +77,12 @@ class Mail(struct.PyTreeNode, kw_only=True):
     count: Array
     sender: Array
     time: Array
-    length: Array
+    size_bytes: Array
     payload: Array
     spent: Array
     step: Array
     sent: Array
-    dropped: Dropped
+    dropped: DropCounts
 
     @property
     def valid(self) -> Array:
@@ -90,49 +90,49 @@ class Mail(struct.PyTreeNode, kw_only=True):
         return jnp.arange(self.sender.shape[-1]) < self.count[..., None]
 
 
-class Letters(struct.PyTreeNode, kw_only=True):
+class OutgoingMessages(struct.PyTreeNode, kw_only=True):
     """What the robots of one world want to say: each one message, to any number of the others.
 
     Attributes:
-        to: Receivers (robots, robots): row sender, column receiver.
+        receivers: Receivers (robots, robots): row sender, column receiver.
         payload: The messages (robots, numbers).
-        length: What each stands for; not below 0 [bytes] (robots,).
+        size_bytes: What each stands for; not below 0 [bytes] (robots,).
     """
 
-    to: Array
+    receivers: Array
     payload: Array
-    length: Array
+    size_bytes: Array
 
 
-def no_mail(settings: MailSettings, robots: int) -> Mail:
+def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
     """Return empty boxes."""
     box, none = (robots, settings.capacity), jnp.zeros(robots, jnp.int32)
-    return Mail(
+    return Inboxes(
         count=none,
         sender=jnp.zeros(box, jnp.int32),
         time=jnp.zeros(box),
-        length=jnp.zeros(box, jnp.int32),
+        size_bytes=jnp.zeros(box, jnp.int32),
         payload=jnp.zeros((*box, settings.numbers)),
         spent=none,
         step=jnp.zeros((), jnp.int32),
         sent=none,
-        dropped=Dropped(over_budget=none, no_link=none, lost=none, box_full=none),
+        dropped=DropCounts(over_budget=none, no_link=none, lost=none, inbox_full=none),
     )
 
 
 def _through(links: Links, key: jax.Array) -> jax.Array:
     """Return over which links a message gets through this time (robots, robots)."""
-    return jax.random.uniform(key, links.chance.shape) < links.chance
+    return jax.random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
 
 def deliver(
-    settings: MailSettings,
-    mail: Mail,
-    letters: Letters,
+    settings: MessageSettings,
+    inboxes: Inboxes,
+    messages: OutgoingMessages,
     links: Links,
     moment: tuple[Array, Array],
     key: Array,
-) -> Mail:
+) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers.
 
     A sender's bytes are spent in the order of the receivers' slots, and on messages that do not arrive
@@ -141,54 +141,54 @@ def deliver(
 
     Args:
         settings: Sizes.
-        mail: The boxes.
-        letters: What is said to whom.
+        inboxes: The boxes.
+        messages: What is said to whom.
         links: The links that there are.
         moment: Control step and simulated time [s] (), ().
         key: For losses near the cutoff; new for every delivery.
     """
     step, time = moment
-    to, capacity = letters.to, settings.capacity
-    spent = jnp.where(mail.step == step, mail.spent, 0)
-    length = jnp.maximum(letters.length, 0).astype(jnp.int32)
+    to, capacity = messages.receivers, settings.capacity
+    spent = jnp.where(inboxes.step == step, inboxes.spent, 0)
+    length = jnp.maximum(messages.size_bytes, 0).astype(jnp.int32)
     # Counted in messages, not in bytes, whose sum over many receivers could overflow.
-    left = jnp.maximum(settings.budget - spent, 0)
+    left = jnp.maximum(settings.bytes_per_step - spent, 0)
     affordable = jnp.where(length > 0, left // jnp.maximum(length, 1), to.shape[-1])
     paid = to & (jnp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
     arrived = linked & _through(links, key)
 
-    place = mail.count[None, :] + jnp.cumsum(arrived, 0) - 1  # in the receiver's box
-    fits = arrived & (place < capacity)
+    index = inboxes.count[None, :] + jnp.cumsum(arrived, 0) - 1  # in the receiver's box
+    fits = arrived & (index < capacity)
     # Which sender's message goes where: all other tables are looked up by it.
     robots = len(to)
     sender, receiver = jnp.meshgrid(jnp.arange(robots), jnp.arange(robots), indexing="ij")
-    where = (receiver, jnp.where(fits, place, capacity))
+    where = (receiver, jnp.where(fits, index, capacity))
     new_sender = jnp.full((robots, capacity), -1).at[where].set(sender, mode="drop")
     fresh, source = new_sender >= 0, jnp.maximum(new_sender, 0)
 
     def count(dropped: jax.Array) -> jax.Array:
         return dropped.sum(-1, dtype=jnp.int32)
 
-    before = mail.dropped
-    return mail.replace(
-        count=mail.count + fits.sum(0, dtype=jnp.int32),
-        sender=jnp.where(fresh, source, mail.sender),
-        time=jnp.where(fresh, time, mail.time),
-        length=jnp.where(fresh, length[source], mail.length),
-        payload=jnp.where(fresh[..., None], letters.payload[source], mail.payload),
+    before = inboxes.dropped
+    return inboxes.replace(
+        count=inboxes.count + fits.sum(0, dtype=jnp.int32),
+        sender=jnp.where(fresh, source, inboxes.sender),
+        time=jnp.where(fresh, time, inboxes.time),
+        length=jnp.where(fresh, length[source], inboxes.size_bytes),
+        payload=jnp.where(fresh[..., None], messages.payload[source], inboxes.payload),
         spent=spent + length * count(paid),
         step=jnp.asarray(step, jnp.int32),
-        sent=mail.sent + count(to),
-        dropped=Dropped(
+        sent=inboxes.sent + count(to),
+        dropped=DropCounts(
             over_budget=before.over_budget + count(to & ~paid),
             no_link=before.no_link + count(paid & ~links.in_range),
             lost=before.lost + count(linked & ~arrived),
-            box_full=before.box_full + count(arrived & ~fits),
+            inbox_full=before.inbox_full + count(arrived & ~fits),
         ),
     )
 
 
-def empty(mail: Mail, where: Array = True) -> Mail:
+def clear_inboxes(inboxes: Inboxes, mask: Array = True) -> Inboxes:
     """Return the boxes with those of the masked robots (robots,) emptied: they have read their mail."""
-    return mail.replace(count=jnp.where(where, 0, mail.count))
+    return inboxes.replace(count=jnp.where(mask, 0, inboxes.count))

@@ -27,13 +27,13 @@ import numpy as np
 
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Array
-from usarmjx.comms.clipping import PIECES, Triple, count_in_pieces, filled
+from usarmjx.comms.clipping import PIECE_KINDS, XYZ, count_in_pieces, padded_to_chunks
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import HFIELD, MESH, pieces_of
+from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import OPAQUE, SKY
-from usarmjx.sensors.rays.targets import Block, Geoms, gather
+from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12
 """Stands in for zero where it divides."""
@@ -41,7 +41,7 @@ TINY = 1e-12
 GeomType = mujoco.mjtGeom
 
 
-def crosses_plane(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment goes through a plane with normal z; sizes 0 mean unbounded."""
     crossed = jnp.abs(middle[2]) < jnp.abs(half[2])
     t = -middle[2] / jnp.where(half[2] == 0, 1.0, half[2])
@@ -50,7 +50,7 @@ def crosses_plane(middle: Triple, half: Triple, size: Triple) -> jax.Array:
     return crossed
 
 
-def crosses_box(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_box(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment meets the inside of a box with half lengths `size`: no axis separates them.
 
     The axes are the box's own and their cross products with the segment (a box swept along a segment has
@@ -67,7 +67,7 @@ def crosses_box(middle: Triple, half: Triple, size: Triple) -> jax.Array:
     return crossed
 
 
-def _nearest_squared(middle: Triple, half: Triple, axes: int) -> jax.Array:
+def _nearest_squared(middle: XYZ, half: XYZ, axes: int) -> jax.Array:
     """Squared distance of a segment from the origin, or, over two axes, from the z axis."""
     m, h = middle[:axes], half[:axes]
     along = sum(a * b for a, b in zip(m, h, strict=True))
@@ -75,19 +75,19 @@ def _nearest_squared(middle: Triple, half: Triple, axes: int) -> jax.Array:
     return sum((a + t * b) ** 2 for a, b in zip(m, h, strict=True))  # type: ignore - not empty
 
 
-def crosses_sphere(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_sphere(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment meets the inside of a sphere of radius `size[0]`."""
     return _nearest_squared(middle, half, 3) < size[0] ** 2
 
 
-def crosses_ellipsoid(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_ellipsoid(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment meets the inside of an ellipsoid with radii `size`: a unit sphere, stretched."""
     scale = [1.0 / s for s in size]
     stretched = [tuple(a * s for a, s in zip(v, scale, strict=True)) for v in (middle, half)]
     return _nearest_squared(*stretched, 3) < 1.0  # type: ignore - three components each
 
 
-def crosses_cylinder(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment meets the inside of a cylinder about z with radius `size[0]`, half length `size[1]`.
 
     Of the part between the planes of the caps, the place nearest to the axis decides.
@@ -101,7 +101,7 @@ def crosses_cylinder(middle: Triple, half: Triple, size: Triple) -> jax.Array:
     return (jnp.abs(mz) < size[1] + jnp.abs(hz)) & (beside < size[0] ** 2)
 
 
-def crosses_capsule(middle: Triple, half: Triple, size: Triple) -> jax.Array:
+def crosses_capsule(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
     """Whether a segment meets the inside of a capsule about z: its tube or one of its two balls."""
     crossed = crosses_cylinder(middle, half, size)
     for end in (-size[1], size[1]):
@@ -109,7 +109,7 @@ def crosses_capsule(middle: Triple, half: Triple, size: Triple) -> jax.Array:
     return crossed
 
 
-KERNELS: dict[int, Callable[[Triple, Triple, Triple], jax.Array]] = {
+CROSSING_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], jax.Array]] = {
     int(GeomType.mjGEOM_PLANE): crosses_plane,
     int(GeomType.mjGEOM_BOX): crosses_box,
     int(GeomType.mjGEOM_SPHERE): crosses_sphere,
@@ -117,11 +117,11 @@ KERNELS: dict[int, Callable[[Triple, Triple, Triple], jax.Array]] = {
     int(GeomType.mjGEOM_CYLINDER): crosses_cylinder,
     int(GeomType.mjGEOM_ELLIPSOID): crosses_ellipsoid,
 }
-COUNTED = (*KERNELS, MESH, HFIELD)
+COUNTED = (*CROSSING_KERNELS, MESH, HFIELD)
 """Types of geoms that can be counted, as they are or in pieces."""
 
 
-def check_types(geom_types: Sequence[int]) -> None:
+def check_wall_types(geom_types: Sequence[int]) -> None:
     """Refuse geoms that no kernel can count.
 
     Raises:
@@ -144,24 +144,24 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     """
     fixed = replace(arena, loose=(), doors=(), victims=(), false_alarms=())
     model = new_spec(fixed, Physics()).compile()
-    check_types(model.geom_type)
+    check_wall_types(model.geom_type)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     walls = np.flatnonzero(np.array(materials_of(model, arena), object) != SKY)
-    pieces = pieces_of(model, walls, columns=True)
-    pos, mat = pieces.placed(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
+    pieces = ray_primitives_of(model, walls, columns=True)
+    pos, mat = pieces.world_poses(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
     # Numpy throughout: jax arrays made while tracing could not be kept.
     placed = pos.astype(np.float32), mat.astype(np.float32)
-    geoms = gather(pieces.kind, *placed, pieces.size, pieces.geom)
+    geoms = make_geoms(pieces.kind, *placed, pieces.size, pieces.geom)
     blocks = [
-        filled(block) if kind in PIECES else block
-        for kind, block in zip(geoms.types, geoms.blocks, strict=True)
+        padded_to_chunks(block) if kind in PIECE_KINDS else block
+        for kind, block in zip(geoms.kinds, geoms.blocks, strict=True)
     ]
     return geoms.replace(blocks=tuple(blocks))
 
 
 @cache
-def bare(arena: ArenaSpec) -> ArenaSpec:
+def bare_floor(arena: ArenaSpec) -> ArenaSpec:
     """Return the arena without anything on its floor."""
     return ArenaSpec(
         name=arena.name, floor=arena.floor, has_floor=arena.has_floor, starts=(), extent=arena.extent
@@ -172,26 +172,26 @@ def with_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
     """Return solids and boxes: centres [m] (n, 3), orientations (n, 3, 3), half lengths [m] (n, 3)."""
     if not len(size):
         return solids
-    block = Block(pos=pos, mat=mat, size=size, owner=np.full(len(size), -1))
+    block = GeomBlock(pos=pos, mat=mat, size=size, owner=np.full(len(size), -1))
     box = int(GeomType.mjGEOM_BOX)
     return Geoms(
         blocks=(*solids.blocks, block),
-        types=(*solids.types, box),
+        kinds=(*solids.kinds, box),
         materials=(*solids.materials, OPAQUE),
     )
 
 
-CHUNK = 16
+SOLIDS_PER_PASS = 16
 """Solids that one pass over all segments looks at: their numbers are read once for all segments of a world,
 and the passes are few."""
-FAR = 1e6
+PADDING_DISTANCE = 1e6
 """Where the solids are that fill the last chunk [m]."""
 
 
-def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Triple]:
+def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
     """Return position, orientation and size by components (geoms,), filled up to whole chunks."""
-    fill = -len(block.owner) % CHUNK
-    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=FAR)
+    fill = -len(block.owner) % SOLIDS_PER_PASS
+    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)
     size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)
     mat = jnp.concatenate([block.mat, jnp.tile(jnp.eye(3, dtype=jnp.float32), (fill, 1, 1))])
     split = tuple(tuple(values[:, i] for i in range(3)) for values in (pos, size))
@@ -199,24 +199,24 @@ def _columns(block: Block) -> tuple[Triple, tuple[Triple, Triple, Triple], Tripl
     return split[0], turned, split[1]  # type: ignore - three of each
 
 
-def _count(kind: int, block: Block, middle: Triple, half: Triple) -> jax.Array:
+def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
     """Return how many solids of one type each segment crosses (segments,)."""
-    if kind in PIECES:
+    if kind in PIECE_KINDS:
         return count_in_pieces(kind, block, middle, half)
     columns = _columns(block)
 
     def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
-        for k in range(CHUNK):
-            here = c * CHUNK + k
+        for k in range(SOLIDS_PER_PASS):
+            here = c * SOLIDS_PER_PASS + k
             pos, mat, size = jax.tree.map(lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns)
             # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
             along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
-            count = count + KERNELS[kind](local, along, size)  # type: ignore - three components each
+            count = count + CROSSING_KERNELS[kind](local, along, size)  # type: ignore - three components each
         return count
 
-    passes = -(-len(block.owner) // CHUNK)
+    passes = -(-len(block.owner) // SOLIDS_PER_PASS)
     return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
 
 
@@ -232,5 +232,5 @@ def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
     """
     middle = tuple(jnp.moveaxis((start + end) / 2, -1, 0))
     half = tuple(jnp.moveaxis((end - start) / 2, -1, 0))
-    counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.types, geoms.blocks, strict=True)]
+    counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)]
     return sum(counts, start=jnp.zeros(start.shape[:-1], jnp.int32))

@@ -13,7 +13,7 @@ from usarmjx.base.transforms import Array
 from usarmjx.engines.varied import VariedModel
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import Varied, VariedBodies
+from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 
 GeomType = mujoco.mjtGeom
 
@@ -32,7 +32,7 @@ class PhysicsState(struct.PyTreeNode, kw_only=True):
     act: jax.Array
 
 
-class Places(struct.PyTreeNode, kw_only=True):
+class GeomPoses(struct.PyTreeNode, kw_only=True):
     """Where the arena's geoms are that are data, in the axes of the body `arena`.
 
     Attributes:
@@ -56,7 +56,7 @@ class Inputs(struct.PyTreeNode, kw_only=True):
         pinned: Which coordinates are held: qpos is set and their velocities are zero (worlds, nq).
         pinned_dof: The same for the velocities (worlds, nv).
         qpos: Positions of the pinned coordinates; the others are ignored (worlds, nq).
-        places: Where the arena's geoms are that are data; None: there are none.
+        geom_poses: Where the arena's geoms are that are data; None: there are none.
         varied: Numbers that differ between worlds, which lead their axes; None: there are none.
     """
 
@@ -66,8 +66,8 @@ class Inputs(struct.PyTreeNode, kw_only=True):
     pinned: Array
     pinned_dof: Array
     qpos: Array
-    places: Places | None = None
-    varied: Varied | None = None
+    geom_poses: GeomPoses | None = None
+    varied: RandomizedValues | None = None
 
 
 class Engine(ABC):
@@ -77,9 +77,9 @@ class Engine(ABC):
         spec: The description of the model; its bodies, joints and actuators keep their order.
         physics: Solver and time settings.
         worlds: Number of copies.
-        moved: Geoms of the arena that are data, of which every `Inputs` tells the places; None: there are
+        moved_geoms: Geoms of the arena that are data, of which every `Inputs` tells the places; None: there are
             none.
-        bodies: Robots that vary between worlds, of which every `Inputs` tells the numbers; None: there are
+        varied_bodies: Robots that vary between worlds, of which every `Inputs` tells the numbers; None: there are
             none.
 
     Raises:
@@ -97,17 +97,17 @@ class Engine(ABC):
         physics: Physics,
         worlds: int,
         moved: MovedGeoms | None = None,
-        bodies: VariedBodies | None = None,
+        bodies: RandomizedBodies | None = None,
     ) -> None:
         self.physics = physics
         self.worlds = worlds
-        self.moved = moved
-        self.bodies = bodies
+        self.moved_geoms = moved
+        self.varied_bodies = bodies
         self.model = self.compile(spec)
-        self.varied = None if bodies is None else VariedModel(self.model, bodies, self.name == "c")
+        self.varied_model = None if bodies is None else VariedModel(self.model, bodies, self.name == "c")
         check_features(self.model, self.name)
         # A geom that lies in its body's frame would be taken for one that always does.
-        names = () if self.moved is None else self.moved.names
+        names = () if self.moved_geoms is None else self.moved_geoms.names
         self.moved_ids = [self.model.geom(name).id for name in names]
         self.model.geom_sameframe[self.moved_ids] = 0
 
@@ -120,34 +120,34 @@ class Engine(ABC):
         """Return the engine's state with every world at the model's reference configuration."""
 
     @abstractmethod
-    def advance(self, own: Any, inputs: Inputs) -> Any:  # noqa: ANN401
+    def advance(self, engine_state: Any, inputs: Inputs) -> Any:  # noqa: ANN401
         """Return the state after one control step."""
 
     @abstractmethod
-    def reset(self, own: Any, mask: Array, qpos: Array) -> Any:  # noqa: ANN401
+    def reset(self, engine_state: Any, mask: Array, qpos: Array) -> Any:  # noqa: ANN401
         """Return the state with the masked worlds (worlds,) at rest at qpos (worlds, nq)."""
 
     @abstractmethod
-    def place(self, own: Any, pinned: Array, pinned_dof: Array, qpos: Array) -> Any:  # noqa: ANN401
+    def set_qpos(self, engine_state: Any, pinned: Array, pinned_dof: Array, qpos: Array) -> Any:  # noqa: ANN401
         """Return the state with some coordinates put elsewhere, at rest; masks and qpos as in `Inputs`."""
 
     @abstractmethod
-    def state(self, own: Any) -> PhysicsState:  # noqa: ANN401
+    def state(self, engine_state: Any) -> PhysicsState:  # noqa: ANN401
         """Return what others may see of the state."""
 
     @abstractmethod
-    def overflow(self, own: Any, inputs: Inputs) -> jax.Array:  # noqa: ANN401
+    def overflow(self, engine_state: Any, inputs: Inputs) -> jax.Array:  # noqa: ANN401
         """Return how much each world's last step lost to full contact buffers (worlds,); 0 is none.
 
         Args:
-            own: The state after the step.
+            engine_state: The state after the step.
             inputs: What the engine was told for it.
         """
 
 
 # What MJX-JAX and MJX-Warp accept without a word and then compute something else (found by comparing
 # each feature with C MuJoCo, versions 3.17.0): attribute, what it must be, which engines ignore it.
-SILENT = (
+IGNORED_FEATURES = (
     ("actuator_damping", 0.0, ("jax",)),
     ("actuator_armature", 0.0, ("jax", "warp")),
     ("dof_dampingpoly", 0.0, ("jax",)),
@@ -157,11 +157,11 @@ SILENT = (
     ("geom_fluid", 0.0, ("jax",)),
     ("actuator_delay", 0.0, ("jax",)),
 )
-ROUND = (int(GeomType.mjGEOM_CYLINDER), int(GeomType.mjGEOM_ELLIPSOID))
-ALMOST_ROUND = (int(GeomType.mjGEOM_SPHERE), int(GeomType.mjGEOM_CAPSULE), *ROUND)
+ROUND_TYPES = (int(GeomType.mjGEOM_CYLINDER), int(GeomType.mjGEOM_ELLIPSOID))
+UNRELIABLE_WITH_ROUND = (int(GeomType.mjGEOM_SPHERE), int(GeomType.mjGEOM_CAPSULE), *ROUND_TYPES)
 """A round geom against one of these is a pair that MJX-JAX solves by a few steps of gradient descent; drops
 came out 0.3 to 0.7 m wrong."""
-UNEVEN = (int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD))
+REFUSED_WITH_ROUND = (int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD))
 """MJX-JAX has no contact of a round geom, such as a wheel, with these."""
 
 
@@ -173,7 +173,7 @@ def check_features(model: mujoco.MjModel, engine: str) -> None:
     """
     faults = [
         f"{name} (ignored)"
-        for name, neutral, ignored_by in SILENT
+        for name, neutral, ignored_by in IGNORED_FEATURES
         if engine in ignored_by and np.any(getattr(model, name) != neutral)
     ]
     if engine == "jax":
@@ -181,11 +181,11 @@ def check_features(model: mujoco.MjModel, engine: str) -> None:
             faults.append("noslip_iterations (ignored)")
         faults += [
             f"contact of {model.geom(a).name!r} with {model.geom(b).name!r} (unreliable)"
-            for a, b in _pairs(model, ALMOST_ROUND)[:4]
+            for a, b in _pairs(model, UNRELIABLE_WITH_ROUND)[:4]
         ]
         faults += [
             f"contact of {model.geom(a).name!r} with {model.geom(b).name!r} (refused)"
-            for a, b in _pairs(model, UNEVEN)[:4]
+            for a, b in _pairs(model, REFUSED_WITH_ROUND)[:4]
         ]
     if faults:
         raise UnsupportedFeatureError(f"engine {engine!r} cannot run this scene: {'; '.join(faults)}")
@@ -194,7 +194,7 @@ def check_features(model: mujoco.MjModel, engine: str) -> None:
 def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, int]]:
     """Return which round geoms may touch geoms of some types."""
     collides = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
-    round_geoms = [g for g in collides if model.geom_type[g] in ROUND]
+    round_geoms = [g for g in collides if model.geom_type[g] in ROUND_TYPES]
     pairs = []
     for a in round_geoms:
         meets = (model.geom_contype[a] & model.geom_conaffinity[collides]) | (

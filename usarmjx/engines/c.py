@@ -13,22 +13,22 @@ from usarmjx.base.transforms import Array
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import VariedBodies
+from usarmjx.models.build.variation import RandomizedBodies
 
 STATE = mujoco.mjtState
-EVERYTHING = STATE.mjSTATE_INTEGRATION
+INTEGRATION_STATE = STATE.mjSTATE_INTEGRATION
 """All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
 
 
 VISIBLE = (STATE.mjSTATE_QPOS, STATE.mjSTATE_QVEL, STATE.mjSTATE_ACT)
-FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+BUFFER_WARNINGS = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 """The warnings about buffers that are too small."""
 
 
 class CState(NamedTuple):
     """Integration states (worlds, n), the visible part of them, and warnings about full buffers (worlds,)."""
 
-    everything: np.ndarray
+    integration: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
     act: np.ndarray
@@ -56,12 +56,12 @@ def move_geoms(
         model.geom_rbound[ids] = np.linalg.norm(size, axis=-1)
 
 
-def parts(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
-    """Return where the parts of `EVERYTHING` are in a state of it."""
+def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
+    """Return where the parts of `INTEGRATION_STATE` are in a state of it."""
     places, start = {}, 0
     for bit in range(int(mujoco.mjtState.mjNSTATE)):
         part = mujoco.mjtState(1 << bit)
-        if EVERYTHING & part:
+        if INTEGRATION_STATE & part:
             end = start + mujoco.mj_stateSize(model, part)
             places[part], start = slice(start, end), end
     return places
@@ -69,7 +69,7 @@ def parts(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
 
 def buffer_warnings(data: mujoco.MjData) -> int:
     """Return how often this data's contact or constraint buffer was too small."""
-    return int(data.warning.number[FULL].sum())
+    return int(data.warning.number[BUFFER_WARNINGS].sum())
 
 
 def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:
@@ -90,30 +90,32 @@ class CEngine(Engine):
         physics: Physics,
         worlds: int,
         moved: MovedGeoms | None = None,
-        bodies: VariedBodies | None = None,
+        bodies: RandomizedBodies | None = None,
     ) -> None:
         super().__init__(spec, physics, worlds, moved, bodies)
-        self._parts = parts(self.model)
+        self._parts = state_slices(self.model)
         count = min(worlds, cores())
         # Each thread has its own model, as what differs in the world that it steps is part of it.
         same = moved is None and bodies is None
         self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
-        self._fields = None if self.varied is None else jax.jit(self.varied.fields)
+        self._fields = None if self.varied_model is None else jax.jit(self.varied_model.fields)
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model, with silent resets off."""
         model = c_model(spec.compile())
-        if self.moved is not None or (self.bodies is not None and self.bodies.vary.wheel is not None):
+        if self.moved_geoms is not None or (
+            self.varied_bodies is not None and self.varied_bodies.vary.wheel is not None
+        ):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         return model
 
     def start(self) -> CState:
         """Return every world at the model's reference configuration."""
-        size = mujoco.mj_stateSize(self.model, EVERYTHING)
+        size = mujoco.mj_stateSize(self.model, INTEGRATION_STATE)
         blank = CState(
-            everything=np.zeros((self.worlds, size)),
+            integration=np.zeros((self.worlds, size)),
             qpos=np.zeros((self.worlds, self.model.nq)),
             qvel=np.zeros((self.worlds, self.model.nv)),
             act=np.zeros((self.worlds, self.model.na)),
@@ -122,29 +124,29 @@ class CEngine(Engine):
         return self.reset(blank, np.ones(self.worlds, bool), np.tile(self.model.qpos0, (self.worlds, 1)))
 
     def _save(self, data: mujoco.MjData, state: CState, world: int) -> None:
-        mujoco.mj_getState(self.model, data, state.everything[world], EVERYTHING)
+        mujoco.mj_getState(self.model, data, state.integration[world], INTEGRATION_STATE)
         state.qpos[world], state.qvel[world], state.act[world] = data.qpos, data.qvel, data.act
 
-    def advance(self, own: CState, inputs: Inputs) -> CState:
+    def advance(self, engine_state: CState, inputs: Inputs) -> CState:
         """Step every world by one control step."""
         told = jax.tree.map(np.asarray, inputs)
         fields = self._varied_fields(inputs)
-        everything, overflow = self._applied(own, told), np.zeros(self.worlds, np.int32)
+        everything, overflow = self._applied(engine_state, told), np.zeros(self.worlds, np.int32)
 
         def work(thread: int) -> None:
             model, data = self._models[thread], self._datas[thread]
             before = buffer_warnings(data)
             varied = [(getattr(model, name), values) for name, values in fields.items()]
             for world in range(thread, self.worlds, len(self._datas)):
-                mujoco.mj_setState(model, data, everything[world], EVERYTHING)
+                mujoco.mj_setState(model, data, everything[world], INTEGRATION_STATE)
                 for array, values in varied:
                     array[:] = values[world]
-                if told.places is not None:
-                    here = told.places
+                if told.geom_poses is not None:
+                    here = told.geom_poses
                     size = None if here.size is None else here.size[world]
                     move_geoms(model, self.moved_ids, here.pos[world], here.quat[world], size)
                 mujoco.mj_step(model, data, nstep=self.physics.substeps)
-                mujoco.mj_getState(model, data, everything[world], EVERYTHING)
+                mujoco.mj_getState(model, data, everything[world], INTEGRATION_STATE)
                 warnings = buffer_warnings(data)
                 overflow[world], before = warnings - before, warnings
 
@@ -153,7 +155,7 @@ class CEngine(Engine):
         else:
             list(self._pool.map(work, range(len(self._datas))))
         qpos, qvel, act = (everything[:, self._parts[part]].copy() for part in VISIBLE)
-        return CState(everything=everything, qpos=qpos, qvel=qvel, act=act, overflow=overflow)
+        return CState(integration=everything, qpos=qpos, qvel=qvel, act=act, overflow=overflow)
 
     def _varied_fields(self, inputs: Inputs) -> dict[str, np.ndarray]:
         """Return the model's fields that differ between worlds (worlds, ...)."""
@@ -163,7 +165,7 @@ class CEngine(Engine):
 
     def _applied(self, own: CState, told: Inputs) -> np.ndarray:
         """Return the integration states with the inputs in them (worlds, n)."""
-        new, at = own.everything.copy(), self._parts
+        new, at = own.integration.copy(), self._parts
         new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = told.ctrl, told.act
         new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = told.xfrc_applied.reshape(self.worlds, -1)
         np.copyto(new[:, at[STATE.mjSTATE_QPOS]], told.qpos, where=told.pinned)
@@ -171,19 +173,19 @@ class CEngine(Engine):
             np.copyto(new[:, at[part]], 0.0, where=told.pinned_dof)
         return new
 
-    def place(self, own: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
+    def set_qpos(self, engine_state: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
         """Put the pinned coordinates at qpos, at rest."""
-        new = CState(*(array.copy() for array in own))
+        new = CState(*(array.copy() for array in engine_state))
         data = self._datas[0]
         for world in np.flatnonzero(np.asarray(pinned).any(-1)):
-            mujoco.mj_setState(self.model, data, own.everything[world], EVERYTHING)
+            mujoco.mj_setState(self.model, data, engine_state.integration[world], INTEGRATION_STATE)
             _pin(data, np.asarray(pinned)[world], np.asarray(pinned_dof)[world], np.asarray(qpos)[world])
             self._save(data, new, int(world))
         return new
 
-    def reset(self, own: CState, mask: Array, qpos: Array) -> CState:
+    def reset(self, engine_state: CState, mask: Array, qpos: Array) -> CState:
         """Put the masked worlds at rest at qpos; the others are untouched."""
-        new = CState(*(array.copy() for array in own))
+        new = CState(*(array.copy() for array in engine_state))
         data, qpos = self._datas[0], np.asarray(qpos)
         for world in np.flatnonzero(np.asarray(mask)):
             mujoco.mj_resetData(self.model, data)
@@ -191,15 +193,15 @@ class CEngine(Engine):
             self._save(data, new, int(world))
         return new
 
-    def state(self, own: CState) -> PhysicsState:
+    def state(self, engine_state: CState) -> PhysicsState:
         """Return positions, velocities and activations in single precision."""
         return PhysicsState(
-            qpos=jnp.asarray(np.float32(own.qpos)),
-            qvel=jnp.asarray(np.float32(own.qvel)),
-            act=jnp.asarray(np.float32(own.act)),
+            qpos=jnp.asarray(np.float32(engine_state.qpos)),
+            qvel=jnp.asarray(np.float32(engine_state.qvel)),
+            act=jnp.asarray(np.float32(engine_state.act)),
         )
 
-    def overflow(self, own: CState, inputs: Inputs) -> jnp.ndarray:
+    def overflow(self, engine_state: CState, inputs: Inputs) -> jnp.ndarray:
         """Return the number of buffer warnings of the last step (worlds,)."""
         del inputs
-        return jnp.asarray(own.overflow)
+        return jnp.asarray(engine_state.overflow)

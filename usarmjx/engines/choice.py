@@ -11,7 +11,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Engine
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import VariedBodies
+from usarmjx.models.build.variation import RandomizedBodies
 
 ENGINES: Registry[tuple[str, str]] = Registry("engine")
 """Module and class of each engine."""
@@ -41,7 +41,7 @@ def make_engine(
     physics: Physics,
     worlds: int,
     moved: MovedGeoms | None = None,
-    bodies: VariedBodies | None = None,
+    bodies: RandomizedBodies | None = None,
 ) -> Engine:
     """Build an engine by name; the other arguments are those of `Engine`.
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import EngineError
 
-MJX_VERSION = "3.17.0"  # the private names that `register` uses were checked in this one only
+MJX_VERSION = "3.17.0"  # the private names that `register_collision` uses were checked in this one only
 CONTACTS = 3  # a disc needs three to stand on a face, a rolling wheel uses two
 INACTIVE = 1.0  # m, distance of an unused contact slot, as MJX's own functions have it
 FACE_BIAS = 1e-3  # share of the depth by which another normal must beat a face to be chosen
@@ -34,7 +34,7 @@ TINY = 1e-12  # guards squared lengths, so that no square root or division sees 
 Contacts = tuple[jax.Array, jax.Array, jax.Array]
 
 
-class Solid(Protocol):
+class GeomInfo(Protocol):
     """What MJX hands to a collision function for one geom (its GeomInfo).
 
     Attributes:
@@ -287,7 +287,7 @@ def _frame(n: jax.Array) -> jax.Array:
     return jnp.stack([n, tangent, jnp.cross(n, tangent)])
 
 
-def cylinder_box(cylinder: Solid, box: Solid) -> Contacts:
+def cylinder_box(cylinder: GeomInfo, box: GeomInfo) -> Contacts:
     """Contacts between one cylinder and one box; use `jax.vmap` for many pairs.
 
     The deepest contact's distance is minus the least penetration. If the two are apart, it is a
@@ -323,7 +323,7 @@ def cylinder_box(cylinder: Solid, box: Solid) -> Contacts:
     return dist, pos, jnp.tile(frame, (CONTACTS, 1, 1))
 
 
-def register() -> None:
+def register_collision() -> None:
     """Teach MJX-JAX the pair cylinder against box; call it before `mjx.put_model`.
 
     MJX has no public way to add a collision function, so this writes into its private table, and

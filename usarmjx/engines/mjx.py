@@ -14,22 +14,22 @@ from usarmjx.base import threads
 from usarmjx.base.errors import EngineError
 from usarmjx.base.transforms import Array
 from usarmjx.engines import cylinder_box
-from usarmjx.engines.base import Engine, Inputs, PhysicsState, Places
+from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.compose_arena import with_short_boxes
+from usarmjx.models.build.compose_arena import split_long_boxes
 from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import VariedBodies
+from usarmjx.models.build.variation import RandomizedBodies
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
 # all of its iterations, which the capped CG solver does on nearly every step.
 ITERATION_BITS = 512 | 1024
-UNEQUAL, UNEQUAL_ITERATIONS = 4.0, 30
+MAX_MASS_RATIO, MASS_RATIO_ITERATIONS = 4.0, 30
 """Least solver iterations of `jax` where free bodies' masses differ by more than this factor. It solves all
 contacts of a world as one problem, in which the heavy ones count most: with 10 iterations a block of 0.3 kg
 crept at 3 mm/s and shot out of a gripper, and a P2AT beside a car went 2 cm astray in a second. Not so on `c`
 and `warp`."""
-LONGEST_BOX = 1.2
+MAX_BOX_LENGTH = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 
 
@@ -50,7 +50,7 @@ class MjxEngine(Engine):
         physics: Physics,
         worlds: int,
         moved: MovedGeoms | None = None,
-        bodies: VariedBodies | None = None,
+        bodies: RandomizedBodies | None = None,
     ) -> None:
         super().__init__(spec, physics, worlds, moved, bodies)
         self.mx = self._put_model(self.model)
@@ -65,9 +65,9 @@ class MjxEngine(Engine):
         """Return every world at the model's reference configuration."""
         return jax.jit(jax.vmap(lambda _: self._make_data()))(jnp.arange(self.worlds))
 
-    def advance(self, own: mjx.Data, inputs: Inputs) -> mjx.Data:
+    def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step."""
-        data = self.place(own, inputs.pinned, inputs.pinned_dof, inputs.qpos)
+        data = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
         fields = self._fields(inputs)
         if not fields:
@@ -80,15 +80,15 @@ class MjxEngine(Engine):
 
     def _fields(self, inputs: Inputs) -> dict[str, jax.Array]:
         """Return the model's fields that differ between worlds (worlds, ...)."""
-        fields = {} if inputs.places is None else self._moved_fields(inputs.places)
-        if self.varied is None or inputs.varied is None:
+        fields = {} if inputs.geom_poses is None else self._moved_fields(inputs.geom_poses)
+        if self.varied_model is None or inputs.varied is None:
             return fields
-        fields = self.varied.fields(inputs.varied, fields)
+        fields = self.varied_model.fields(inputs.varied, fields)
         # MJX-Warp has some fields in another shape than MuJoCo.
         shapes = {name: (self.worlds, *getattr(self.mx, name).shape) for name in fields}
         return {name: jnp.reshape(value, shapes[name]) for name, value in fields.items()}
 
-    def _moved_fields(self, places: Places) -> dict[str, jax.Array]:
+    def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
         """Return the fields of geoms that are data (worlds, ngeom, ...)."""
         ids = np.array(self.moved_ids)
 
@@ -97,43 +97,43 @@ class MjxEngine(Engine):
             return all_worlds.at[:, ids].set(jnp.reshape(here, (self.worlds, len(ids), *value.shape[1:])))
 
         fields = {
-            "geom_pos": everywhere(self.mx.geom_pos, places.pos),
-            "geom_quat": everywhere(self.mx.geom_quat, places.quat),
+            "geom_pos": everywhere(self.mx.geom_pos, poses.pos),
+            "geom_quat": everywhere(self.mx.geom_quat, poses.quat),
         }
-        if places.size is not None:
-            box = jnp.concatenate([jnp.zeros_like(places.size), places.size], -1)
-            fields["geom_size"] = everywhere(self.mx.geom_size, places.size)
+        if poses.size is not None:
+            box = jnp.concatenate([jnp.zeros_like(poses.size), poses.size], -1)
+            fields["geom_size"] = everywhere(self.mx.geom_size, poses.size)
             fields["geom_aabb"] = everywhere(self.mx.geom_aabb, box)
-            fields["geom_rbound"] = everywhere(self.mx.geom_rbound, jnp.linalg.norm(places.size, axis=-1))
+            fields["geom_rbound"] = everywhere(self.mx.geom_rbound, jnp.linalg.norm(poses.size, axis=-1))
         return fields
 
-    def place(self, own: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
+    def set_qpos(self, engine_state: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
         """Put the pinned coordinates at qpos, at rest."""
-        return own.replace(
-            qpos=jnp.where(pinned, qpos, own.qpos),
-            qvel=jnp.where(pinned_dof, 0.0, own.qvel),
-            qacc_warmstart=jnp.where(pinned_dof, 0.0, own.qacc_warmstart),
+        return engine_state.replace(
+            qpos=jnp.where(pinned, qpos, engine_state.qpos),
+            qvel=jnp.where(pinned_dof, 0.0, engine_state.qvel),
+            qacc_warmstart=jnp.where(pinned_dof, 0.0, engine_state.qacc_warmstart),
         )
 
-    def reset(self, own: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
+    def reset(self, engine_state: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
         """Put the masked worlds at rest at qpos; the others keep every bit."""
 
         def clear(value: jax.Array) -> jax.Array:
             return jnp.where(mask.reshape(-1, *[1] * (value.ndim - 1)), 0.0, value)
 
-        return own.replace(
-            qpos=jnp.where(mask[:, None], qpos, own.qpos),
-            qvel=clear(own.qvel),
-            act=clear(own.act),
-            ctrl=clear(own.ctrl),
-            time=clear(own.time),
-            xfrc_applied=clear(own.xfrc_applied),
-            qacc_warmstart=clear(own.qacc_warmstart),
+        return engine_state.replace(
+            qpos=jnp.where(mask[:, None], qpos, engine_state.qpos),
+            qvel=clear(engine_state.qvel),
+            act=clear(engine_state.act),
+            ctrl=clear(engine_state.ctrl),
+            time=clear(engine_state.time),
+            xfrc_applied=clear(engine_state.xfrc_applied),
+            qacc_warmstart=clear(engine_state.qacc_warmstart),
         )
 
-    def state(self, own: mjx.Data) -> PhysicsState:
+    def state(self, engine_state: mjx.Data) -> PhysicsState:
         """Return positions, velocities and activations."""
-        return PhysicsState(qpos=own.qpos, qvel=own.qvel, act=own.act)
+        return PhysicsState(qpos=engine_state.qpos, qvel=engine_state.qvel, act=engine_state.act)
 
 
 class JaxEngine(MjxEngine):
@@ -154,10 +154,10 @@ class JaxEngine(MjxEngine):
         physics: Physics,
         worlds: int,
         moved: MovedGeoms | None = None,
-        bodies: VariedBodies | None = None,
+        bodies: RandomizedBodies | None = None,
     ) -> None:
-        threads.check()
-        cylinder_box.register()
+        threads.check_pool_size()
+        cylinder_box.register_collision()
         super().__init__(spec, physics, worlds, moved, bodies)
         cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
@@ -172,29 +172,31 @@ class JaxEngine(MjxEngine):
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model with long walls in pieces, which bounding spheres tell apart."""
         if self.moved is not None and self.moved.resized:
-            self._short = ShortBoxes(self.moved, LONGEST_BOX)
-            self.moved = self._short.moved
+            self._short = ShortBoxes(self.moved, MAX_BOX_LENGTH)
+            self.moved = self._short.moved_geoms
             model = self._short.compile(spec)
         else:
-            model = with_short_boxes(spec, LONGEST_BOX)
+            model = split_long_boxes(spec, MAX_BOX_LENGTH)
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         masses = model.body_subtreemass[free]
-        lightest, heaviest = (1.0, 1.0) if self.bodies is None else self.bodies.vary.mass or (1.0, 1.0)
-        if len(free) and heaviest * masses.max() > UNEQUAL * lightest * masses.min():
-            model.opt.iterations = max(model.opt.iterations, UNEQUAL_ITERATIONS)
+        lightest, heaviest = (
+            (1.0, 1.0) if self.varied_bodies is None else self.varied_bodies.vary.mass or (1.0, 1.0)
+        )
+        if len(free) and heaviest * masses.max() > MAX_MASS_RATIO * lightest * masses.min():
+            model.opt.iterations = max(model.opt.iterations, MASS_RATIO_ITERATIONS)
         return model
 
-    def _moved_fields(self, places: Places) -> dict[str, jax.Array]:
-        return super()._moved_fields(places if self._short is None else self._short.cut(places))
+    def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
+        return super()._moved_fields(poses if self._short is None else self._short.split_poses(poses))
 
-    def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:
+    def overflow(self, engine_state: mjx.Data, inputs: Inputs) -> jax.Array:
         """Return pairs and contacts that may have been dropped (worlds,)."""
-        contact = own._impl.contact
+        contact = engine_state._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
         radius = self._fields(inputs).get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
         for pairs in self._capped:
-            apart = own.geom_xpos[:, pairs[:, 0]] - own.geom_xpos[:, pairs[:, 1]]
+            apart = engine_state.geom_xpos[:, pairs[:, 0]] - engine_state.geom_xpos[:, pairs[:, 1]]
             reach = radius[:, pairs].sum(-1)
             near = (jnp.linalg.norm(apart, axis=-1) < reach).sum(-1)
             lost += jnp.maximum(near - self._pair_cap, 0)
@@ -216,7 +218,7 @@ class WarpEngine(MjxEngine):
         physics: Physics,
         worlds: int,
         moved: MovedGeoms | None = None,
-        bodies: VariedBodies | None = None,
+        bodies: RandomizedBodies | None = None,
     ) -> None:
         try:
             import warp  # noqa: F401 - optional
@@ -243,12 +245,14 @@ class WarpEngine(MjxEngine):
             njmax=3 * 3 * contacts,
         )
 
-    def advance(self, own: mjx.Data, inputs: Inputs) -> mjx.Data:
+    def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step, which begins with no overflow: Warp only ever sets bits."""
-        clear = jnp.zeros_like(own._impl.overflow)
-        return super().advance(own.tree_replace({"_impl.overflow": clear}), inputs)
+        clear = jnp.zeros_like(engine_state._impl.overflow)
+        return super().advance(engine_state.tree_replace({"_impl.overflow": clear}), inputs)
 
-    def overflow(self, own: mjx.Data, inputs: Inputs) -> jax.Array:
+    def overflow(self, engine_state: mjx.Data, inputs: Inputs) -> jax.Array:
         """Return the overflow bits of the last control step (worlds,)."""
         del inputs
-        return (own._impl.overflow & ~ITERATION_BITS).reshape(self.worlds, -1).max(-1).astype(jnp.int32)
+        return (
+            (engine_state._impl.overflow & ~ITERATION_BITS).reshape(self.worlds, -1).max(-1).astype(jnp.int32)
+        )

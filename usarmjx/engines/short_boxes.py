@@ -1,6 +1,6 @@
 """Boxes whose sizes differ between worlds, in pieces: for an engine to which a long one is near everything.
 
-Where all worlds share an arena, `compose_arena.with_short_boxes` cuts it once; here the cuts are data too.
+Where all worlds share an arena, `compose_arena.split_long_boxes` cuts it once; here the cuts are data too.
 """
 
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.engines.base import Places
+from usarmjx.engines.base import GeomPoses
 from usarmjx.models.build.moved import MovedGeoms
 
 
@@ -16,26 +16,26 @@ class ShortBoxes:
     """Each box as a fixed number of pieces along its longest axis, which may be another in each world.
 
     Args:
-        moved: The boxes.
+        moved_geoms: The boxes.
         longest: A box that is longer in no world than this [m] stays whole.
 
     Attributes:
-        moved: The pieces.
+        moved_geoms: The pieces.
     """
 
     def __init__(self, moved: MovedGeoms, longest: float) -> None:
-        counts = np.maximum(1, np.ceil(2 * moved.longest / longest - 1e-6)).astype(int)
+        counts = np.maximum(1, np.ceil(2 * moved.max_half_length / longest - 1e-6)).astype(int)
         self._whole = moved.names
         self._counts = counts
         self._owner = np.repeat(np.arange(len(counts)), counts)
-        self._place = np.concatenate([np.arange(count) for count in counts])
+        self._piece_index = np.concatenate([np.arange(count) for count in counts])
         names = [f"{moved.names[o]}/{k}" if counts[o] > 1 else moved.names[o] for o, k in self._pairs()]
-        self.moved = MovedGeoms(
-            names=tuple(names), longest=(moved.longest / counts)[self._owner], resized=True
+        self.moved_geoms = MovedGeoms(
+            names=tuple(names), max_half_length=(moved.max_half_length / counts)[self._owner], resized=True
         )
 
     def _pairs(self) -> list[tuple[int, int]]:
-        return list(zip(self._owner.tolist(), self._place.tolist(), strict=True))
+        return list(zip(self._owner.tolist(), self._piece_index.tolist(), strict=True))
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model with the pieces in place of the boxes."""
@@ -54,12 +54,12 @@ class ShortBoxes:
                 spec.delete(geom)
         return spec.compile()
 
-    def cut(self, places: Places) -> Places:
+    def split_poses(self, poses: GeomPoses) -> GeomPoses:
         """Return the places and sizes of the pieces."""
-        assert places.size is not None
-        size, quat = places.size[:, self._owner], places.quat[:, self._owner]
+        assert poses.size is not None
+        size, quat = poses.size[:, self._owner], poses.quat[:, self._owner]
         count = self._counts[self._owner, None]
         along = jnp.arange(3) == jnp.argmax(size, -1, keepdims=True)
-        shift = (2 * (self._place[:, None] + 0.5) / count - 1) * size * along
-        pos = places.pos[:, self._owner] + jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)
-        return Places(pos=pos, quat=quat, size=jnp.where(along, size / count, size))
+        shift = (2 * (self._piece_index[:, None] + 0.5) / count - 1) * size * along
+        pos = poses.pos[:, self._owner] + jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)
+        return GeomPoses(pos=pos, quat=quat, size=jnp.where(along, size / count, size))

@@ -10,12 +10,12 @@ import numpy as np
 
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.variation import Varied, VariedBodies
+from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 
 KNOTS = 9
 """Masses for which MuJoCo works out the numbers that follow from them; between two they are interpolated."""
-OF_BODIES = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
-OF_DOFS = ("dof_invweight0", "dof_M0")
+BODY_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
+DOF_FIELDS = ("dof_invweight0", "dof_M0")
 CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 
 
@@ -25,18 +25,18 @@ class VariedModel:
     Args:
         model: The engine's model: its bodies and joints are in the order of the scene's, its geoms may not.
         bodies: The robots that vary.
-        extra: Whether to give `dof_M0` too, which only C MuJoCo reads.
+        with_dof_m0: Whether to give `dof_M0` too, which only C MuJoCo reads.
 
     Raises:
         UnsupportedFeatureError: Wheels whose radius shall vary and that are no cylinders.
     """
 
-    def __init__(self, model: mujoco.MjModel, bodies: VariedBodies, extra: bool = False) -> None:
+    def __init__(self, model: mujoco.MjModel, bodies: RandomizedBodies, with_dof_m0: bool = False) -> None:
         self._model, self._bodies = model, bodies
         self._wheels = np.flatnonzero(bodies.wheel[model.geom_bodyid])
         self._wheel_owner = bodies.owner[model.geom_bodyid[self._wheels]]
-        dof_names = OF_DOFS if extra else OF_DOFS[:1]
-        self._mass_names = (*OF_BODIES, *dof_names)
+        dof_names = DOF_FIELDS if with_dof_m0 else DOF_FIELDS[:1]
+        self._mass_names = (*BODY_FIELDS, *dof_names)
         vary = bodies.vary
         if vary.wheel is not None:
             odd = [model.geom(g).name for g in self._wheels if model.geom_type[g] != CYLINDER]
@@ -50,12 +50,12 @@ class VariedModel:
         self._joint_owner = np.where(model.jnt_actfrclimited != 0, bodies.owner[joints], -1)
 
     @property
-    def resizes(self) -> bool:
+    def varies_size(self) -> bool:
         """Whether sizes of geoms vary."""
         return self._bodies.vary.wheel is not None
 
     @property
-    def lightest(self) -> float:
+    def min_mass_factor(self) -> float:
         """The lowest factor on a mass."""
         return 1.0 if self._bodies.vary.mass is None else self._bodies.vary.mass[0]
 
@@ -67,7 +67,9 @@ class VariedModel:
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return {name: getattr(model, name).astype(np.float32) for name in self._mass_names}
 
-    def fields(self, told: Varied, here: dict[str, jax.Array] | None = None) -> dict[str, jax.Array]:
+    def fields(
+        self, told: RandomizedValues, here: dict[str, jax.Array] | None = None
+    ) -> dict[str, jax.Array]:
         """Return the fields that differ between worlds (worlds, ...).
 
         Args:
@@ -111,7 +113,7 @@ class VariedModel:
         dof_owner = self._bodies.owner[self._model.dof_bodyid]
         fields = {}
         for name, table in self._tables.items():
-            owner = self._bodies.owner if name in OF_BODIES else dof_owner
+            owner = self._bodies.owner if name in BODY_FIELDS else dof_owner
             place = (_of(mass, owner, low) - low) / step
             below = jnp.clip(jnp.floor(place), 0, KNOTS - 2).astype(jnp.int32)
             share = (place - below).reshape(*place.shape, *[1] * (table.ndim - 2))

@@ -9,41 +9,41 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from usarmjx.cameras.paint import (
-    ARENA,
+    ARENA_LABEL,
     DOOR_LABEL,
-    FALSE_ALARM,
-    LOOSE_OBJECT,
-    OUTSIDE,
-    ROBOT,
+    FALSE_ALARM_LABEL,
+    LOOSE_LABEL,
+    OUTSIDE_LABEL,
+    ROBOT_LABEL,
     SKY_LABEL,
-    VICTIM,
-    WATER,
+    VICTIM_LABEL,
+    WATER_LABEL,
 )
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.sensor_plots import PLOTS
-from usarmjx.plots.sensor_studies import snap
+from usarmjx.plots.sensor_studies import camera_study
 
-SITTING = ((9.9, 2.55), math.radians(4))
-LYING = ((2.1, 2.85), math.radians(185))
+BEFORE_SITTING_VICTIM = ((9.9, 2.55), math.radians(4))
+BEFORE_LYING_VICTIM = ((2.1, 2.85), math.radians(185))
 """Where in the yellow arena pictures are taken: before a victim that sits, and one that lies."""
 LABELS: dict[int, tuple[str, str]] = {
-    OUTSIDE: ("outside", "#000000"),
+    OUTSIDE_LABEL: ("outside", "#000000"),
     SKY_LABEL: ("sky", "#bcd9ee"),
-    ARENA: ("arena", "#cdbf9f"),
-    LOOSE_OBJECT: ("loose object", "#e07b39"),
+    ARENA_LABEL: ("arena", "#cdbf9f"),
+    LOOSE_LABEL: ("loose object", "#e07b39"),
     DOOR_LABEL: ("door", "#7a4a1e"),
-    VICTIM: ("victim", "#c4122f"),
-    FALSE_ALARM: ("false alarm", "#e58fa0"),
-    WATER: ("water", "#4080a5"),
-    ROBOT: ("the robot", "#1f5fa8"),
+    VICTIM_LABEL: ("victim", "#c4122f"),
+    FALSE_ALARM_LABEL: ("false alarm", "#e58fa0"),
+    WATER_LABEL: ("water", "#4080a5"),
+    ROBOT_LABEL: ("the robot", "#1f5fa8"),
 }
 """What pixels show, by label, and the colour of each here; further robots are as the first."""
 
 
-def coloured(segmentation: np.ndarray) -> np.ndarray:
+def label_indices(segmentation: np.ndarray) -> np.ndarray:
     """Return labels as places in `LABELS`; all robots count as one."""
-    return np.searchsorted(list(LABELS), np.minimum(segmentation, ROBOT))
+    return np.searchsorted(list(LABELS), np.minimum(segmentation, ROBOT_LABEL))
 
 
 def _image(axes: Axes, title: str) -> None:
@@ -53,14 +53,14 @@ def _image(axes: Axes, title: str) -> None:
 
 
 def _camera(figure: Figure) -> None:
-    seen = snap(ARENAS.get("yellow"), *SITTING, "P2AT", 320, 240)
+    seen = camera_study(ARENAS.get("yellow"), *BEFORE_SITTING_VICTIM, "P2AT", 320, 240)
     rgb, depth, labels = figure.subplots(1, 3)
     rgb.imshow(seen.rgb)
     _image(rgb, "RGB")
     drawn = depth.imshow(np.where(np.isfinite(seen.depth), seen.depth, np.nan), cmap="viridis_r")
     figure.colorbar(drawn, ax=depth, label="depth [m]", orientation="horizontal", shrink=0.8, pad=0.04)
     _image(depth, "depth")
-    numbers = coloured(seen.segmentation)
+    numbers = label_indices(seen.segmentation)
     palette = ListedColormap([colour for _, colour in LABELS.values()])
     bounds = BoundaryNorm(np.arange(len(LABELS) + 1) - 0.5, len(LABELS))
     labels.imshow(numbers, cmap=palette, norm=bounds, interpolation="nearest")
@@ -72,13 +72,13 @@ def _camera(figure: Figure) -> None:
 
 def _stereo(figure: Figure) -> None:
     for i, (side, axes) in enumerate(zip(("left", "right"), figure.subplots(1, 2), strict=True)):
-        seen = snap(ARENAS.get("yellow"), *SITTING, "StereoP2AT", 320, 240, camera=i)
+        seen = camera_study(ARENAS.get("yellow"), *BEFORE_SITTING_VICTIM, "StereoP2AT", 320, 240, camera=i)
         axes.imshow(seen.rgb)
         _image(axes, f"{side}: {ROBOTS.get('StereoP2AT').cameras[i].name}")
 
 
 def _omni(figure: Figure) -> None:
-    seen = snap(ARENAS.get("yellow"), *LYING, "OmniP2AT", 420, 420)
+    seen = camera_study(ARENAS.get("yellow"), *BEFORE_LYING_VICTIM, "OmniP2AT", 420, 420)
     axes = figure.add_subplot()
     axes.imshow(seen.rgb)
     axes.set_axis_off()

@@ -19,28 +19,28 @@ from usarmjx.models.build.tags import tag_ids
 from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, Shape
-from usarmjx.plots.outlines import heights, outline
+from usarmjx.plots.outlines import height_range, outline
 from usarmjx.plots.picture import ARROW, DPI, GROUND, PAPER, STYLES, WALL, WIDTH, draw_shapes
 
-TALLEST = 12.0
+MAX_HEIGHT = 12.0
 """Most that a picture is high [inches]; of long, narrow arenas it becomes narrower instead."""
 MARGIN = 0.04
 """Around the plan, in shares of its longer side."""
-FEW = 14
+MAX_NAMED_STARTS = 14
 """Up to so many start poses are named in the picture; of more, only the first."""
 WATER, LOOSE, VICTIM, ALARM = "#9cc7dd", "#e07b39", "#c4122f", "#e58fa0"
 TAG, LAMP, DOOR, START = "#1b7f5a", "#e0b000", "#7a4a1e", "#1f5fa8"
-ROOM_FOR_TEXT = 96
+TITLE_COLUMNS = 96
 """Letters of a line above the picture."""
 
 
-def plan(arena: ArenaSpec, path: Path) -> None:
+def floor_plan_picture(arena: ArenaSpec, path: Path) -> None:
     """Draw an arena's floor plan as a PNG file, with a legend; makes the folder if need be."""
     (x0, x1), (y0, y1) = arena.extent
-    about = textwrap.wrap(arena.about, ROOM_FOR_TEXT)
+    about = textwrap.wrap(arena.about, TITLE_COLUMNS)
     room = 1.3 + 0.18 * len(about)
     tall = WIDTH * (y1 - y0) / (x1 - x0)
-    shrink = min(1.0, (TALLEST - room) / tall)
+    shrink = min(1.0, (MAX_HEIGHT - room) / tall)
     size = (max(WIDTH * shrink, 0.6 * WIDTH), tall * shrink + room)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
@@ -111,7 +111,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
     table = victim_table(arena.victims, arena.false_alarms)
     pos, quat = segment_poses(table, np.float32(0.0))
     bones = []
-    for i in range(table.boxes):
+    for i in range(table.num_boxes):
         mat = np.zeros(9)
         mujoco.mju_quat2Mat(mat, quat[i].astype(float))
         bone = Shape(
@@ -120,7 +120,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
             at=tuple(pos[i]),
             rotation=tuple(angles_from_mat(mat.reshape(3, 3))),
         )
-        bones.append((heights(bone)[1], outline(bone), VICTIM if table.owner[i] >= 0 else ALARM))
+        bones.append((height_range(bone)[1], outline(bone), VICTIM if table.owner[i] >= 0 else ALARM))
     bones.sort(key=lambda bone: bone[0])
     patches = PatchCollection([Polygon(corners) for _, corners, _ in bones], zorder=4)
     patches.set(facecolor=[colour for _, _, colour in bones], edgecolor="white", linewidth=0.3)
@@ -139,7 +139,7 @@ def _draw_marks(axes: Axes, arena: ArenaSpec, words: bool) -> None:
 
 
 def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
-    named = arena.starts if len(arena.starts) <= FEW else arena.starts[:1]
+    named = arena.starts if len(arena.starts) <= MAX_NAMED_STARTS else arena.starts[:1]
     for start in arena.starts:
         cos, sin = math.cos(start.yaw), math.sin(start.yaw)
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])

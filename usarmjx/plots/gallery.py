@@ -13,28 +13,28 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from usarmjx.cameras.paint import WATER_CLEAR, WATER_RGB, labels_of
+from usarmjx.cameras.paint import WATER_RGB, WATER_TRANSPARENCY, labels_of
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import SKY, Shape
 from usarmjx.plots.floor_plan import draw_plan
-from usarmjx.plots.outlines import area, heights, outline
-from usarmjx.plots.picture import overhead
-from usarmjx.plots.render import Setting, draw
-from usarmjx.plots.scenery import Solids, boxes, solids_of
-from usarmjx.plots.viewpoint import fitted, halved
+from usarmjx.plots.outlines import area, height_range, outline
+from usarmjx.plots.picture import overhead_height
+from usarmjx.plots.render import Lighting, render_picture
+from usarmjx.plots.scenery import RenderGeoms, box_geoms, render_geoms_of
+from usarmjx.plots.viewpoint import downsample, fit_camera
 
-VIEW = (math.radians(-62.0), math.radians(44.0))
+VIEW_ANGLES = (math.radians(-62.0), math.radians(44.0))
 """Azimuth and elevation from which arenas are seen: as on the plan, x runs to the right."""
 SUN = (-0.45, -0.7, 0.85)
 """Behind the viewer's left shoulder."""
-COVER = 0.5
+ROOF_SHARE = 0.5
 """Solids overhead are a roof, and left out, if together they cover more than this share of the plan."""
-TILES = (0.5, 1.0, 5.0, 10.0, 50.0)
-"""Sides of the floor's checkers [m]: the first that gives at most `MOST_TILES` along an arena."""
-MOST_TILES = 45
-GRAIN = 4
+CHECKER_SIZES = (0.5, 1.0, 5.0, 10.0, 50.0)
+"""Sides of the floor's checkers [m]: the first that gives at most `MAX_CHECKERS` along an arena."""
+MAX_CHECKERS = 45
+COLOUR_STEP = 4
 """Colours of sheets are multiples of this, of 255: no one sees it, and files are a third smaller."""
 
 
@@ -57,9 +57,13 @@ def perspective(
     """
     shown = replace(arena, shapes=without_roof(arena))
     eye, target = _eye(shown, width / height)
-    tile = next((t for t in TILES if t * MOST_TILES > np.ptp(arena.extent, axis=1).max()), TILES[-1])
-    setting = Setting(sun=SUN, tile=tile, tiled=arena.extent)
-    picture = halved(draw(arena_solids(shown), eye, target, 2 * width, 2 * height, setting))
+    tile = next(
+        (t for t in CHECKER_SIZES if t * MAX_CHECKERS > np.ptp(arena.extent, axis=1).max()), CHECKER_SIZES[-1]
+    )
+    setting = Lighting(sun=SUN, checker_size=tile, checker_extent=arena.extent)
+    picture = downsample(
+        render_picture(arena_render_geoms(shown), eye, target, 2 * width, 2 * height, setting)
+    )
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         imsave(path, picture)
@@ -69,15 +73,15 @@ def perspective(
 def without_roof(arena: ArenaSpec) -> tuple[Shape, ...]:
     """Return an arena's solids without the roof, if it has one."""
     (x0, x1), (y0, y1) = arena.extent
-    height = overhead(arena)
-    above = [heights(shape)[0] > height and shape.material != SKY for shape in arena.shapes]
+    height = overhead_height(arena)
+    above = [height_range(shape)[0] > height and shape.material != SKY for shape in arena.shapes]
     roof = sum(area(outline(shape)) for shape, high in zip(arena.shapes, above, strict=True) if high)
-    if roof <= COVER * (x1 - x0) * (y1 - y0):
+    if roof <= ROOF_SHARE * (x1 - x0) * (y1 - y0):
         return arena.shapes
     return tuple(shape for shape, high in zip(arena.shapes, above, strict=True) if not high)
 
 
-def arena_solids(arena: ArenaSpec) -> Solids:
+def arena_render_geoms(arena: ArenaSpec) -> RenderGeoms:
     """Return what is seen of an arena as it is at the start.
 
     Raises:
@@ -86,21 +90,23 @@ def arena_solids(arena: ArenaSpec) -> Solids:
     model = new_spec(arena, Physics()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solids = solids_of(model, data, materials_of(model, arena), labels_of(model, arena))
+    solids = render_geoms_of(model, data, materials_of(model, arena), labels_of(model, arena))
     corners = np.array([(water.low, water.high) for water in arena.waters]).reshape(-1, 2, 3)
     corners[..., 2] += arena.floor
-    return solids.add(boxes(corners[:, 0], corners[:, 1], np.array(WATER_RGB), WATER_CLEAR))
+    return solids.concatenate(
+        box_geoms(corners[:, 0], corners[:, 1], np.array(WATER_RGB), WATER_TRANSPARENCY)
+    )
 
 
 def _eye(arena: ArenaSpec, aspect: float) -> tuple[np.ndarray, np.ndarray]:
     """Return from where the whole arena fills a picture, and the picture's middle (3,) and (3,) [m]."""
     (x0, x1), (y0, y1) = arena.extent
-    top = max([0.0, *(heights(shape)[1] for shape in arena.shapes if shape.material != SKY)])
+    top = max([0.0, *(height_range(shape)[1] for shape in arena.shapes if shape.material != SKY)])
     top = min(top, 0.5 * min(x1 - x0, y1 - y0))
     corners = np.array([(x, y, z + arena.floor) for x in (x0, x1) for y in (y0, y1) for z in (0.0, top)])
-    azimuth, elevation = VIEW
+    azimuth, elevation = VIEW_ANGLES
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    return fitted(corners, back / np.linalg.norm(back), aspect)
+    return fit_camera(corners, back / np.linalg.norm(back), aspect)
 
 
 def plan_sheet(arenas: Sequence[ArenaSpec], path: Path, columns: int = 3) -> None:
@@ -148,5 +154,5 @@ def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, colu
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
     path.parent.mkdir(parents=True, exist_ok=True)
-    few = np.minimum(255, (pixels + GRAIN // 2) // GRAIN * GRAIN).astype(np.uint8)
+    few = np.minimum(255, (pixels + COLOUR_STEP // 2) // COLOUR_STEP * COLOUR_STEP).astype(np.uint8)
     imsave(path, few, pil_kwargs={"optimize": True})

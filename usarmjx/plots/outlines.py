@@ -8,11 +8,11 @@ from scipy.spatial import ConvexHull
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.robot import Shape
 
-ROUND = 32
+CIRCLE_POINTS = 32
 """Corners that stand for a circle."""
-_ANGLES = np.linspace(0.0, 2 * math.pi, ROUND, endpoint=False)
+_ANGLES = np.linspace(0.0, 2 * math.pi, CIRCLE_POINTS, endpoint=False)
 CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], -1)
-SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
 def outline(shape: Shape) -> np.ndarray:
@@ -23,7 +23,7 @@ def outline(shape: Shape) -> np.ndarray:
     return points[ConvexHull(points).vertices]
 
 
-def heights(shape: Shape) -> tuple[float, float]:
+def height_range(shape: Shape) -> tuple[float, float]:
     """Return the heights of a solid's lowest and highest points [m]."""
     up = mat_from_angles(*np.array(shape.rotation))[2]
     z = _corners(shape) @ up + shape.at[2]
@@ -42,13 +42,15 @@ def area(polygon: np.ndarray) -> float:
 def _corners(shape: Shape) -> np.ndarray:
     """Return the points in its frame that a solid is the hull of, without round ones' radii (n, 3)."""
     if shape.kind == "box":
-        return SIGNS * shape.size
+        return CORNER_SIGNS * shape.size
     if shape.mesh is not None:
         return np.asarray(shape.mesh.vertices, float)
     if shape.heights is not None:
         x, y, base = shape.size
         top = float(np.max(shape.heights.heights))
-        return np.concatenate([SIGNS[::2] * (x, y, 0) - (0, 0, base), SIGNS[::2] * (x, y, 0) + (0, 0, top)])
+        return np.concatenate(
+            [CORNER_SIGNS[::2] * (x, y, 0) - (0, 0, base), CORNER_SIGNS[::2] * (x, y, 0) + (0, 0, top)]
+        )
     half = shape.size[1] if shape.kind in ("capsule", "cylinder") else 0.0
     return np.array([(0.0, 0.0, -half), (0.0, 0.0, half)])
 

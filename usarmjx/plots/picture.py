@@ -19,7 +19,7 @@ from matplotlib.patches import Polygon
 
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
-from usarmjx.plots.outlines import heights, outline
+from usarmjx.plots.outlines import height_range, outline
 
 DPI = 120
 WIDTH = 11.0  # inches; the height follows from the arena's shape
@@ -31,7 +31,7 @@ ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
 
 PAPER, WALL, GROUND_EDGE = "#f7f5ef", "#3b3a36", "#a8987a"
 GROUND = LinearSegmentedColormap.from_list("ground", ["#e6dcc3", "#cdbf9f", "#8f7d58"])
-HIGHEST = 1.2
+DARKEST_HEIGHT = 1.2
 """Ground that is higher is not drawn darker [m]."""
 CONTOURS = 12
 OVERHEAD = 2.2
@@ -50,7 +50,7 @@ STYLES: dict[str, dict[str, Any]] = {
 TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
 
 
-def tracks(log: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def tracked_poses(log: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the logged poses in our axes and in the world's frame.
 
     Odometry starts at zero and the INS with an error of its own, so both are laid on the true start.
@@ -60,10 +60,10 @@ def tracks(log: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """
     wire = np.array([report[1:] for report in log["track"]], float).reshape(-1, 3, 3)
     truth, odometry, ins = np.moveaxis(wire * (1, -1, -1), 1, 0)
-    return {"truth": truth, "odometry": _laid_on(odometry, truth), "ins": _laid_on(ins, truth)}
+    return {"truth": truth, "odometry": _aligned(odometry, truth), "ins": _aligned(ins, truth)}
 
 
-def _laid_on(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _aligned(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return an estimate moved rigidly so that it starts at the true start (n, 3)."""
     if not len(truth):
         return estimate
@@ -88,7 +88,7 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     return points[ranges < SCANNER_RANGE]
 
 
-def arena_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
+def run_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
     """Draw a run as a PNG file.
 
     Args:
@@ -123,7 +123,7 @@ def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
     return f"{arena.name}: {lasted:.1f} simulated seconds"
 
 
-def overhead(arena: ArenaSpec) -> float:
+def overhead_height(arena: ArenaSpec) -> float:
     """Return the height from which on solids are over the heads of robots, wherever they start [m]."""
     return OVERHEAD + max([0.0, *(start.at[2] for start in arena.starts)])
 
@@ -136,18 +136,18 @@ def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
     there is only a dashed line.
     """
     sorts: dict[str, list[Shape]] = {}
-    above = overhead(arena)
+    above = overhead_height(arena)
     for shape in arena.shapes:
         if shape.heights is not None:
             _draw_terrain(axes, shape)
         else:
             sorts.setdefault(_sort(shape, above), []).append(shape)
-    tops = {id(shape): heights(shape)[1] for shape in sorts.get("ground", ())}
+    tops = {id(shape): height_range(shape)[1] for shape in sorts.get("ground", ())}
     for sort, members in sorts.items():
         style = dict(STYLES[sort])
         if sort == "ground":
             members = sorted(members, key=lambda shape: tops[id(shape)])
-            style["facecolor"] = [GROUND(tops[id(shape)] / HIGHEST) for shape in members]
+            style["facecolor"] = [GROUND(tops[id(shape)] / DARKEST_HEIGHT) for shape in members]
         elif sort == "paint":
             style["facecolor"] = [shape.rgba for shape in members]
         axes.add_collection(PatchCollection([Polygon(outline(shape)) for shape in members], **style))
@@ -155,7 +155,7 @@ def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
 
 def _sort(shape: Shape, above: float) -> str:
     """Return the style in which a solid is drawn; `above` is the height of what is overhead."""
-    if shape.material == SKY or heights(shape)[0] > above:
+    if shape.material == SKY or height_range(shape)[0] > above:
         return shape.material if shape.material == SKY else "overhead"
     if shape.material != OPAQUE:
         return shape.material
@@ -178,7 +178,7 @@ def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
     if log["scan"].get("pose"):  # a run may end between a scan and the pose of its moment
         hits = scan_points(log["scan"])
         axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=4, label="last laser scan", zorder=5)
-    paths = tracks(log)
+    paths = tracked_poses(log)
     for name, colour, style, label in (
         ("truth", TRUTH, "-", "driven path"),
         ("odometry", ODOMETRY, "--", "odometry"),

@@ -17,7 +17,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
-from usarmjx.sim.world import team_states
+from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.policy import Policy
 
@@ -26,19 +26,19 @@ WORLD = 0
 PANELS = 6
 """Moments in a strip."""
 COLUMNS = 3
-PANEL = 3.6
+PANEL_WIDTH = 3.6
 """Width of a moment's picture [inches]."""
 DPI = 90
-MOST_FRAMES = 150
+MAX_FRAMES = 150
 """Of longer films, moments are left out."""
-HASTE = 2.0
+GIF_SPEEDUP = 2.0
 """How much faster than in the simulation time passes in a GIF."""
 COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
 GOAL, LOOSE = "#c4122f", "#f2730a"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Film:
+class EpisodeRecording:
     """One episode of one world, or the beginning of it.
 
     Attributes:
@@ -64,7 +64,7 @@ class Film:
     end: str
 
 
-def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> Film:
+def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> EpisodeRecording:
     """Return the first episode of world 0, up to its end or a time.
 
     The last moment is the one before the step that ended the episode, with the score after it: by then the
@@ -81,10 +81,10 @@ def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> 
     """
     if not seconds > 0:
         raise UsageError(f"{seconds} seconds, expected more than 0")
-    act, memory, key = jax.jit(policy.act), policy.start(env.worlds), jax.random.key(seed)
+    act, memory, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
-    moments = [(0.0, float(state.score[WORLD]), *_places(env, state))]
+    moments = [(0.0, float(state.score[WORLD]), *_positions(env, state))]
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
@@ -93,11 +93,11 @@ def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> 
             end = "physics failed" if bool(state.bad[WORLD]) else end
             moments.append((step * env.period, float(state.final_score[WORLD]), *moments[-1][2:]))
         else:
-            moments.append((step * env.period, float(state.score[WORLD]), *_places(env, state)))
+            moments.append((step * env.period, float(state.score[WORLD]), *_positions(env, state)))
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
     place = None if goal is None or np.ndim(goal) != 2 or np.shape(goal)[1] != 2 else np.asarray(goal)[WORLD]
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
-    return Film(
+    return EpisodeRecording(
         task=env.name,
         arena=arena,
         names=names,
@@ -110,25 +110,25 @@ def film(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> 
     )
 
 
-def _places(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
+def _positions(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
     """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
     physics = jax.tree.map(lambda rows: rows[WORLD], env.batch.physics(state.batch))
-    found = np.zeros((env.scene.robots, 3))
-    for team in env.scene.teams:
-        states = team_states(team, physics)
+    found = np.zeros((env.scene.num_robots, 3))
+    for team in env.scene.groups:
+        states = robot_states(team, physics)
         mat = np.asarray(jax.vmap(mat_from_quat)(states.quat))
         found[np.asarray(team.slots)] = np.column_stack(
             [np.asarray(states.pos)[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]
         )
-    return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qpos[:, :2]]
+    return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qposadr[:, :2]]
 
 
-def _caption(shown: Film, frame: int) -> str:
+def _caption(shown: EpisodeRecording, frame: int) -> str:
     end = f" ({shown.end})" if shown.end and frame == len(shown.times) - 1 else ""
     return f"{shown.times[frame]:.1f} s   score {shown.scores[frame]:.2f}{end}"
 
 
-def _draw(axes: Axes, shown: Film, frame: int) -> list[Any]:
+def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     """Draw the robots, their ways so far, what lies loose and the goal; return what was drawn."""
     # What an arena of several does not have waits far outside of the picture.
     inside = {"scalex": False, "scaley": False, "zorder": 7}
@@ -146,14 +146,14 @@ def _draw(axes: Axes, shown: Film, frame: int) -> list[Any]:
 
 def _figure(columns: int, rows: int, arena: ArenaSpec) -> Figure:
     (x0, x1), (y0, y1) = arena.extent
-    tall = PANEL * min(2.0, max(0.4, (y1 - y0) / (x1 - x0)))
-    size = (columns * PANEL, rows * (tall + 0.35))
+    tall = PANEL_WIDTH * min(2.0, max(0.4, (y1 - y0) / (x1 - x0)))
+    size = (columns * PANEL_WIDTH, rows * (tall + 0.35))
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def strip(shown: Film, path: Path) -> None:
+def save_png(shown: EpisodeRecording, path: Path) -> None:
     """Write moments of a film, the first and the last among them, beside each other as a PNG file."""
     frames = np.unique(np.linspace(0, len(shown.times) - 1, PANELS).round().astype(int))
     columns = min(COLUMNS, len(frames))
@@ -168,9 +168,9 @@ def strip(shown: Film, path: Path) -> None:
     figure.savefig(path, format="png")
 
 
-def animation(shown: Film, path: Path) -> None:
-    """Write a film as a GIF file, `HASTE` times as fast as it was; the last moment stays for two seconds."""
-    count = min(MOST_FRAMES, len(shown.times))
+def save_gif(shown: EpisodeRecording, path: Path) -> None:
+    """Write a film as a GIF file, `GIF_SPEEDUP` times as fast as it was; the last moment stays for two seconds."""
+    count = min(MAX_FRAMES, len(shown.times))
     frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
     figure = _figure(1, 1, shown.arena)
     axes = figure.add_subplot()
@@ -184,28 +184,28 @@ def animation(shown: Film, path: Path) -> None:
         pictures.append(Image.fromarray(pixels).quantize(64))
         for one in drawn:
             one.remove()
-    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / HASTE
+    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / GIF_SPEEDUP
     durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
     pictures[0].save(
         path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
     )
 
 
-WRITERS = {".png": strip, ".gif": animation}
+WRITERS = {".png": save_png, ".gif": save_gif}
 
 
-def write(shown: Film, path: Path) -> None:
+def save_recording(shown: EpisodeRecording, path: Path) -> None:
     """Write a film as what the file's name ends in; makes the folder if need be.
 
     Raises:
         UsageError: Another ending.
     """
-    check_ending(path)
+    check_suffix(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     WRITERS[path.suffix.lower()](shown, path)
 
 
-def check_ending(path: Path) -> None:
+def check_suffix(path: Path) -> None:
     """Refuse names of files that nothing can be written to.
 
     Raises:

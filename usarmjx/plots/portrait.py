@@ -10,32 +10,32 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.plots.render import draw
-from usarmjx.plots.scenery import PLANE, solids_of
-from usarmjx.plots.viewpoint import fitted
+from usarmjx.plots.render import render_picture
+from usarmjx.plots.scenery import PLANE, render_geoms_of
+from usarmjx.plots.viewpoint import fit_camera
 
-VIEW = (math.radians(-35.0), math.radians(22.0))
+VIEW_ANGLES = (math.radians(-35.0), math.radians(22.0))
 """Azimuth and elevation from which robots are drawn: from their front right."""
-ROOM = 1.2
+FRAME_FACTOR = 1.2
 """By how much what is in the picture is larger than the robot."""
 
 
 def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
     """Return a picture (height, width, 3) of a robot on a floor, its joints at zero, filling the frame."""
     spec = new_spec(ArenaSpec(name="studio", starts=(), extent=((0, 0), (0, 0))), Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, body_plan(robot).clearance))
+    add_robot(spec, robot, "", (0.0, 0.0, kinematic_tree_of(robot).clearance))
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    azimuth, elevation = VIEW
+    azimuth, elevation = VIEW_ANGLES
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    eye, target = fitted(_corners(model, data), back / np.linalg.norm(back), width / height)
-    return draw(solids_of(model, data), eye, target, width, height)
+    eye, target = fit_camera(_corners(model, data), back / np.linalg.norm(back), width / height)
+    return render_picture(render_geoms_of(model, data), eye, target, width, height)
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -45,7 +45,7 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     local = middle[:, None] + np.array(list(product((-1, 1), repeat=3))) * half[:, None]
     turned = np.einsum("gij,gcj->gci", data.geom_xmat[own].reshape(-1, 3, 3), local)
     corners = (data.geom_xpos[own][:, None] + turned).reshape(-1, 3)
-    return corners.mean(0) + ROOM * (corners - corners.mean(0))
+    return corners.mean(0) + FRAME_FACTOR * (corners - corners.mean(0))
 
 
 def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:

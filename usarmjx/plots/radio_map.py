@@ -16,15 +16,15 @@ from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
 
-HEIGHT = 0.5
+ANTENNA_HEIGHT = 0.5
 """Antennas are this high above the floor unless told otherwise [m]: about a P2AT's."""
 MARGIN = 0.5
 """The map goes this far beyond the arena's plan [m]."""
-FINEST = 0.02
+MIN_STEP = 0.02
 """Grids have at least this between their places [m]."""
-PLACES = 300
+GRID_POINTS = 300
 """Places along the longer side of an arena, unless told otherwise."""
-BRIGHTEST = 0.5
+COLOUR_MIN_DISTANCE = 0.5
 """Nearer to the sender than this colours change no more [m]."""
 COLOURS, CUTOFF_LINE = "viridis", "#d1622b"
 
@@ -46,7 +46,7 @@ class PowerMap:
     walls: np.ndarray
 
 
-def read_place(text: str) -> tuple[float, ...]:
+def parse_position(text: str) -> tuple[float, ...]:
     """Return the numbers of a place given as "x,y" or "x,y,z".
 
     Raises:
@@ -73,25 +73,25 @@ def power_map(
 
     Args:
         arena: The arena.
-        source: Where the sender's antenna is: x, y and, if it is not `HEIGHT`, the height above the floor,
+        source: Where the sender's antenna is: x, y and, if it is not `ANTENNA_HEIGHT`, the height above the floor,
             in the arena's axes [m].
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
-        step: Distance of two places on the grid [m]; None: `PLACES` along the arena.
+        step: Distance of two places on the grid [m]; None: `GRID_POINTS` along the arena.
 
     Raises:
         UsageError: A step too fine to be drawn.
     """
     (x0, x1), (y0, y1) = arena.extent
     if step is None:
-        step = max(FINEST, max(x1 - x0, y1 - y0) / PLACES)
-    if not step >= FINEST:
-        raise UsageError(f"the step of a map is {step}, allowed is {FINEST} m and more")
+        step = max(MIN_STEP, max(x1 - x0, y1 - y0) / GRID_POINTS)
+    if not step >= MIN_STEP:
+        raise UsageError(f"the step of a map is {step}, allowed is {MIN_STEP} m and more")
     x, y = (
         np.arange(x0 - MARGIN, x1 + MARGIN + step / 2, step),
         np.arange(y0 - MARGIN, y1 + MARGIN + step / 2, step),
     )
-    up = source[2] if len(source) > 2 else HEIGHT
+    up = source[2] if len(source) > 2 else ANTENNA_HEIGHT
     grid = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), up if height is None else height)], -1)
     ends = (grid.reshape(-1, 3) + np.array([0.0, 0.0, arena.floor])).astype(np.float32)
     start = np.broadcast_to(np.array([*source[:2], up + arena.floor], np.float32), ends.shape)
@@ -135,7 +135,7 @@ def radio_picture(
     axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
     axes.set_title(_title(arena, source, settings), loc="left", fontsize=11)
     # The few places right at the sender would take half of the colours.
-    top = min(drawn.power.max(), float(received_power(settings, BRIGHTEST, 0)))
+    top = min(drawn.power.max(), float(received_power(settings, COLOUR_MIN_DISTANCE, 0)))
     colours = axes.pcolormesh(
         drawn.x, drawn.y, drawn.power, cmap=COLOURS, vmax=top, shading="nearest", zorder=1
     )

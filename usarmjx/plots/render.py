@@ -13,78 +13,83 @@ import numpy as np
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.lenses import TILE, tiled, untiled
-from usarmjx.cameras.light import SUN, lamps_of, no_headlights
-from usarmjx.cameras.paint import NOBODY, Paint
-from usarmjx.cameras.shading import SKY_RGB, TILES, Stage, shade
+from usarmjx.cameras.light import SUN_DIRECTION, no_headlights, point_lights
+from usarmjx.cameras.paint import EXCLUDE_NONE, GeomAppearance
+from usarmjx.cameras.shading import CHECKER_RGB, SKY_RGB, RenderScene, shade
 from usarmjx.models.spec.robot import GLASS, MIRROR, OPAQUE
-from usarmjx.plots.scenery import Solids
-from usarmjx.plots.viewpoint import look
-from usarmjx.sensors.rays.kernels import KERNELS
-from usarmjx.sensors.rays.targets import gather, sort_places
+from usarmjx.plots.scenery import RenderGeoms
+from usarmjx.plots.viewpoint import camera_rays
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.targets import indices_by_key, make_geoms
 
-__all__ = ["CHUNK", "SKY_RGB", "STUDIO", "TILES", "Setting", "draw"]
+__all__ = ["CHECKER_RGB", "CHUNK", "DEFAULT_LIGHTING", "SKY_RGB", "Lighting", "render_picture"]
 
 CHUNK = 65_536
 """Rays that are cast together."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class Lighting:
     """What lights a picture, and the floor in it.
 
     Attributes:
         sun: Direction to the sun; need not be a unit vector.
-        tile: Side of the floor's checkers [m].
-        tiled: Where the floor has them, as `ArenaSpec.extent` [m].
+        checker_size: Side of the floor's checkers [m].
+        checker_extent: Where the floor has them, as `ArenaSpec.extent` [m].
     """
 
-    sun: Vec3 = SUN
-    tile: float = 0.5
-    tiled: tuple[tuple[float, float], tuple[float, float]] = ((-math.inf, math.inf), (-math.inf, math.inf))
+    sun: Vec3 = SUN_DIRECTION
+    checker_size: float = 0.5
+    checker_extent: tuple[tuple[float, float], tuple[float, float]] = (
+        (-math.inf, math.inf),
+        (-math.inf, math.inf),
+    )
 
 
-STUDIO = Setting()
+DEFAULT_LIGHTING = Lighting()
 
 
-def _stage(solids: Solids, setting: Setting) -> Stage:
+def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
     """Return what a picture shows.
 
     Raises:
         UnsupportedGeomError: A kind that no kernel can hit.
     """
-    if unknown := sorted({int(kind) for kind in solids.kind} - set(KERNELS)):
+    if unknown := sorted({int(kind) for kind in solids.kind} - set(RAY_KERNELS)):
         raise UnsupportedGeomError(f"no ray kernel for geoms of type {unknown}")
-    material = np.where(solids.clear > 0, GLASS, np.where(solids.gloss > 0, MIRROR, OPAQUE)).tolist()
-    order = np.concatenate([np.zeros(0, int), *sort_places(solids.kind, material).values()])
+    material = np.where(
+        solids.transparency > 0, GLASS, np.where(solids.reflectance > 0, MIRROR, OPAQUE)
+    ).tolist()
+    order = np.concatenate([np.zeros(0, int), *indices_by_key(solids.kind, material).values()])
     owner = np.full(len(solids), -1)
-    return Stage(
-        geoms=gather(solids.kind, solids.pos, solids.mat, solids.size, owner, material),
-        paint=Paint(
+    return RenderScene(
+        geoms=make_geoms(solids.kind, solids.pos, solids.mat, solids.size, owner, material),
+        appearance=GeomAppearance(
             rgb=solids.rgb[order],
-            clear=solids.clear[order],
-            gloss=solids.gloss[order],
+            transparency=solids.transparency[order],
+            reflectance=solids.reflectance[order],
             label=solids.label[order],
         ),
-        sun=np.array(setting.sun, np.float32) / np.float32(np.linalg.norm(setting.sun)),
-        lamps=lamps_of((), 0.0),
+        sun_direction=np.array(setting.sun, np.float32) / np.float32(np.linalg.norm(setting.sun)),
+        lights=point_lights((), 0.0),
         headlights=no_headlights(),
-        tile=np.float32(setting.tile),
-        tiled=np.array(setting.tiled, np.float32),
+        checker_size=np.float32(setting.checker_size),
+        checker_bounds=np.array(setting.checker_extent, np.float32),
     )
 
 
 @jax.jit
-def _shade(stage: Stage, start: jax.Array, along: jax.Array) -> jax.Array:
-    return shade(stage, start, along, jnp.asarray(NOBODY)).rgb
+def _shade(stage: RenderScene, start: jax.Array, along: jax.Array) -> jax.Array:
+    return shade(stage, start, along, jnp.asarray(EXCLUDE_NONE)).rgb
 
 
-def draw(
-    solids: Solids,
+def render_picture(
+    solids: RenderGeoms,
     eye: np.ndarray,
     target: np.ndarray,
     width: int,
     height: int,
-    setting: Setting = STUDIO,
+    lighting: Lighting = DEFAULT_LIGHTING,
 ) -> np.ndarray:
     """Return a picture (height, width, 3) with values in [0, 1].
 
@@ -94,13 +99,13 @@ def draw(
         target: What is in the middle of the picture (3,) [m].
         width: Pixels along a row.
         height: Rows.
-        setting: Light and floor.
+        lighting: Light and floor.
 
     Raises:
         UnsupportedGeomError: A geom type that rays cannot hit.
     """
-    stage = _stage(solids, setting)
-    rows = look(eye, target, width, height).reshape(height, width, 3)
+    stage = _render_scene(solids, lighting)
+    rows = camera_rays(eye, target, width, height).reshape(height, width, 3)
     room = ((0, -height % TILE), (0, -width % TILE), (0, 0))
     rays = tiled(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))

@@ -6,18 +6,33 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
-from usarmjx.cameras.paint import CLEAR, GLOSS, ROBOT, WATER, clears, glosses
-from usarmjx.models.build.pieces import pieces_of
+from usarmjx.cameras.paint import (
+    GLASS_TRANSPARENCY,
+    MIRROR_REFLECTANCE,
+    ROBOT_LABEL,
+    WATER_LABEL,
+    reflectances,
+    transparencies,
+)
+from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.spec.robot import OPAQUE, SKY
 
-__all__ = ["BOX", "CLEAR", "GLOSS", "PLANE", "Solids", "boxes", "solids_of"]
+__all__ = [
+    "BOX",
+    "GLASS_TRANSPARENCY",
+    "MIRROR_REFLECTANCE",
+    "PLANE",
+    "RenderGeoms",
+    "box_geoms",
+    "render_geoms_of",
+]
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
 
 @dataclass(frozen=True, eq=False)
-class Solids:
+class RenderGeoms:
     """What can be seen.
 
     Attributes:
@@ -26,8 +41,8 @@ class Solids:
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
         rgb: Colours (n, 3).
-        clear: Share of what is behind that is seen through them (n,).
-        gloss: Share of what they reflect in how they look (n,).
+        transparency: Share of what is behind that is seen through them (n,).
+        reflectance: Share of what they reflect in how they look (n,).
         label: What they are, see `cameras.paint`; an arena's solids show bricks (n,).
     """
 
@@ -36,30 +51,30 @@ class Solids:
     mat: np.ndarray
     size: np.ndarray
     rgb: np.ndarray
-    clear: np.ndarray
-    gloss: np.ndarray
+    transparency: np.ndarray
+    reflectance: np.ndarray
     label: np.ndarray
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.kind)
 
-    def pick(self, which: np.ndarray) -> "Solids":
+    def select(self, which: np.ndarray) -> "RenderGeoms":
         """Return some of them, by index or mask."""
-        return Solids(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return RenderGeoms(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
-    def add(self, other: "Solids") -> "Solids":
+    def concatenate(self, other: "RenderGeoms") -> "RenderGeoms":
         """Return these and others."""
         both = {f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)}
-        return Solids(**both)
+        return RenderGeoms(**both)
 
 
-def solids_of(
+def render_geoms_of(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     materials: Sequence[str] | None = None,
     labels: np.ndarray | None = None,
-) -> Solids:
+) -> RenderGeoms:
     """Return what rays see of a model's geoms in their present poses; kinematics must be current.
 
     Args:
@@ -70,32 +85,32 @@ def solids_of(
     """
     named = np.array([OPAQUE] * model.ngeom if materials is None else materials, object)
     ids = np.flatnonzero(named != SKY)
-    pieces = pieces_of(model, ids, named.tolist())
-    pos, mat = pieces.placed(
+    pieces = ray_primitives_of(model, ids, named.tolist())
+    pos, mat = pieces.world_poses(
         data.geom_xpos[ids].astype(np.float32), data.geom_xmat[ids].reshape(-1, 3, 3).astype(np.float32)
     )
-    return Solids(
+    return RenderGeoms(
         kind=pieces.kind,
         pos=pos,
         mat=mat,
         size=pieces.size,
         rgb=model.geom_rgba[ids, :3].astype(np.float32)[pieces.geom],
-        clear=clears(pieces.material),
-        gloss=glosses(pieces.material),
-        label=(np.full(model.ngeom, ROBOT) if labels is None else labels)[ids][pieces.geom],
+        transparency=transparencies(pieces.material),
+        reflectance=reflectances(pieces.material),
+        label=(np.full(model.ngeom, ROBOT_LABEL) if labels is None else labels)[ids][pieces.geom],
     )
 
 
-def boxes(low: np.ndarray, high: np.ndarray, rgb: np.ndarray, clear: float = 0.0) -> Solids:
+def box_geoms(low: np.ndarray, high: np.ndarray, rgb: np.ndarray, clear: float = 0.0) -> RenderGeoms:
     """Return upright boxes between corners (n, 3) and (n, 3), all of one colour (3,)."""
     count = len(low)
-    return Solids(
+    return RenderGeoms(
         kind=np.full(count, BOX),
         pos=((low + high) / 2).astype(np.float32),
         mat=np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
         size=((high - low) / 2).astype(np.float32),
         rgb=np.tile(np.asarray(rgb, np.float32), (count, 1)),
-        clear=np.full(count, clear, np.float32),
-        gloss=np.zeros(count, np.float32),
-        label=np.full(count, WATER),
+        transparency=np.full(count, clear, np.float32),
+        reflectance=np.zeros(count, np.float32),
+        label=np.full(count, WATER_LABEL),
     )

@@ -16,34 +16,34 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.plots.picture import PAPER, draw_shapes
 from usarmjx.plots.sensor_studies import (
-    DRIVE,
-    LONG,
-    WIDE,
-    Around,
+    DRIVE_SECONDS,
+    PATH_HALF_WIDTH,
+    PATH_LENGTH,
+    RangeStudy,
     gps_errors,
     ins_paths,
-    look_around,
-    rfid_reach,
-    told_ranges,
-    winding,
+    range_study,
+    reported_ranges,
+    rfid_range,
+    winding_path,
 )
 from usarmjx.sensors.gps import GpsSettings, largest_error
 from usarmjx.sensors.motion import InsSettings
 from usarmjx.sensors.ranging import RangeSettings, SonarSettings
-from usarmjx.sensors.rfid import RfidSettings, signal
+from usarmjx.sensors.rfid import RfidSettings, signal_strength
 
 DPI = 100
 BLUE, ORANGE, GREEN, PINK, GREY = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#8a857a"
 BEAM = "#e9a3dc"
-PLACE, HEADING = (0.6, -3.0), math.radians(10)
+ROBOT_POSITION, ROBOT_YAW = (0.6, -3.0), math.radians(10)
 """Where in the yellow arena the robot stands that looks around."""
-CLOSE = ((-2.6, 6.1), (-5.0, -0.9))
+SONAR_VIEW = ((-2.6, 6.1), (-5.0, -0.9))
 """The part of the plan that sonars are shown on: x and y [m]."""
-CURVE = ((0.0, 0.0), (1.0, 1.6), (3.0, 2.4), (5.0, 5.0))
+EXAMPLE_OUTPUT_CURVE = ((0.0, 0.0), (1.0, 1.6), (3.0, 2.4), (5.0, 5.0))
 """The distortion that is shown, in metres."""
 
-HEARD: dict[str, Any] = {"fc": "#f2b694", "ec": ORANGE}
-DEAF: dict[str, Any] = {"fc": "none", "ec": GREY, "ls": ":", "lw": 0.8}
+ECHO_STYLE: dict[str, Any] = {"fc": "#f2b694", "ec": ORANGE}
+NO_ECHO_STYLE: dict[str, Any] = {"fc": "none", "ec": GREY, "ls": ":", "lw": 0.8}
 """Cones of sonars with and without an echo."""
 
 Drawing = Callable[[Figure], None]
@@ -95,21 +95,21 @@ def _robot(axes: Axes, pose: np.ndarray) -> None:
     )
 
 
-def draw_laser(axes: Axes, seen: Around) -> None:
+def draw_laser(axes: Axes, seen: RangeStudy) -> None:
     """Draw the beams of a laser scan and where they ended."""
-    for end in seen.ends[seen.met]:
+    for end in seen.ends[seen.hit]:
         axes.plot(*np.stack([seen.origin, end]).T, color=BEAM, lw=0.5, zorder=3)
-    axes.plot(*seen.ends[seen.met].T, ".", color=PINK, ms=4, zorder=5)
+    axes.plot(*seen.ends[seen.hit].T, ".", color=PINK, ms=4, zorder=5)
     _robot(axes, seen.pose)
 
 
-def draw_sonars(axes: Axes, seen: Around) -> None:
+def draw_sonars(axes: Axes, seen: RangeStudy) -> None:
     """Draw the cones of sonars up to their echoes, or faint to their range where there is none."""
     for (x, y, yaw), echo, wide, deaf in zip(
-        seen.sonars, seen.echoes, seen.beam_angle, seen.deaf, strict=True
+        seen.sonars, seen.echoes, seen.beam_angle, seen.no_echo, strict=True
     ):
         low, high = math.degrees(yaw - wide / 2), math.degrees(yaw + wide / 2)
-        style = DEAF if deaf else HEARD
+        style = NO_ECHO_STYLE if deaf else ECHO_STYLE
         axes.add_patch(Wedge((x, y), echo, low, high, alpha=0.85, zorder=4, **style))
         if not deaf:
             at = (x + (echo + 0.12) * math.cos(yaw), y + (echo + 0.12) * math.sin(yaw))
@@ -119,17 +119,17 @@ def draw_sonars(axes: Axes, seen: Around) -> None:
 
 
 def _laser(figure: Figure) -> None:
-    seen = look_around(ARENAS.get("yellow"), PLACE, HEADING)
+    seen = range_study(ARENAS.get("yellow"), ROBOT_POSITION, ROBOT_YAW)
     axes = figure.add_subplot()
     _plan(axes, f"One scan of a P2AT's RangeScanner in the yellow arena: {len(seen.ends)} beams")
     draw_laser(axes, seen)
 
 
 def _sonar(figure: Figure) -> None:
-    seen = look_around(ARENAS.get("yellow"), PLACE, HEADING)
+    seen = range_study(ARENAS.get("yellow"), ROBOT_POSITION, ROBOT_YAW)
     axes = figure.add_subplot()
     _plan(axes, "The sonars of a P2AT, and what they read [m], Noise=0.05; dotted: no echo within 5 m")
-    axes.set(xlim=CLOSE[0], ylim=CLOSE[1])
+    axes.set(xlim=SONAR_VIEW[0], ylim=SONAR_VIEW[1])
     draw_sonars(axes, seen)
 
 
@@ -137,10 +137,10 @@ def _rfid(figure: Figure) -> None:
     settings, axes = RfidSettings(), figure.add_subplot()
     distance = np.linspace(0.3, 5.0, 400)
     for blocked, colour, label in ((False, BLUE, "nothing between"), (True, ORANGE, "behind an obstacle")):
-        power, reach = signal(settings, distance, blocked, np), rfid_reach(settings, blocked=blocked)
+        power, reach = signal_strength(settings, distance, blocked, np), rfid_range(settings, blocked=blocked)
         axes.plot(distance, power, color=colour, lw=2, label=label)
-        axes.plot(reach, settings.d_bm_rx_sensibility, "o", color=colour, ms=7, zorder=5)
-        axes.plot([reach, reach], [-130, settings.d_bm_rx_sensibility], ":", color=colour, lw=1.2)
+        axes.plot(reach, settings.rx_sensitivity_dbm, "o", color=colour, ms=7, zorder=5)
+        axes.plot([reach, reach], [-130, settings.rx_sensitivity_dbm], ":", color=colour, lw=1.2)
         axes.annotate(
             f"{reach:.2f} m",
             (reach, -101),
@@ -150,10 +150,10 @@ def _rfid(figure: Figure) -> None:
             color=colour,
             fontsize=11,
         )
-    axes.axhline(settings.d_bm_rx_sensibility, color=GREY, lw=1, ls="--")
+    axes.axhline(settings.rx_sensitivity_dbm, color=GREY, lw=1, ls="--")
     axes.annotate(
-        f"dBmRXSensibility = {settings.d_bm_rx_sensibility:g} dBm",
-        (5.0, settings.d_bm_rx_sensibility),
+        f"dBmRXSensibility = {settings.rx_sensitivity_dbm:g} dBm",
+        (5.0, settings.rx_sensitivity_dbm),
         (0, 4),
         textcoords="offset points",
         ha="right",
@@ -173,7 +173,7 @@ def _plain(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-RUNS, SHOWN = 64, 5
+INS_RUNS, INS_SHOWN = 64, 5
 """INS sensors that are driven along the winding way, and how many of them are shown."""
 INS_CASES: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("Sigma=0.1, the default", {"Sigma": 0.1}, ORANGE),
@@ -184,15 +184,15 @@ INS_CASES: tuple[tuple[str, dict[str, Any], str], ...] = (
 
 def _ins(figure: Figure) -> None:
     *paths_axes, right = figure.subplots(1, 3, width_ratios=(1.1, 1.1, 1))
-    times, truth = winding(InsSettings().scan_interval)
+    times, truth = winding_path(InsSettings().scan_interval)
     for i, (label, settings, colour) in enumerate(INS_CASES):
-        paths = ins_paths(RUNS, **settings)
+        paths = ins_paths(INS_RUNS, **settings)
         error = np.linalg.norm(paths - truth[:, :2], axis=-1)
         right.plot(times, np.median(error, 0), color=colour, lw=1.8, label=label)
         if i < len(paths_axes):
-            _draw_paths(paths_axes[i], paths[:SHOWN], truth, colour)
+            _draw_paths(paths_axes[i], paths[:INS_SHOWN], truth, colour)
             paths_axes[i].set_title(label, loc="left", fontsize=10)
-    right.set(xlabel="time [s]", ylabel=f"median error of {RUNS} INS [m]", xlim=(0, DRIVE))
+    right.set(xlabel="time [s]", ylabel=f"median error of {INS_RUNS} INS [m]", xlim=(0, DRIVE_SECONDS))
     right.set_ylim(0, 1.35 * right.get_ylim()[1])
     right.legend(frameon=False, fontsize=8, loc="upper left")
     _plain(right)
@@ -206,7 +206,7 @@ def _draw_paths(axes: Axes, paths: np.ndarray, truth: np.ndarray, colour: str) -
     axes.plot([], [], "-s", color=colour, lw=0.9, ms=4, label=f"{len(paths)} INS and where they end")
     axes.plot(*truth[0, :2], "o", color="white", mec="black", ms=7, zorder=5)
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(xlim=(-2, LONG + 4), ylim=(-WIDE - 4, WIDE + 7))
+    axes.set(xlim=(-2, PATH_LENGTH + 4), ylim=(-PATH_HALF_WIDTH - 4, PATH_HALF_WIDTH + 7))
     axes.legend(frameon=False, fontsize=8, ncols=2, loc="upper center")
     _plain(axes)
 
@@ -214,18 +214,18 @@ def _draw_paths(axes: Axes, paths: np.ndarray, truth: np.ndarray, colour: str) -
 def _noise(figure: Figure) -> None:
     left, right = figure.subplots(1, 2, sharey=True)
     true = np.linspace(0.0, 6.0, 900, dtype=np.float32)
-    plain, curved = SonarSettings(), RangeSettings(noise=0.02, output_curve=CURVE)
+    plain, curved = SonarSettings(), RangeSettings(noise=0.02, output_curve=EXAMPLE_OUTPUT_CURVE)
     for axes, settings, title in (
         (left, plain, "Noise=0.05"),
         (right, curved, "Noise=0.02, then an OutputCurve"),
     ):
-        exact = told_ranges(true, RangeSettings(output_curve=settings.output_curve))
-        axes.plot(true, told_ranges(true, settings), ".", color=ORANGE, ms=2.5, label="readings")
+        exact = reported_ranges(true, RangeSettings(output_curve=settings.output_curve))
+        axes.plot(true, reported_ranges(true, settings), ".", color=ORANGE, ms=2.5, label="readings")
         axes.plot(true, exact, color=BLUE, lw=1.4, label="without noise")
         axes.set(xlabel="true distance [m]", xlim=(0, 6), ylim=(0, 5.6))
         axes.set_title(title, loc="left", fontsize=10)
         _plain(axes)
-    right.plot(*np.array(CURVE).T, "s", color=BLUE, ms=5, label="points of the curve")
+    right.plot(*np.array(EXAMPLE_OUTPUT_CURVE).T, "s", color=BLUE, ms=5, label="points of the curve")
     left.set_ylabel("reading [m]")
     left.annotate(
         "no return: MaxRange exactly", (5.95, 5.0), (0, 7), textcoords="offset points", ha="right", fontsize=9

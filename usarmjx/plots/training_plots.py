@@ -18,7 +18,7 @@ from usarmjx.train.learning.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
 DPI = 100
-ROW, WIDTH = 2.8, 9.0
+ROW_HEIGHT, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 MILLION = 1e6
 
@@ -50,7 +50,7 @@ Axis = Callable[[Curve], np.ndarray]
 """What of a curve is drawn along x (points,)."""
 
 
-def of_record(record: dict[str, Any]) -> Curve:
+def curve_of_record(record: dict[str, Any]) -> Curve:
     """Return the curve of a benchmark record, `"benchmark": "train"`.
 
     Rows of its `curve` are agent steps and score, and time [s] if that was written down; if not, it is
@@ -69,7 +69,7 @@ def of_record(record: dict[str, Any]) -> Curve:
     )
 
 
-def of_run(folder: Path) -> Curve:
+def curve_of_run(folder: Path) -> Curve:
     """Return the curve of a run, from what it has written down.
 
     Iterations in which no episode ended are left out. Time is that of the iterations, the first of which also
@@ -103,12 +103,12 @@ def read_curves(source: Path) -> list[Curve]:
         UsageError: There is neither, or no curve.
     """
     if source.is_dir():
-        return [of_run(source)]
+        return [curve_of_run(source)]
     if not source.is_file():
         raise UsageError(f"{source} is neither a file of benchmark records nor the folder of a run")
     try:
         records = [json.loads(line) for line in source.read_text().splitlines()]
-        found = [of_record(record) for record in records if record["benchmark"] == "train"]
+        found = [curve_of_record(record) for record in records if record["benchmark"] == "train"]
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise UsageError(f"{source} is no file of benchmark records: {error!r}") from error
     if not found:
@@ -116,7 +116,7 @@ def read_curves(source: Path) -> list[Curve]:
     return found
 
 
-def by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
+def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
     """Return the curves of each task, by seed; of several with the same seed, the last one."""
     last = {(curve.task, curve.seed): curve for curve in curves}
     tasks = dict.fromkeys(task for task, _ in last)
@@ -159,7 +159,7 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
 
 def draw_curves(figure: Figure, curves: Iterable[Curve]) -> None:
     """Fill a figure: a row for each task, its scores over agent steps and over time."""
-    tasks = by_task(curves)
+    tasks = curves_by_task(curves)
     panels = figure.subplots(len(tasks), len(AXES), squeeze=False)
     for row, (task, found) in zip(panels, tasks.items(), strict=True):
         for axes, (name, along) in zip(row, AXES, strict=True):
@@ -179,7 +179,10 @@ def plot_curves(sources: Sequence[Path], out: Path) -> None:
     """
     curves = [curve for source in sources for curve in read_curves(source)]
     figure = Figure(
-        figsize=(WIDTH, ROW * len(by_task(curves))), dpi=DPI, facecolor="white", layout="constrained"
+        figsize=(WIDTH, ROW_HEIGHT * len(curves_by_task(curves))),
+        dpi=DPI,
+        facecolor="white",
+        layout="constrained",
     )
     canvas = FigureCanvasAgg(figure)
     draw_curves(figure, curves)

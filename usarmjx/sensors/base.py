@@ -15,23 +15,23 @@ from flax import struct
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
-from usarmjx.base.rotations import composed, turned
+from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.transforms import Array, flip_angles, flip_vector, mat_from_angles
-from usarmjx.models.build.body_plan import Bodies, BodyPlan
+from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import SKY, Mount
 from usarmjx.models.spec.settings import NOT_NEGATIVE
-from usarmjx.sensors.quantities import Quantity, total
+from usarmjx.sensors.quantities import Quantity, total_size
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.raycast import BUNDLE, Hits
-from usarmjx.sensors.sketch import Sketch
-from usarmjx.sensors.surroundings import NOTHING, Surroundings
+from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
+from usarmjx.sensors.sketch import OverlayLines
+from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
-NOISY = ("noise", "sigma", "max_noise", "min_noise")
+NOISE_SETTINGS = ("noise", "sigma", "max_noise", "min_noise")
 """Settings that are sizes of random errors; `precision` is the inverse of one."""
 
 
-class Sight(struct.PyTreeNode, kw_only=True):
+class SensorInput(struct.PyTreeNode, kw_only=True):
     """What the sensors of one robot can draw on at one moment.
 
     Attributes:
@@ -40,20 +40,20 @@ class Sight(struct.PyTreeNode, kw_only=True):
         bodies: Poses of its bodies.
         hits: What the rays of the sensors met (rays,).
         surroundings: Victims and tags of its world; None: there are none.
-        noise: Factor on the noise of its sensors (); None: 1.
+        noise_factor: Factor on the noise of its sensors (); None: 1.
     """
 
     time: Array
     state: RobotState
-    bodies: Bodies
+    bodies: BodyPoses
     hits: Hits
     surroundings: Surroundings | None = None
-    noise: Array | None = None
+    noise_factor: Array | None = None
 
     @property
-    def around(self) -> Surroundings:
+    def surroundings_or_empty(self) -> Surroundings:
         """The surroundings, `NOTHING` where none were given."""
-        return NOTHING if self.surroundings is None else self.surroundings
+        return NO_SURROUNDINGS if self.surroundings is None else self.surroundings
 
 
 class Reading(struct.PyTreeNode, kw_only=True):
@@ -69,7 +69,7 @@ class Reading(struct.PyTreeNode, kw_only=True):
 
 
 @dataclass(frozen=True)
-class Common:
+class SensorSettings:
     """Settings that all sensors have (manual 10).
 
     Attributes:
@@ -84,13 +84,13 @@ class Common:
     weight: Annotated[float, NOT_NEGATIVE] = 0.4
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together, "" if all do; each for itself has its `Limits`."""
         return ""
 
 
 @dataclass(frozen=True)
-class Measuring(Common):
+class NoisySensorSettings(SensorSettings):
     """Settings of sensors whose measure has noise, see `sensors.noise.noisy`.
 
     Attributes:
@@ -112,11 +112,11 @@ class Sensor(ABC):
         kind: Type as on the wire.
         grouped: Whether all of the type share one message (bUseGroup).
         needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
-        passes: Materials that its rays go through.
-        bundle: So many rays after each other go about the same way; see `raycast.nearest`.
-        looks_around: Whether it asks for the surroundings.
-        defaults: The class of its settings.
-        tells: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
+        transparent: Materials that its rays go through.
+        bundle_size: So many rays after each other go about the same way; see `raycast.nearest_hits`.
+        needs_surroundings: Whether it asks for the surroundings.
+        settings_class: The class of its settings.
+        quantities: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
             Messages are made from it, but for those of the manual's sensors, which are as captured.
         plan: The robot class.
         mounts: Where the sensors sit.
@@ -126,22 +126,22 @@ class Sensor(ABC):
     kind: ClassVar[str]
     grouped: ClassVar[bool] = False
     needs_incidence: ClassVar[bool] = False
-    passes: ClassVar[frozenset[str]] = frozenset({SKY})
-    bundle: ClassVar[int] = BUNDLE
-    looks_around: ClassVar[bool] = False
-    defaults: ClassVar[type] = Common
-    tells: ClassVar[tuple[Quantity, ...]] = ()
+    transparent: ClassVar[frozenset[str]] = frozenset({SKY})
+    bundle_size: ClassVar[int] = DEFAULT_BUNDLE_SIZE
+    needs_surroundings: ClassVar[bool] = False
+    settings_class: ClassVar[type] = SensorSettings
+    quantities: ClassVar[tuple[Quantity, ...]] = ()
 
-    plan: BodyPlan
+    plan: KinematicTree
     mounts: tuple[Mount, ...]
     settings: tuple[Any, ...]
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
         """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
         fans = self.fans(bodies)
         return (jnp.zeros((0, 3)), jnp.zeros((0, 3))) if fans is None else fans.rays()
 
-    def fans(self, bodies: Bodies) -> Fans | None:
+    def fans(self, bodies: BodyPoses) -> Fans | None:
         """Return all rays as fans, of a sensor whose rays start at its mounts and are fixed there.
 
         It needs no `rays` then, and is faster on a GPU, where nobody asks for them. A subclass that has
@@ -150,34 +150,36 @@ class Sensor(ABC):
         del bodies
         return None
 
-    def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
+    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, jax.Array]:
         """Return the rays as `rays` does, of a sensor that aims some of them at what is around.
 
         There are as many in every world, whatever there is.
         """
-        del around
+        del surroundings
         return self.rays(bodies)
 
-    def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
         """Return the sensor's memory at the start of an episode, before any ray is cast; most have none."""
-        del sight, key
+        del inputs, key
         return ()
 
     @abstractmethod
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Return the new memory and the measured value; `sight.hits` are those of this sensor's rays."""
 
-    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
+    def handle_set(
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Any
+    ) -> Any | None:  # noqa: ANN401
         """Carry out a SET command; return the new memory, or None when the command is not valid."""
-        del opcode, params, sight, memory
+        del opcode, params, inputs, memory
         return None
 
     @property
-    def draws(self) -> bool:
+    def has_overlay(self) -> bool:
         """Whether it keeps a sketch for pictures in its memory; see `sketch`."""
         return False
 
-    def sketch(self, memory: Any) -> Sketch:  # noqa: ANN401
+    def overlay(self, memory: Any) -> OverlayLines:  # noqa: ANN401
         """Return what a sensor that `draws` shows of its last reading in pictures."""
         raise NotImplementedError(f"{self.kind} draws nothing")
 
@@ -185,7 +187,7 @@ class Sensor(ABC):
         """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""
         scaled = []
         for settings in self.settings:
-            noise = {name: getattr(settings, name, 0.0) for name in NOISY}
+            noise = {name: getattr(settings, name, 0.0) for name in NOISE_SETTINGS}
             noise = {name: value * factor for name, value in noise.items() if value}
             precision = getattr(settings, "precision", None)
             if precision is not None:
@@ -194,12 +196,12 @@ class Sensor(ABC):
         return replace(self, settings=tuple(scaled))
 
     @property
-    def reach(self) -> float:
+    def max_distance(self) -> float:
         """How far away what its rays meet matters to it [m]."""
         return math.inf
 
     @property
-    def manual(self) -> bool:
+    def on_command(self) -> bool:
         """Whether the sensor measures only when told to (SCAN)."""
         return False
 
@@ -222,8 +224,8 @@ class Sensor(ABC):
         Raises:
             SpecError: They differ.
         """
-        wanted = total(self.tells) * (len(self.mounts) if self.grouped else 1)
-        if self.tells and math.prod(shape) != wanted:
+        wanted = total_size(self.quantities) * (len(self.mounts) if self.grouped else 1)
+        if self.quantities and math.prod(shape) != wanted:
             raise SpecError(f"{self.kind}: a value of shape {shape} was read, expected {wanted} numbers")
 
     def bodies_of_mounts(self) -> np.ndarray:
@@ -240,14 +242,14 @@ class Sensor(ABC):
                 )
         return np.array([parts.index(mount.parent) for mount in self.mounts])
 
-    def mount_poses(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def mount_poses(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
         """Return the world poses of the mounts: positions (mounts, 3), orientations (mounts, 3, 3)."""
         at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
         angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
         local = mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
         index = self.bodies_of_mounts()
         mat = bodies.mat[index]
-        return bodies.pos[index] + turned(mat, at), composed(mat, local)
+        return bodies.pos[index] + matvec(mat, at), matmul(mat, local)
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")

@@ -6,12 +6,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import noisy
 
-EXHALED = 4.0
+BREATH_CO2 = 4.0
 """CO2 in breath beyond that of air, percent by volume."""
-MOUTH = 0.1
+MOUTH_RADIUS = 0.1
 """Distance from a mouth up to which there is nothing but breath [m] (chosen)."""
 
 
@@ -24,18 +24,20 @@ class Co2(Sensor):
     """
 
     kind = "CO2Sensor"
-    looks_around = True
-    defaults = Measuring
+    needs_surroundings = True
+    settings_class = NoisySensorSettings
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Smell once."""
-        around = sight.around
-        pos, _ = self.mount_poses(sight.bodies)
+        around = inputs.surroundings_or_empty
+        pos, _ = self.mount_poses(inputs.bodies)
         far = jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1)
         breath = jnp.where(
-            jnp.asarray(around.breathes), EXHALED * (MOUTH / jnp.maximum(far, MOUTH)) ** 2, 0.0
+            jnp.asarray(around.breathes),
+            BREATH_CO2 * (MOUTH_RADIUS / jnp.maximum(far, MOUTH_RADIUS)) ** 2,
+            0.0,
         )
-        density = jnp.minimum(breath.sum(), EXHALED)
+        density = jnp.minimum(breath.sum(), BREATH_CO2)
         return memory, noisy(key, density[None], self.settings)[0]
 
 

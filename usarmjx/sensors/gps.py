@@ -15,23 +15,30 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.body_plan import Bodies
-from usarmjx.models.roads.geodesy import LATITUDE_SCALE, LONGITUDE_SCALE, Place, degrees_of
+from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.models.roads.geodesy import (
+    METRES_PER_LATITUDE_DEGREE,
+    METRES_PER_LONGITUDE_DEGREE,
+    LatLon,
+    to_lat_lon,
+)
 from usarmjx.models.spec.robot import Options, options
 from usarmjx.models.spec.settings import NOT_NEGATIVE
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 
-SATELLITES, FIX = 12, 4
+MAX_SATELLITES, MIN_FIX_SATELLITES = 12, 4
 """Most satellites there are, and fewest that a position takes (manual 10.5.2)."""
-MASK = math.radians(5)
+ELEVATION_MASK = math.radians(5)
 """Satellites lower than this are not received (GPSSensor.uc) [rad]."""
 
-GAITHERSBURG = options(LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998)
+DEFAULT_LOCATION = options(
+    LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998
+)
 """Where the world's origin lies if neither the arena nor an ini file says it (GPSSensor.uc)."""
 
 
 @dataclass(frozen=True)
-class GpsSettings(Common):
+class GpsSettings(SensorSettings):
     """Manual 10.5.2; the numbers are GPSSensor.uc's.
 
     Attributes:
@@ -48,11 +55,11 @@ class GpsSettings(Common):
     scan_interval: float = 0.2
     max_noise: Annotated[float, NOT_NEGATIVE] = 2.5
     min_noise: Annotated[float, NOT_NEGATIVE] = 0.75
-    zero_zero_location: Options = GAITHERSBURG
-    latitude_scale: float = LATITUDE_SCALE
-    longitude_scale: float = LONGITUDE_SCALE
+    zero_zero_location: Options = DEFAULT_LOCATION
+    latitude_scale: float = METRES_PER_LATITUDE_DEGREE
+    longitude_scale: float = METRES_PER_LONGITUDE_DEGREE
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
         if self.min_noise > self.max_noise:
             return f"minNoise is {self.min_noise:g}, expected at most maxNoise, {self.max_noise:g}"
@@ -62,26 +69,26 @@ class GpsSettings(Common):
         return ""
 
 
-def sky() -> np.ndarray:
+def satellite_directions() -> np.ndarray:
     """Return the directions of the satellites, north, west and up: unit vectors (satellites, 3).
 
     They stand still, evenly over the sky above the mask: equal steps of height on the unit sphere, the
     golden angle apart in bearing. Ours; the original followed the orbits of real ones.
     """
-    place = np.arange(SATELLITES) + 0.5
-    up = math.sin(MASK) + (1 - math.sin(MASK)) * place / SATELLITES
-    bearing = math.pi * (3 - math.sqrt(5)) * place
+    index = np.arange(MAX_SATELLITES) + 0.5
+    up = math.sin(ELEVATION_MASK) + (1 - math.sin(ELEVATION_MASK)) * index / MAX_SATELLITES
+    bearing = math.pi * (3 - math.sqrt(5)) * index
     along = np.sqrt(1 - up**2)
     return np.stack([along * np.cos(bearing), along * np.sin(bearing), up], -1).astype(np.float32)
 
 
 def largest_error(settings: GpsSettings, satellites: Array) -> Array:
     """Return the largest error of a coordinate [m]: linear in the number of satellites (manual 10.5.2)."""
-    share = (satellites - FIX) / (SATELLITES - FIX)
+    share = (satellites - MIN_FIX_SATELLITES) / (MAX_SATELLITES - MIN_FIX_SATELLITES)
     return settings.max_noise + (settings.min_noise - settings.max_noise) * share
 
 
-def reference(location: Options) -> tuple[float, float]:
+def reference_location(location: Options) -> tuple[float, float]:
     """Return latitude and longitude [degrees] of a `ZeroZeroLocation`.
 
     A negative degree with a positive minute, as in the manual's own example, means a negative minute
@@ -108,8 +115,8 @@ def _degrees(degree: float, minute: float) -> float:
     return degree - abs(minute) / 60 if degree < 0 else degree + minute / 60
 
 
-def coordinates(
-    settings: GpsSettings, position: Sequence[float], origin: Place | None = None
+def geographic_coordinates(
+    settings: GpsSettings, position: Sequence[float], origin: LatLon | None = None
 ) -> tuple[float, float]:
     """Return latitude in [-90, 90] and longitude in [-180, 180) [degrees] of a position x, y [m].
 
@@ -123,9 +130,9 @@ def coordinates(
         origin: Where the arena says that its origin lies; that of the settings counts only where it says
             nothing (manual 10.5.2).
     """
-    origin = reference(settings.zero_zero_location) if origin is None else origin
+    origin = reference_location(settings.zero_zero_location) if origin is None else origin
     scales = settings.latitude_scale, settings.longitude_scale
-    latitude, longitude = map(_wrapped, degrees_of(origin, (position[0], position[1]), scales))
+    latitude, longitude = map(_wrapped, to_lat_lon(origin, (position[0], position[1]), scales))
     if abs(latitude) > 90:
         latitude = math.copysign(180, latitude) - latitude
     return latitude, longitude
@@ -139,34 +146,34 @@ def _wrapped(degrees: float) -> float:
 class Gps(Sensor):
     """Satellite navigation; value: x, y with their error [m], and the number of satellites seen (3,).
 
-    With fewer than `FIX` satellites there is no position: x and y are 0. A satellite is seen if nothing
+    With fewer than `MIN_FIX_SATELLITES` satellites there is no position: x and y are 0. A satellite is seen if nothing
     but the robot itself is between it and the mount: the sky is where no ray hits anything.
     """
 
     kind = "GPS"
-    defaults = GpsSettings
+    settings_class = GpsSettings
 
     def check(self) -> None:
         """Find what is wrong; see `Sensor.check`."""
         super().check()
         try:
-            reference(self.settings[0].zero_zero_location)
+            reference_location(self.settings[0].zero_zero_location)
         except SpecError as error:
             raise SpecError(f"{self.kind} {self.mounts[0].name}: {error}") from error
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
         """One line to each satellite, however the robot is turned."""
         pos, _ = self.mount_poses(bodies)
-        along = jnp.asarray(sky())
+        along = jnp.asarray(satellite_directions())
         return jnp.broadcast_to(pos[0], along.shape), along
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Take a position. The largest error is three standard deviations (GPSSensor.uc), cut off there."""
-        satellites = jnp.isinf(sight.hits.distance).sum().astype(jnp.float32)
-        pos, _ = self.mount_poses(sight.bodies)
+        satellites = jnp.isinf(inputs.hits.distance).sum().astype(jnp.float32)
+        pos, _ = self.mount_poses(inputs.bodies)
         deviation = largest_error(self.settings[0], satellites) / 3
         error = deviation * jax.random.truncated_normal(key, -3.0, 3.0, (2,))
-        fixed = jnp.where(satellites >= FIX, pos[0, :2] + error, 0.0)
+        fixed = jnp.where(satellites >= MIN_FIX_SATELLITES, pos[0, :2] + error, 0.0)
         return memory, jnp.append(fixed, satellites)
 
 

@@ -10,23 +10,23 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import GLASS, SKY
-from usarmjx.models.spec.settings import POSITIVE, Limits
-from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
-from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
+from usarmjx.models.spec.settings import POSITIVE, NumberLimits
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
+from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.surroundings import Surroundings
 
-MOST = 8
+MAX_MOVERS = 8
 """So many moving body parts, the nearest, are looked at for whether something hides them."""
-STILL = 1e-3
+MIN_MOVING_SPEED = 1e-3
 """What is slower than this does not move [m/s]."""
 HALF_DISTANCE, HALF_SPEED, HALF_SWING = 5.0, 0.2, 0.1
 """Distance [m], speed [m/s] and amplitude [m] at which each halves the probability (chosen)."""
 
 
 @dataclass(frozen=True)
-class MotionSettings(Measuring):
+class HumanMotionSettings(NoisySensorSettings):
     """Manual 10.12.2.
 
     Attributes:
@@ -37,21 +37,21 @@ class MotionSettings(Measuring):
     """
 
     max_range: Annotated[float, POSITIVE] = 1000.0
-    fov: Annotated[float, Limits(low=0.0, high=65535.0, beyond=True)] = 60.0
+    fov: Annotated[float, NumberLimits(low=0.0, high=65535.0, low_exclusive=True)] = 60.0
     noise: float = 0.1
-    output_curve: Curve = ()
+    output_curve: OutputCurve = ()
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
         return curve_problem(self.output_curve)
 
     @property
-    def cone(self) -> float:
+    def fov_radians(self) -> float:
         """The field of view [rad]."""
         return math.radians(self.fov) if self.fov <= 360 else self.fov * 2 * math.pi / 65535
 
 
-def probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = jnp) -> Array:
+def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = jnp) -> Array:
     """Return how likely a motion is a human's (...,).
 
     Ours, as the manual only names what it depends on: 1 for a near, fast and wide motion, half of it for
@@ -71,11 +71,11 @@ class _Movers(struct.PyTreeNode, kw_only=True):
     """The nearest moving body parts, nearest first: positions, distances (infinite: none) and rest."""
 
     pos: jax.Array
-    far: jax.Array
+    distance: jax.Array
     owner: jax.Array
     speed: jax.Array
     swing: jax.Array
-    reach: jax.Array
+    half_diagonal: jax.Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,56 +86,62 @@ class HumanMotion(Sensor):
     """
 
     kind = "HumanMotion"
-    looks_around = True
-    passes = frozenset({SKY, GLASS})
-    defaults = MotionSettings
+    needs_surroundings = True
+    transparent = frozenset({SKY, GLASS})
+    settings_class = HumanMotionSettings
 
-    def _movers(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, _Movers]:
+    def _movers(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, _Movers]:
         """Return where the sensor is (3,), and what moves before it."""
         settings = self.settings[0]
         pos, mat = self.mount_poses(bodies)
-        boxes = jnp.asarray(around.box_pos)
+        boxes = jnp.asarray(surroundings.box_pos)
         offset = boxes - pos[0]
         far = jnp.linalg.norm(offset, axis=-1)
-        ahead = (offset * mat[0, :, 0]).sum(-1) >= far * math.cos(settings.cone / 2)
-        moves = (jnp.asarray(around.speed) > STILL) & (jnp.asarray(around.owner) >= 0)
+        ahead = (offset * mat[0, :, 0]).sum(-1) >= far * math.cos(settings.fov_radians / 2)
+        moves = (jnp.asarray(surroundings.speed) > MIN_MOVING_SPEED) & (
+            jnp.asarray(surroundings.box_owner) >= 0
+        )
         shown = jnp.where(moves & ahead & (far <= settings.max_range), far, jnp.inf)
-        shown = jnp.concatenate([shown, jnp.full(MOST, jnp.inf)])
-        _, place = jax.lax.top_k(-shown, MOST)
+        shown = jnp.concatenate([shown, jnp.full(MAX_MOVERS, jnp.inf)])
+        _, index = jax.lax.top_k(-shown, MAX_MOVERS)
 
         def pick(values: Array) -> jax.Array:
             values = jnp.asarray(values)
-            return jnp.concatenate([values, jnp.zeros((MOST, *values.shape[1:]), values.dtype)])[place]
+            return jnp.concatenate([values, jnp.zeros((MAX_MOVERS, *values.shape[1:]), values.dtype)])[index]
 
         return pos[0], _Movers(
             pos=pick(boxes),
-            far=shown[place],
-            owner=pick(around.owner),
-            speed=pick(around.speed),
-            swing=pick(around.swing),
-            reach=jnp.linalg.norm(pick(around.box_size), axis=-1),
+            distance=shown[index],
+            owner=pick(surroundings.box_owner),
+            speed=pick(surroundings.speed),
+            swing=pick(surroundings.swing),
+            half_diagonal=jnp.linalg.norm(pick(surroundings.box_size), axis=-1),
         )
 
-    def aim(self, bodies: Bodies, around: Surroundings) -> tuple[jax.Array, jax.Array]:
+    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, jax.Array]:
         """One ray to each of the nearest moving parts."""
-        pos, movers = self._movers(bodies, around)
+        pos, movers = self._movers(bodies, surroundings)
         way = movers.pos - pos
         along = way / jnp.maximum(jnp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
         return jnp.broadcast_to(pos, along.shape), along
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Look once: at the closest part that nothing hides; at the widest motion of its victim."""
         settings = self.settings[0]
-        _, movers = self._movers(sight.bodies, sight.around)
+        _, movers = self._movers(inputs.bodies, inputs.surroundings_or_empty)
         # A ray to the centre of a box ends within half its diagonal of it; what is in front ends it before.
-        seen = jnp.isfinite(movers.far) & (sight.hits.distance >= movers.far - movers.reach)
-        far = jnp.where(seen, movers.far, jnp.inf)
+        seen = jnp.isfinite(movers.distance) & (
+            inputs.hits.distance >= movers.distance - movers.half_diagonal
+        )
+        far = jnp.where(seen, movers.distance, jnp.inf)
         first = jnp.argmin(far)
         same = seen & (movers.owner == movers.owner[first])
         speed, swing = (jnp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
         found = jnp.isfinite(far[first])
-        likely = jnp.where(found, probability(jnp.where(found, far[first], 0.0), speed, swing), 0.0)
-        told = output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
+        likely = jnp.where(
+            found, human_motion_probability(jnp.where(found, far[first], 0.0), speed, swing), 0.0
+        )
+        told = apply_output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
         return memory, jnp.clip(told, 0.0, 1.0)
 
 

@@ -15,16 +15,16 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import NOT_NEGATIVE, POSITIVE, STEP, Limits
-from usarmjx.sensors.base import SENSORS, Common, Measuring, Sensor, Sight
+from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, NumberLimits
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.noise import noisy, relative_normal
 
-SHARE = Limits(low=-1.0, beyond=True)
+SHARE = NumberLimits(low=-1.0, low_exclusive=True)
 """An error as a share: what is measured stays above 0."""
 
 
 @dataclass(frozen=True)
-class OdometrySettings(Common):
+class OdometrySettings(SensorSettings):
     """Manual 10.4.2.
 
     Attributes:
@@ -39,7 +39,7 @@ class OdometrySettings(Common):
     """
 
     scan_interval: float = 0.2
-    encoder_resolution: Annotated[float, STEP] = 0.01
+    encoder_resolution: Annotated[float, ANGLE_STEP] = 0.01
     left_tire: str = "LeftFWheel"
     right_tire: str = "RightFWheel"
     diameter_error: Annotated[float, SHARE] = 0.0
@@ -60,7 +60,7 @@ class Odometry(Sensor):
     """Dead reckoning from two wheel encoders; value: x, y [m], heading [rad] since the start (3,)."""
 
     kind = "Odometry"
-    defaults = OdometrySettings
+    settings_class = OdometrySettings
 
     def _wheel(self, name: str, leftmost: bool) -> int:
         names = [wheel.name for wheel in self.plan.robot.wheels]
@@ -81,16 +81,18 @@ class Odometry(Sensor):
         settings = self.settings[0]
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
-    def _ticks(self, sight: Sight) -> jax.Array:
-        return jnp.trunc(sight.state.joint_pos[self._pair()] / self.settings[0].encoder_resolution)
+    def _ticks(self, inputs: SensorInput) -> jax.Array:
+        return jnp.trunc(inputs.state.joint_pos[self._pair()] / self.settings[0].encoder_resolution)
 
-    def start(self, sight: Sight, key: jax.Array) -> OdometryMemory:
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> OdometryMemory:
         """Here and now are the reference."""
-        return OdometryMemory(pose=jnp.zeros(3), ticks=self._ticks(sight))
+        return OdometryMemory(pose=jnp.zeros(3), ticks=self._ticks(inputs))
 
-    def read(self, sight: Sight, memory: OdometryMemory, key: jax.Array) -> tuple[OdometryMemory, jax.Array]:
+    def read(
+        self, inputs: SensorInput, memory: OdometryMemory, key: jax.Array
+    ) -> tuple[OdometryMemory, jax.Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
-        ticks = self._ticks(sight)
+        ticks = self._ticks(inputs)
         robot, settings = self.plan.robot, self.settings[0]
         radius = robot.wheel_radius * (1 + settings.diameter_error)
         ways = (ticks - memory.ticks) * settings.encoder_resolution * radius
@@ -98,23 +100,23 @@ class Odometry(Sensor):
         x, y, heading = memory.pose
         advance = (left + right) / 2
         turned = heading + (right - left) / (robot.wheel_separation * (1 + settings.separation_error))
-        pose = jnp.stack([x + advance * jnp.cos(heading), y + advance * jnp.sin(heading), wrap(turned)])
+        pose = jnp.stack([x + advance * jnp.cos(heading), y + advance * jnp.sin(heading), wrap_angle(turned)])
         return OdometryMemory(pose=pose, ticks=ticks), pose
 
-    def order(
-        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: OdometryMemory
+    def handle_set(
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: OdometryMemory
     ) -> OdometryMemory | None:
         """RESET makes the present pose the reference (manual, Table 4)."""
-        return self.start(sight, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+        return self.init_memory(inputs, jnp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
-def wrap(angle: jax.Array) -> jax.Array:
+def wrap_angle(angle: jax.Array) -> jax.Array:
     """Return the angle in [-pi, pi) [rad]."""
     return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
 
 
 @dataclass(frozen=True)
-class InsSettings(Common):
+class InsSettings(SensorSettings):
     """Manual 10.6 (its 9.5.2).
 
     Attributes:
@@ -157,35 +159,35 @@ class Ins(Sensor):
     """Inertial navigation; value: estimated position [m] and roll, pitch, yaw [rad] (6,)."""
 
     kind = "INS"
-    defaults = InsSettings
+    settings_class = InsSettings
 
-    def start(self, sight: Sight, key: jax.Array) -> InsMemory:
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> InsMemory:
         """The first estimate is the truth; each component gets a drift rate of its own.
 
         The manual gives no formula for the drift, only that a higher Precision means less of it and that
         components drift differently: ours is a constant rate, uniform in +-1/Precision.
         """
-        pos, mat = self.mount_poses(sight.bodies)
+        pos, mat = self.mount_poses(inputs.bodies)
         rate = jax.random.uniform(key, (6,), minval=-1.0, maxval=1.0) / self.settings[0].precision
         return InsMemory(
             pos=pos[0],
             mat=mat[0],
             true_pos=pos[0],
             true_mat=mat[0],
-            time=sight.time,
+            time=inputs.time,
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
-    def read(self, sight: Sight, memory: InsMemory, key: jax.Array) -> tuple[InsMemory, jax.Array]:
+    def read(self, inputs: SensorInput, memory: InsMemory, key: jax.Array) -> tuple[InsMemory, jax.Array]:
         """The manual's seven steps.
 
         The distance carries the sign of the motion along the heading; the manual's has none, so that its
         robot would count as driving forward when it backs up.
         """
         settings = self.settings[0]
-        pos, mat = self.mount_poses(sight.bodies)
+        pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[0], mat[0]
-        elapsed = sight.time - memory.time
+        elapsed = inputs.time - memory.time
         span = jnp.maximum(elapsed, 1e-6)
         turn_key, path_key = jax.random.split(key)
         rate = rotation_vector(memory.true_mat.T @ mat) / span  # 1
@@ -198,11 +200,11 @@ class Ins(Sensor):
         _, pitch, yaw = angles_from_mat(estimate, jnp)
         heading = jnp.stack([jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), -jnp.sin(pitch)])
         position = memory.pos + distance * heading + drift[:3]  # 6, 7
-        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=sight.time)
+        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=inputs.time)
         return memory, jnp.concatenate([position, angles_from_mat(estimate, jnp)])
 
-    def order(
-        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: InsMemory
+    def handle_set(
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: InsMemory
     ) -> InsMemory | None:
         """POSE sets the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and ends the drift."""
         if opcode.upper() != "POSE" or len(params) != 6:
@@ -213,14 +215,14 @@ class Ins(Sensor):
 
 
 @dataclass(frozen=True)
-class EncoderSettings(Measuring):
+class EncoderSettings(NoisySensorSettings):
     """Manual 10.7.2.
 
     Attributes:
         resolution: Angle of one tick [rad].
     """
 
-    resolution: Annotated[float, STEP] = 0.01745
+    resolution: Annotated[float, ANGLE_STEP] = 0.01745
     noise: float = 0.005
 
 
@@ -233,7 +235,7 @@ class Encoder(Sensor):
 
     kind = "Encoder"
     grouped = True
-    defaults = EncoderSettings
+    settings_class = EncoderSettings
 
     def _sign(self, mount: Mount) -> float:
         angles = np.array(mount.direction) * (1, -1, -1)
@@ -247,30 +249,30 @@ class Encoder(Sensor):
         if (self.bodies_of_mounts() == 0).any():
             raise SpecError("an encoder needs a part that turns, not the chassis")
 
-    def _angles(self, sight: Sight) -> jax.Array:
+    def _angles(self, inputs: SensorInput) -> jax.Array:
         bodies = self.bodies_of_mounts()
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
-        return sight.state.joint_pos[bodies - 1] * sign
+        return inputs.state.joint_pos[bodies - 1] * sign
 
-    def start(self, sight: Sight, key: jax.Array) -> jax.Array:
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> jax.Array:
         """Counts start at zero."""
-        return self._angles(sight)
+        return self._angles(inputs)
 
-    def read(self, sight: Sight, memory: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def read(self, inputs: SensorInput, memory: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
-        angles = self._angles(sight) - memory
+        angles = self._angles(inputs) - memory
         resolution = np.array([settings.resolution for settings in self.settings], np.float32)
         return memory, jnp.trunc(noisy(key, angles, self.settings) / resolution)
 
-    def order(
-        self, opcode: str, params: tuple[float, ...], sight: Sight, memory: jax.Array
+    def handle_set(
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: jax.Array
     ) -> jax.Array | None:
         """RESET sets the counts to zero (manual, Table 5)."""
-        return self.start(sight, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+        return self.init_memory(inputs, jnp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
 @dataclass(frozen=True)
-class GroundTruthSettings(Common):
+class GroundTruthSettings(SensorSettings):
     """Captured CONF: ScanInterval 0.05; captured lines carry the time."""
 
     with_time_stamp: bool = True
@@ -282,11 +284,11 @@ class GroundTruth(Sensor):
     """Where the mount truly is; value: position [m] and roll, pitch, yaw [rad] (6,)."""
 
     kind = "GroundTruth"
-    defaults = GroundTruthSettings
+    settings_class = GroundTruthSettings
 
-    def read(self, sight: Sight, memory: tuple[()], key: jax.Array) -> tuple[tuple[()], jax.Array]:
+    def read(self, inputs: SensorInput, memory: tuple[()], key: jax.Array) -> tuple[tuple[()], jax.Array]:
         """Return the pose."""
-        pos, mat = self.mount_poses(sight.bodies)
+        pos, mat = self.mount_poses(inputs.bodies)
         return memory, jnp.concatenate([pos[0], angles_from_mat(mat[0], jnp)])
 
 

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.transforms import Array
-from usarmjx.sensors.base import Measuring
+from usarmjx.sensors.base import NoisySensorSettings
 
-Curve = tuple[tuple[float, float], ...]
+OutputCurve = tuple[tuple[float, float], ...]
 """Points (input, output) of an OutputCurve, inputs ascending."""
 
 
@@ -26,7 +26,7 @@ def relative_normal(key: jax.Array, data: jax.Array, mean: Array | float, sigma:
     return data * (1 + mean + sigma * jax.random.normal(key, data.shape))
 
 
-def sizes(settings: Sequence[Measuring], name: str) -> Array:
+def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
     """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
     values = [getattr(s, name) for s in settings]
     if any(isinstance(value, jax.Array) for value in values):
@@ -34,12 +34,12 @@ def sizes(settings: Sequence[Measuring], name: str) -> Array:
     return np.array(values, np.float32)
 
 
-def noisy(key: jax.Array, data: jax.Array, settings: Sequence[Measuring]) -> jax.Array:
+def noisy(key: jax.Array, data: jax.Array, settings: Sequence[NoisySensorSettings]) -> jax.Array:
     """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
 
     Keys are folded by place: a sensor's noise does not depend on those after it.
     """
-    noise, mean, sigma = (sizes(settings, name) for name in ("noise", "mean", "sigma"))
+    noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
     keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
     told = jax.vmap(relative_uniform)(keys, data, noise)
     if not any(isinstance(row, jax.Array) or row.any() for row in (mean, sigma)):
@@ -48,7 +48,7 @@ def noisy(key: jax.Array, data: jax.Array, settings: Sequence[Measuring]) -> jax
     return jax.vmap(relative_normal)(others, told, mean, sigma)
 
 
-def curve_problem(points: Curve) -> str:
+def curve_problem(points: OutputCurve) -> str:
     """Return what is wrong with the points of an OutputCurve, "" if nothing is."""
     pairs = all(len(point) == 2 and all(map(math.isfinite, point)) for point in points)
     if pairs and all(a[0] < b[0] for a, b in pairwise(points)):
@@ -56,7 +56,7 @@ def curve_problem(points: Curve) -> str:
     return f"the points of OutputCurve are {points!r}, expected finite ones with growing inputs"
 
 
-def output_curve(data: jax.Array, points: Curve) -> jax.Array:
+def apply_output_curve(data: jax.Array, points: OutputCurve) -> jax.Array:
     """Distort data by straight lines between points, zero outside them; no points: unchanged (manual 10)."""
     if not points:
         return data

@@ -39,6 +39,6 @@ class Quantity:
         return FORMS[self.form]
 
 
-def total(quantities: Sequence[Quantity]) -> int:
+def total_size(quantities: Sequence[Quantity]) -> int:
     """Return of how many numbers some quantities are."""
     return sum(quantity.size for quantity in quantities)

@@ -8,19 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import GLASS, SKY
-from usarmjx.models.spec.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
-from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
-from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
+from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
+from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.rays.bundles import Fans
 
-MOST_BEAMS = 65_536
+MAX_BEAMS = 65_536
 """More than this no scan has: its resolution is a slip."""
 
 
 @dataclass(frozen=True)
-class RangeSettings(Measuring):
+class RangeSettings(NoisySensorSettings):
     """Settings of everything that measures a distance.
 
     Attributes:
@@ -31,9 +31,9 @@ class RangeSettings(Measuring):
 
     min_range: Annotated[float, NOT_NEGATIVE] = 0.1
     max_range: Annotated[float, POSITIVE] = 5.0
-    output_curve: Curve = ()
+    output_curve: OutputCurve = ()
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
         if self.min_range > self.max_range:
             return f"MinRange is {self.min_range:g}, expected at most MaxRange, {self.max_range:g}"
@@ -45,7 +45,7 @@ def farthest(settings: tuple[RangeSettings, ...]) -> float:
     return max(one.max_range for one in settings)
 
 
-def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
+def range_readings(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
     """Turn true distances [m] (sensors, n) into what each sensor reports [m] (sensors, n).
 
     Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
@@ -59,7 +59,7 @@ def report(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Ar
     ranges = jnp.where(hit, jnp.clip(told, low, high), high)
     curves = [s.output_curve for s in settings]
     if any(curves):
-        return jnp.stack([output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
+        return jnp.stack([apply_output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
     return ranges
 
 
@@ -82,13 +82,16 @@ class SonarSettings(RangeSettings):
 # The lines of a beam: its axis, four half way out on the diagonals, four on the cone itself, as
 # (share of the half angle, angle about the axis).
 RINGS = ((0.5, 45.0), (1.0, 0.0))
-BEAM = ((0.0, 0.0), *((share, math.radians(first + 90 * i)) for share, first in RINGS for i in range(4)))
+BEAM_PATTERN = (
+    (0.0, 0.0),
+    *((share, math.radians(first + 90 * i)) for share, first in RINGS for i in range(4)),
+)
 
 
-def cone(beam_angle: float) -> np.ndarray:
+def beam_directions(beam_angle: float) -> np.ndarray:
     """Return the unit directions of a beam's lines about the x axis (lines, 3)."""
     lines = []
-    for share, around in BEAM:
+    for share, around in BEAM_PATTERN:
         tilt = share * beam_angle / 2
         lines.append((math.cos(tilt), math.sin(tilt) * math.cos(around), math.sin(tilt) * math.sin(around)))
     return np.array(lines, np.float32)
@@ -101,25 +104,25 @@ class Sonar(Sensor):
     kind = "Sonar"
     grouped = True
     needs_incidence = True
-    bundle = 2 * len(BEAM)
-    defaults = SonarSettings
+    bundle_size = 2 * len(BEAM_PATTERN)
+    settings_class = SonarSettings
 
     @property
-    def reach(self) -> float:
+    def max_distance(self) -> float:
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
-    def fans(self, bodies: Bodies) -> Fans:
+    def fans(self, bodies: BodyPoses) -> Fans:
         """All beams' lines."""
-        cones = np.stack([cone(settings.beam_angle) for settings in self.settings])
+        cones = np.stack([beam_directions(settings.beam_angle) for settings in self.settings])
         return Fans(*self.mount_poses(bodies), cones)
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         limit = np.array([math.cos(settings.max_incidence) for settings in self.settings], np.float32)
-        heard = sight.hits.cosine.reshape(len(limit), -1) >= limit[:, None]
-        distance = jnp.where(heard, sight.hits.distance.reshape(heard.shape), jnp.inf).min(-1)
-        return memory, report(distance[:, None], self.settings, key)[:, 0]
+        heard = inputs.hits.cosine.reshape(len(limit), -1) >= limit[:, None]
+        distance = jnp.where(heard, inputs.hits.distance.reshape(heard.shape), jnp.inf).min(-1)
+        return memory, range_readings(distance[:, None], self.settings, key)[:, 0]
 
 
 @dataclass(frozen=True)
@@ -136,22 +139,22 @@ class Ir(Sensor):
 
     kind = "IR"
     grouped = True
-    passes = frozenset({SKY, GLASS})
-    defaults = IrSettings
+    transparent = frozenset({SKY, GLASS})
+    settings_class = IrSettings
 
     @property
-    def reach(self) -> float:
+    def max_distance(self) -> float:
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
         """Each sensor's line, along its x axis."""
         pos, mat = self.mount_poses(bodies)
         return pos, mat[:, :, 0]
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
-        return memory, report(sight.hits.distance[:, None], self.settings, key)[:, 0]
+        return memory, range_readings(inputs.hits.distance[:, None], self.settings, key)[:, 0]
 
 
 @dataclass(frozen=True)
@@ -169,34 +172,34 @@ class ScannerSettings(RangeSettings):
     with_time_stamp: bool = True  # captured lines carry the time, though the manual's ini says False
     scan_interval: float = 0.5
     max_range: float = 1000.0
-    resolution: Annotated[float, STEP] = 800 * 2 * math.pi / 65536
+    resolution: Annotated[float, ANGLE_STEP] = 800 * 2 * math.pi / 65536
     scan_fov: Annotated[float, TURN] = math.pi
     pitch: bool = False
     yaw: bool = True
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
         if self.pitch == self.yaw:
             return "a range scanner scans in one plane: exactly one of bYaw and bPitch must be true"
-        return super().wrong() or too_many(self.beams)
+        return super().problem() or beam_count_problem(self.beams)
 
     @property
     def beams(self) -> int:
         """Number of beams, both ends included."""
-        return steps(self.scan_fov, self.resolution) + 1
+        return step_count(self.scan_fov, self.resolution) + 1
 
 
-def steps(fov: float, resolution: float) -> int:
+def step_count(fov: float, resolution: float) -> int:
     """Return how many whole steps fit; a rounding error below 1e-3 of a step does not cost one."""
     return int(fov / resolution + 1e-3)
 
 
-def too_many(beams: int) -> str:
+def beam_count_problem(beams: int) -> str:
     """Return what is wrong with a scan of so many beams, "" if nothing is."""
-    return f"that makes {beams} beams, expected up to {MOST_BEAMS}" if beams > MOST_BEAMS else ""
+    return f"that makes {beams} beams, expected up to {MAX_BEAMS}" if beams > MAX_BEAMS else ""
 
 
-def fan(settings: ScannerSettings) -> np.ndarray:
+def fan_directions(settings: ScannerSettings) -> np.ndarray:
     """Return the unit directions of a scan about the x axis (beams, 3), from right to left.
 
     In the tilt plane the first beam is the lowest. The order is that of real servers' messages.
@@ -212,31 +215,33 @@ class RangeScanner(Sensor):
     """One line per step of a fan; value: ranges [m] (beams,)."""
 
     kind = "RangeScanner"
-    defaults = ScannerSettings
+    settings_class = ScannerSettings
 
     @property
-    def reach(self) -> float:
+    def max_distance(self) -> float:
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
     @property
-    def manual(self) -> bool:
+    def on_command(self) -> bool:
         """Whether it scans on the SCAN command only."""
         return self.settings[0].scan_interval <= 0
 
-    def lines(self) -> np.ndarray:
+    def directions(self) -> np.ndarray:
         """Unit directions of the beams about the mount's x axis (beams, 3)."""
-        return fan(self.settings[0])
+        return fan_directions(self.settings[0])
 
-    def fans(self, bodies: Bodies) -> Fans:
+    def fans(self, bodies: BodyPoses) -> Fans:
         """One line per step of the fan."""
-        return Fans(*self.mount_poses(bodies), self.lines()[None])
+        return Fans(*self.mount_poses(bodies), self.directions()[None])
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""
-        return memory, report(sight.hits.distance[None], self.settings, key)[0]
+        return memory, range_readings(inputs.hits.distance[None], self.settings, key)[0]
 
-    def order(self, opcode: str, params: tuple[float, ...], sight: Sight, memory: Any) -> Any | None:  # noqa: ANN401
+    def handle_set(
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Any
+    ) -> Any | None:  # noqa: ANN401
         """SCAN is valid in both modes; the suite makes the scan due (manual, Table 3)."""
         return memory if opcode.upper() == "SCAN" else None
 

@@ -7,16 +7,16 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 
-from usarmjx.models.spec.settings import HALF_TURN, STEP, TURN
-from usarmjx.sensors.base import SENSORS, Sight
+from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, TURN
+from usarmjx.sensors.base import SENSORS, SensorInput
 from usarmjx.sensors.ranging import (
     Ir,
     RangeScanner,
     RangeSettings,
     ScannerSettings,
-    report,
-    steps,
-    too_many,
+    beam_count_problem,
+    range_readings,
+    step_count,
 )
 
 
@@ -35,8 +35,8 @@ class IrScanner(RangeScanner):
     """A range scanner of infrared lines, which pass glass (manual 10.3); value: ranges [m] (beams,)."""
 
     kind = "IRScanner"
-    passes = Ir.passes
-    defaults = IrScannerSettings
+    transparent = Ir.transparent
+    settings_class = IrScannerSettings
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class Scanner3DSettings(RangeSettings):
     scan_interval: float = 0.4
     max_range: float = 1000.0
     vertical_fov: Annotated[float, HALF_TURN] = 0.4363
-    vertical_resolution: Annotated[float, STEP] = 0.0145
+    vertical_resolution: Annotated[float, ANGLE_STEP] = 0.0145
     horizontal_fov: Annotated[float, TURN] = 1.0472
-    horizontal_resolution: Annotated[float, STEP] = 0.0209
+    horizontal_resolution: Annotated[float, ANGLE_STEP] = 0.0209
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
-        return super().wrong() or too_many(math.prod(self.shape))
+        return super().problem() or beam_count_problem(math.prod(self.shape))
 
     @property
     def fov(self) -> tuple[float, float]:
@@ -76,11 +76,11 @@ class Scanner3DSettings(RangeSettings):
     @property
     def shape(self) -> tuple[int, int]:
         """Number of rows and of beams in a row, both ends included."""
-        rows, columns = (steps(f, r) + 1 for f, r in zip(self.fov, self.resolution, strict=True))
+        rows, columns = (step_count(f, r) + 1 for f, r in zip(self.fov, self.resolution, strict=True))
         return rows, columns
 
 
-def grid(settings: Scanner3DSettings) -> np.ndarray:
+def grid_directions(settings: Scanner3DSettings) -> np.ndarray:
     """Return the unit directions of a scan about the x axis (rows, columns, 3).
 
     Rows run from the highest to the lowest, which is how Player's driver reads them; the beams of a row
@@ -100,15 +100,15 @@ class RangeScanner3D(RangeScanner):
     """Rows of beams; value: ranges [m] (rows, columns)."""
 
     kind = "RangeScanner3D"
-    defaults = Scanner3DSettings
+    settings_class = Scanner3DSettings
 
-    def lines(self) -> np.ndarray:
+    def directions(self) -> np.ndarray:
         """Unit directions of the beams about the mount's x axis, row by row (beams, 3)."""
-        return grid(self.settings[0]).reshape(-1, 3)
+        return grid_directions(self.settings[0]).reshape(-1, 3)
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Scan once, all beams at the same moment."""
-        ranges = report(sight.hits.distance[None], self.settings, key)[0]
+        ranges = range_readings(inputs.hits.distance[None], self.settings, key)[0]
         return memory, ranges.reshape(self.settings[0].shape)
 
 

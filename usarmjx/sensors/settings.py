@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from usarmjx.models.spec.settings import field_name, resolve
+from usarmjx.models.spec.settings import field_name, resolve_settings
 
-__all__ = ["CameraSettings", "field_name", "resolve"]
+__all__ = ["CameraSettings", "field_name", "resolve_settings"]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from flax import struct
 from usarmjx.base.transforms import Array
 
 
-class Sketch(struct.PyTreeNode, kw_only=True):
+class OverlayLines(struct.PyTreeNode, kw_only=True):
     """Straight lines; one that ends where it starts is a point.
 
     Attributes:
@@ -22,7 +22,7 @@ class Sketch(struct.PyTreeNode, kw_only=True):
     shown: Array
 
 
-def blank(lines: int) -> Sketch:
+def no_overlay(count: int) -> OverlayLines:
     """Return a sketch with room for some lines, of which there is none."""
-    nowhere = jnp.zeros((lines, 3))
-    return Sketch(start=nowhere, end=nowhere, rgb=nowhere, shown=jnp.zeros(lines, bool))
+    nowhere = jnp.zeros((count, 3))
+    return OverlayLines(start=nowhere, end=nowhere, rgb=nowhere, shown=jnp.zeros(count, bool))

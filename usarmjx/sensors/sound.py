@@ -6,15 +6,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from usarmjx.sensors.base import SENSORS, Measuring, Sensor, Sight
-from usarmjx.sensors.noise import Curve, curve_problem, noisy, output_curve
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
+from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 
-CLOSEST = 0.1
+MIN_SOURCE_DISTANCE = 0.1
 """Sources sound no louder from nearer than this [m]."""
 
 
 @dataclass(frozen=True)
-class SoundSettings(Measuring):
+class SoundSettings(NoisySensorSettings):
     """Manual 10.11.2; noise is on the loudness.
 
     Attributes:
@@ -22,9 +22,9 @@ class SoundSettings(Measuring):
     """
 
     noise: float = 0.05
-    output_curve: Curve = ()
+    output_curve: OutputCurve = ()
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
         return curve_problem(self.output_curve)
 
@@ -38,19 +38,19 @@ class Sound(Sensor):
     """
 
     kind = "Sound"
-    looks_around = True
-    defaults = SoundSettings
+    needs_surroundings = True
+    settings_class = SoundSettings
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Listen once."""
-        settings, around = self.settings[0], sight.around
+        settings, around = self.settings[0], inputs.surroundings_or_empty
         if around.mouth.shape[0] == 0:
             return memory, jnp.zeros(2)
-        pos, _ = self.mount_poses(sight.bodies)
-        far = jnp.maximum(jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1), CLOSEST)
+        pos, _ = self.mount_poses(inputs.bodies)
+        far = jnp.maximum(jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1), MIN_SOURCE_DISTANCE)
         loud = jnp.asarray(around.loudness) / far**2
         best = jnp.argmax(loud)
-        heard = output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
+        heard = apply_output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
         lasts = jnp.where(loud[best] > 0, jnp.asarray(around.duration)[best], 0.0)
         return memory, jnp.stack([heard, lasts])
 

@@ -20,19 +20,19 @@ import usarmjx.sensors.sound
 import usarmjx.sensors.touch
 import usarmjx.sensors.victim  # noqa: F401 - these fill SENSORS
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.build.body_plan import Bodies, BodyPlan, body_plan
+from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import SENSORS, Reading, Sensor, Sight
-from usarmjx.sensors.rays.raycast import NO_HITS, Gaze, Hits, cast
+from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput
+from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
-from usarmjx.sensors.settings import CameraSettings, resolve
-from usarmjx.sensors.surroundings import NOTHING, Surroundings
+from usarmjx.sensors.settings import CameraSettings, resolve_settings
+from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
 
 
-class Memory(struct.PyTreeNode, kw_only=True):
+class SensorMemory(struct.PyTreeNode, kw_only=True):
     """What the sensors of one robot remember.
 
     Attributes:
@@ -46,7 +46,7 @@ class Memory(struct.PyTreeNode, kw_only=True):
     last: tuple[jax.Array, ...]
 
 
-NO_MEMORY = Memory(due=jnp.zeros(0), own=(), last=())
+NO_MEMORY = SensorMemory(due=jnp.zeros(0), own=(), last=())
 """Of a robot whose sensors have not started."""
 
 
@@ -54,39 +54,43 @@ NO_MEMORY = Memory(due=jnp.zeros(0), own=(), last=())
 class Suite:
     """The sensors of a robot class, in the order in which they report."""
 
-    plan: BodyPlan
+    plan: KinematicTree
     sensors: tuple[Sensor, ...]
 
     @property
-    def looks_around(self) -> bool:
+    def needs_surroundings(self) -> bool:
         """Whether any sensor asks for the surroundings."""
-        return any(sensor.looks_around for sensor in self.sensors)
+        return any(sensor.needs_surroundings for sensor in self.sensors)
 
     @cached_property
     def ray_counts(self) -> tuple[int, ...]:
         """How many rays each sensor casts."""
         n = len(self.plan.parts)
-        bodies = Bodies(pos=jnp.zeros((n, 3)), mat=jnp.zeros((n, 3, 3)))
-        return tuple(jax.eval_shape(sensor.aim, bodies, NOTHING)[0].shape[0] for sensor in self.sensors)
+        bodies = BodyPoses(pos=jnp.zeros((n, 3)), mat=jnp.zeros((n, 3, 3)))
+        return tuple(
+            jax.eval_shape(sensor.aimed_rays, bodies, NO_SURROUNDINGS)[0].shape[0] for sensor in self.sensors
+        )
 
-    def rays(self, bodies: Bodies, around: Surroundings = NOTHING) -> tuple[jax.Array, jax.Array]:
+    def rays(
+        self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS
+    ) -> tuple[jax.Array, jax.Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
-        pairs = [sensor.aim(bodies, around) for sensor in self.sensors]
+        pairs = [sensor.aimed_rays(bodies, surroundings) for sensor in self.sensors]
         return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate(
             [along for _, along in pairs]
         )
 
-    def due(self, time: jax.Array, memory: Memory) -> jax.Array:
+    def due(self, time: jax.Array, memory: SensorMemory) -> jax.Array:
         """Return which sensors measure at a time [s] () (sensors,)."""
         return time >= memory.due - CLOCK_SLACK
 
-    def cast(
+    def cast_rays(
         self,
         geoms: Geoms,
-        bodies: Bodies,
+        bodies: BodyPoses,
         slot: jax.Array,
         due: jax.Array | None = None,
-        around: Surroundings = NOTHING,
+        surroundings: Surroundings = NO_SURROUNDINGS,
     ) -> Hits:
         """Cast the rays of the robot in `slot` (); angles of incidence only where a sensor needs them.
 
@@ -95,50 +99,54 @@ class Suite:
         hits = []
         for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
             if count:
-                rays = sensor.aim(bodies, around)
-                how = Gaze(sensor.passes, sensor.bundle, sensor.reach, sensor.needs_incidence)
+                rays = sensor.aimed_rays(bodies, surroundings)
+                query = RayQuery(
+                    sensor.transparent, sensor.bundle_size, sensor.max_distance, sensor.needs_incidence
+                )
                 wanted = None if due is None else due[i]
-                hits.append(cast(geoms, *rays, slot, how, wanted, sensor.fans(bodies)))
+                hits.append(cast_rays(geoms, *rays, slot, query, wanted, sensor.fans(bodies)))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
-    def start(self, sight: Sight, key: jax.Array) -> Memory:
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> SensorMemory:
         """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
 
         No rays are cast for it: `sight.hits` is not used.
         """
-        sensors = self._as_noisy_as(sight)
-        own = tuple(s.start(sight, jax.random.fold_in(key, i)) for i, s in enumerate(sensors))
+        sensors = self._as_noisy_as(inputs)
+        own = tuple(s.init_memory(inputs, jax.random.fold_in(key, i)) for i, s in enumerate(sensors))
         rays = jnp.zeros(sum(self.ray_counts))
-        seen = sight.replace(hits=Hits(distance=rays, cosine=rays))
+        seen = inputs.replace(hits=Hits(distance=rays, cosine=rays))
         blank = jax.eval_shape(self._read_all, seen, own, key)[1]
         for sensor, value in zip(self.sensors, blank, strict=True):
             sensor.check_value(value.shape)
-        due = jnp.array([jnp.inf if sensor.manual else 0.0 for sensor in self.sensors]) + sight.time
-        return Memory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
+        due = jnp.array([jnp.inf if sensor.on_command else 0.0 for sensor in self.sensors]) + inputs.time
+        return SensorMemory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
 
-    def _as_noisy_as(self, sight: Sight) -> tuple[Sensor, ...]:
+    def _as_noisy_as(self, inputs: SensorInput) -> tuple[Sensor, ...]:
         """Return the sensors of a robot whose noise may be more or less than usual."""
-        factor = sight.noise
+        factor = inputs.noise_factor
         return self.sensors if factor is None else tuple(s.with_noise(factor) for s in self.sensors)
 
     def _read_all(
-        self, sight: Sight, own: tuple[Any, ...], key: jax.Array
+        self, inputs: SensorInput, own: tuple[Any, ...], key: jax.Array
     ) -> tuple[tuple[Any, ...], tuple[jax.Array, ...]]:
         # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
         ends = np.cumsum(self.ray_counts)
         pairs = []
-        sensors = self._as_noisy_as(sight)
+        sensors = self._as_noisy_as(inputs)
         for i, (sensor, count, end) in enumerate(zip(sensors, self.ray_counts, ends, strict=True)):
-            mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], sight.hits)
-            pairs.append(sensor.read(sight.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
+            mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], inputs.hits)
+            pairs.append(sensor.read(inputs.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
         return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
 
-    def read(self, sight: Sight, memory: Memory, key: jax.Array) -> tuple[Memory, tuple[Reading, ...]]:
+    def read(
+        self, inputs: SensorInput, memory: SensorMemory, key: jax.Array
+    ) -> tuple[SensorMemory, tuple[Reading, ...]]:
         """Measure what is due; the others keep their last reading, marked as not fresh."""
         interval = np.array([s.settings[0].scan_interval for s in self.sensors], np.float32)
-        manual = np.array([sensor.manual for sensor in self.sensors])
-        fresh = self.due(sight.time, memory)
-        own, values = self._read_all(sight, memory.own, key)
+        manual = np.array([sensor.on_command for sensor in self.sensors])
+        fresh = self.due(inputs.time, memory)
+        own, values = self._read_all(inputs, memory.own, key)
 
         def pick(i: int, new: Any, old: Any) -> Any:  # noqa: ANN401 - any PyTree
             return jax.tree.map(lambda a, b: jnp.where(fresh[i], a, b), new, old)
@@ -146,11 +154,11 @@ class Suite:
         own = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(own, memory.own, strict=True)))
         last = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(values, memory.last, strict=True)))
         # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.
-        late = sight.time - memory.due >= interval
-        following = jnp.where(manual, jnp.inf, jnp.where(late, sight.time, memory.due) + interval)
+        late = inputs.time - memory.due >= interval
+        following = jnp.where(manual, jnp.inf, jnp.where(late, inputs.time, memory.due) + interval)
         due = jnp.where(fresh, following, memory.due)
         readings = tuple(Reading(value=value, fresh=fresh[i]) for i, value in enumerate(last))
-        return Memory(due=due, own=own, last=last), readings
+        return SensorMemory(due=due, own=own, last=last), readings
 
     def find(self, kind: str, name: str) -> int | None:
         """Return the place of the sensor that holds the mount of that type and name, case ignored."""
@@ -160,7 +168,7 @@ class Suite:
                 return i
         return None
 
-    def place(self, kind: str) -> int:
+    def index(self, kind: str) -> int:
         """Return the place of the first sensor of a type.
 
         Raises:
@@ -172,14 +180,14 @@ class Suite:
             raise UnknownNameError(f"{self.plan.robot.name} has no sensor {kind!r}; it has: {known}")
         return kinds.index(kind.lower())
 
-    def order(
-        self, i: int, opcode: str, params: tuple[float, ...], sight: Sight, memory: Memory
-    ) -> Memory | None:
+    def handle_set(
+        self, i: int, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: SensorMemory
+    ) -> SensorMemory | None:
         """Carry out a SET command on sensor `i`; None when it is not valid for that sensor."""
-        own = self.sensors[i].order(opcode, params, sight, memory.own[i])
+        own = self.sensors[i].handle_set(opcode, params, inputs, memory.own[i])
         if own is None:
             return None
-        due = memory.due.at[i].set(sight.time) if opcode.upper() == "SCAN" else memory.due
+        due = memory.due.at[i].set(inputs.time) if opcode.upper() == "SCAN" else memory.due
         return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
 
 
@@ -191,9 +199,9 @@ def suite_of(robot: RobotSpec) -> Suite:
         UnknownNameError: A mount of an unknown type or with an unknown setting.
         SpecError: A mount that cannot be built.
     """
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     for mount in robot.cameras:
-        resolve(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
+        resolve_settings(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
     groups: dict[str, list[int]] = {}
     for i, mount in enumerate(robot.sensors):
         grouped = SENSORS.get(mount.kind).grouped
@@ -202,7 +210,9 @@ def suite_of(robot: RobotSpec) -> Suite:
     for members in groups.values():
         mounts = tuple(robot.sensors[i] for i in members)
         kind = SENSORS.get(mounts[0].kind)
-        settings = tuple(resolve(kind.defaults, m.options, f"{m.kind} {m.name}") for m in mounts)
+        settings = tuple(
+            resolve_settings(kind.settings_class, m.options, f"{m.kind} {m.name}") for m in mounts
+        )
         sensor = kind(plan=plan, mounts=mounts, settings=settings)
         sensor.check()
         sensors.append(sensor)

@@ -11,13 +11,13 @@ from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import (
     VictimTable,
     loudness,
-    mouths,
+    mouth_positions,
     orientations,
     segment_poses,
     segment_speeds,
     victim_table,
 )
-from usarmjx.models.effecters import Tags, no_tags
+from usarmjx.models.effecters import DroppedTags, no_dropped_tags
 
 
 class Surroundings(struct.PyTreeNode, kw_only=True):
@@ -27,8 +27,8 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
         box_pos: Centres of the victims' boxes and false alarms [m] (boxes, 3).
         box_mat: Their orientations (boxes, 3, 3).
         box_size: Their half lengths [m] (boxes, 3).
-        part: What they are, as places in `victims.PART_NAMES` (boxes,).
-        owner: Whose they are: a victim's place, or less than 0: see `VictimTable.owner` (boxes,).
+        box_part: What they are, as places in `victims.PART_NAMES` (boxes,).
+        box_owner: Whose they are: a victim's place, or less than 0: see `VictimTable.owner` (boxes,).
         speed: How fast their fastest corners move [m/s] (boxes,).
         swing: Farthest that a corner of each gets from where it began [m] (boxes,).
         mouth: Where each victim cries and breathes [m] (victims, 3).
@@ -44,8 +44,8 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
     box_pos: Array
     box_mat: Array
     box_size: Array
-    part: Array
-    owner: Array
+    box_part: Array
+    box_owner: Array
     speed: Array
     swing: Array
     mouth: Array
@@ -58,40 +58,47 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
     tag_there: Array
 
 
-def survey(
-    people: VictimTable, lying: TagTable, dropped: Tags, time: Array, floor: Array, xp: ModuleType = jnp
+def surroundings_at(
+    victims: VictimTable,
+    arena_tags: TagTable,
+    dropped_tags: DroppedTags,
+    time: Array,
+    floor: Array,
+    xp: ModuleType = jnp,
 ) -> Surroundings:
     """Return what is around in one world.
 
     Args:
-        people: Victims and false alarms, in the arena's axes.
-        lying: The arena's own tags, in the arena's axes.
-        dropped: Tags that robots have dropped, in world axes.
+        victims: Victims and false alarms, in the arena's axes.
+        arena_tags: The arena's own tags, in the arena's axes.
+        dropped_tags: Tags that robots have dropped, in world axes.
         time: Simulated time, by which victims move and cry [s] ().
         floor: Height of the arena's floor in the world [m] ().
         xp: Array module of all of them.
     """
     up = xp.stack([0.0 * floor, 0.0 * floor, floor * xp.ones((), xp.float32)])
-    pos, quat = segment_poses(people, time, xp)
-    room = len(dropped.pos)
+    pos, quat = segment_poses(victims, time, xp)
+    room = len(dropped_tags.pos)
     return Surroundings(
         box_pos=pos + up,
         box_mat=orientations(quat, xp),
-        box_size=people.size,
-        part=people.part,
-        owner=people.owner,
-        speed=segment_speeds(people, time, xp),
-        swing=people.swing,
-        mouth=mouths(people, pos, xp) + up,
-        loudness=loudness(people, time, xp),
-        duration=people.duration,
-        breathes=people.breathes,
-        tag_pos=xp.concatenate([lying.pos + up, dropped.pos]),
-        tag_id=xp.concatenate([lying.id, xp.arange(room, dtype=xp.int32)]),
-        tag_single=xp.concatenate([lying.single, xp.zeros(room, bool)]),
-        tag_there=xp.concatenate([lying.id >= 0, xp.arange(room) < dropped.count]),
+        box_size=victims.size,
+        box_part=victims.part,
+        box_owner=victims.owner,
+        speed=segment_speeds(victims, time, xp),
+        swing=victims.swing,
+        mouth=mouth_positions(victims, pos, xp) + up,
+        loudness=loudness(victims, time, xp),
+        duration=victims.duration,
+        breathes=victims.breathes,
+        tag_pos=xp.concatenate([arena_tags.pos + up, dropped_tags.pos]),
+        tag_id=xp.concatenate([arena_tags.id, xp.arange(room, dtype=xp.int32)]),
+        tag_single=xp.concatenate([arena_tags.single, xp.zeros(room, bool)]),
+        tag_there=xp.concatenate([arena_tags.id >= 0, xp.arange(room) < dropped_tags.count]),
     )
 
 
-NOTHING = survey(victim_table([]), tag_table([]), no_tags(np), np.zeros(()), np.zeros(()), np)
+NO_SURROUNDINGS = surroundings_at(
+    victim_table([]), tag_table([]), no_dropped_tags(np), np.zeros(()), np.zeros(()), np
+)
 """Of a world without victims, and without tags of its own."""

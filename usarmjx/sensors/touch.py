@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.rotations import turned
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.base.rotations import matvec
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import POSITIVE
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.ranging import BEAM
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
+from usarmjx.sensors.ranging import BEAM_PATTERN
 
 TRIGGER = 0.0047
 """A thing nearer to the button than this touches it [m] (manual 10.8.1)."""
@@ -22,7 +22,7 @@ millimetre or so, and a line that started inside a wall would only meet its far 
 
 
 @dataclass(frozen=True)
-class TouchSettings(Common):
+class TouchSettings(SensorSettings):
     """Manual 10.8.2.
 
     Attributes:
@@ -32,7 +32,7 @@ class TouchSettings(Common):
     diameter: Annotated[float, POSITIVE] = 0.01
 
 
-def button(diameter: float) -> np.ndarray:
+def button_ray_origins(diameter: float) -> np.ndarray:
     """Return where the lines of a button start, which is the y-z plane of its mount [m] (lines, 3).
 
     They stand on the button as those of a sonar's beam do in their cone: one in the middle, four half
@@ -40,7 +40,7 @@ def button(diameter: float) -> np.ndarray:
     """
     spots = [
         (-SETBACK, share * math.cos(around) * diameter / 2, share * math.sin(around) * diameter / 2)
-        for share, around in BEAM
+        for share, around in BEAM_PATTERN
     ]
     return np.array(spots, np.float32)
 
@@ -51,19 +51,19 @@ class Touch(Sensor):
 
     kind = "Touch"
     grouped = True
-    defaults = TouchSettings
+    settings_class = TouchSettings
 
-    def rays(self, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
         """All buttons' lines, button by button, parallel to its x axis."""
         pos, mat = self.mount_poses(bodies)
-        spots = np.stack([button(settings.diameter) for settings in self.settings])
-        origin = pos[:, None] + turned(mat[:, None], spots)
+        spots = np.stack([button_ray_origins(settings.diameter) for settings in self.settings])
+        origin = pos[:, None] + matvec(mat[:, None], spots)
         along = jnp.broadcast_to(mat[:, None, :, 0], origin.shape)
         return origin.reshape(-1, 3), along.reshape(-1, 3)
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Feel once (manual 10.8.1); the robot's own parts do not count."""
-        nearest = sight.hits.distance.reshape(len(self.mounts), -1).min(-1)
+        nearest = inputs.hits.distance.reshape(len(self.mounts), -1).min(-1)
         return memory, (nearest < SETBACK + TRIGGER).astype(jnp.float32)
 
 

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.body_plan import Bodies
-from usarmjx.models.spec.settings import HALF_TURN, NOT_NEGATIVE, POSITIVE, STEP, TURN
-from usarmjx.sensors.base import SENSORS, Common, Sensor, Sight
-from usarmjx.sensors.ranging import steps, too_many
+from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
+from usarmjx.sensors.ranging import beam_count_problem, step_count
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.sketch import Sketch, blank
+from usarmjx.sensors.sketch import OverlayLines, no_overlay
 
 TOLERANCE = 1e-3
 """A ray that ends this much short of a body part still met it [m]: the same number, worked out twice."""
-PATTERNS = ((0, 0), (1, 0), (1, 1), (0, 1))
+GRID_SHIFTS = ((0, 0), (1, 0), (1, 1), (0, 1))
 """The four grids of rays that a reading is made of: by how many half steps each is shifted to the right and
 down."""
 GREEN, YELLOW, RED, WHITE = np.array([(0, 1, 0), (1, 1, 0), (1, 0, 0), (1, 1, 1)], np.float32)
@@ -25,7 +25,7 @@ GREEN, YELLOW, RED, WHITE = np.array([(0, 1, 0), (1, 1, 0), (1, 0, 0), (1, 1, 1)
 
 
 @dataclass(frozen=True)
-class VictimSettings(Common):
+class VictSensorSettings(SensorSettings):
     """Manual 10.10.2.
 
     Attributes:
@@ -45,27 +45,27 @@ class VictimSettings(Common):
     scan_interval: float = 0.8
     distance: Annotated[float, POSITIVE] = 6.0
     horizontal_fov: Annotated[float, TURN] = 0.6981317
-    horizontal_step: Annotated[float, STEP] = 0.0698131
+    horizontal_step: Annotated[float, ANGLE_STEP] = 0.0698131
     vertical_fov: Annotated[float, HALF_TURN] = 0.6981317
-    vertical_step: Annotated[float, STEP] = 0.0698131
+    vertical_step: Annotated[float, ANGLE_STEP] = 0.0698131
     show_results: bool = False
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.01
 
-    def wrong(self) -> str:
+    def problem(self) -> str:
         """Return what settings do not go together."""
-        columns = steps(self.horizontal_fov, self.horizontal_step) + 1
-        return too_many(columns * (steps(self.vertical_fov, self.vertical_step) + 1))
+        columns = step_count(self.horizontal_fov, self.horizontal_step) + 1
+        return beam_count_problem(columns * (step_count(self.vertical_fov, self.vertical_step) + 1))
 
 
-def grids(settings: VictimSettings) -> tuple[np.ndarray, ...]:
+def shifted_grids(settings: VictSensorSettings) -> tuple[np.ndarray, ...]:
     """Return the unit directions about the x axis of each of the four grids (rays, 3)."""
     return tuple(
         _grid(
             _angles(settings.horizontal_fov, settings.horizontal_step, right),
             _angles(settings.vertical_fov, settings.vertical_step, down),
         )
-        for right, down in PATTERNS
+        for right, down in GRID_SHIFTS
     )
 
 
@@ -77,7 +77,7 @@ def _angles(fov: float, step: float, shift: int) -> np.ndarray:
     late = shift * step / 2
     if late > fov:
         return np.zeros(0)
-    return fov / 2 - late - np.arange(steps(fov - late, step) + 1) * step
+    return fov / 2 - late - np.arange(step_count(fov - late, step) + 1) * step
 
 
 def _grid(left: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -99,49 +99,49 @@ class VictSensor(Sensor):
     """
 
     kind = "VictSensor"
-    looks_around = True
-    defaults = VictimSettings
+    needs_surroundings = True
+    settings_class = VictSensorSettings
 
-    def fans(self, bodies: Bodies) -> Fans:
+    def fans(self, bodies: BodyPoses) -> Fans:
         """All four grids, one after the other."""
-        return Fans(*self.mount_poses(bodies), np.concatenate(grids(self.settings[0]))[None])
+        return Fans(*self.mount_poses(bodies), np.concatenate(shifted_grids(self.settings[0]))[None])
 
-    def read(self, sight: Sight, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
         """Look once with all four grids."""
-        settings, around = self.settings[0], sight.around
-        pos, mat = self.mount_poses(sight.bodies)
-        end, inside = self._ends(sight)
-        bounds = np.cumsum([len(grid) for grid in grids(settings)])[:-1]
+        settings, around = self.settings[0], inputs.surroundings_or_empty
+        pos, mat = self.mount_poses(inputs.bodies)
+        end, inside = self._ends(inputs)
+        bounds = np.cumsum([len(grid) for grid in shifted_grids(settings)])[:-1]
         met = jnp.stack([grid.any(1) for grid in jnp.split(inside, bounds, axis=1)])
         offset = jnp.asarray(around.box_pos) - pos[0]
-        place = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
+        position = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         far = jnp.linalg.norm(offset, axis=-1)
         taken, noise = jax.random.split(key)
         doubt = jnp.abs(jax.random.normal(taken, met.shape)) * far > settings.distance / 3
-        seen = (met & (doubt | (jnp.asarray(around.owner) >= 0))).any(0)
-        error = settings.mean + settings.sigma * jax.random.normal(noise, place.shape)
-        told = jnp.where(seen[:, None], place + far[:, None] * error, 0.0)
-        row = jnp.stack([seen.astype(jnp.float32), jnp.asarray(around.part, jnp.float32)], -1)
-        if self.draws:
-            rgb = jnp.where((sight.hits.distance <= settings.distance)[:, None], RED, WHITE)
-            for owned, color in ((around.owner < 0, YELLOW), (around.owner >= 0, GREEN)):
+        seen = (met & (doubt | (jnp.asarray(around.box_owner) >= 0))).any(0)
+        error = settings.mean + settings.sigma * jax.random.normal(noise, position.shape)
+        told = jnp.where(seen[:, None], position + far[:, None] * error, 0.0)
+        row = jnp.stack([seen.astype(jnp.float32), jnp.asarray(around.box_part, jnp.float32)], -1)
+        if self.has_overlay:
+            rgb = jnp.where((inputs.hits.distance <= settings.distance)[:, None], RED, WHITE)
+            for owned, color in ((around.box_owner < 0, YELLOW), (around.box_owner >= 0, GREEN)):
                 rgb = jnp.where((inside & owned[:, None]).any(0)[:, None], color, rgb)
-            memory = Sketch(start=end, end=end, rgb=rgb, shown=jnp.ones(len(end), bool))
+            memory = OverlayLines(start=end, end=end, rgb=rgb, shown=jnp.ones(len(end), bool))
         return memory, jnp.concatenate([row, told], -1)
 
-    def _ends(self, sight: Sight) -> tuple[jax.Array, jax.Array]:
+    def _ends(self, inputs: SensorInput) -> tuple[jax.Array, jax.Array]:
         """Return where rays end [m] (rays, 3), and which boxes' surfaces are there (boxes, rays)."""
-        settings, around = self.settings[0], sight.around
-        origin, along = self.rays(sight.bodies)
-        near = sight.hits.distance <= settings.distance
-        end = origin + jnp.minimum(sight.hits.distance, settings.distance)[:, None] * along
+        settings, around = self.settings[0], inputs.surroundings_or_empty
+        origin, along = self.rays(inputs.bodies)
+        near = inputs.hits.distance <= settings.distance
+        end = origin + jnp.minimum(inputs.hits.distance, settings.distance)[:, None] * along
 
         def one(pos: Array, mat: Array, size: Array) -> jax.Array:
             away = end - pos
             inside = near
             for axis in range(3):  # sums of products, which a GPU does not round to TensorFloat-32
-                place = sum(mat[j, axis] * away[:, j] for j in range(3))
-                inside &= jnp.abs(place) <= size[axis] + TOLERANCE
+                position = sum(mat[j, axis] * away[:, j] for j in range(3))
+                inside &= jnp.abs(position) <= size[axis] + TOLERANCE
             return inside
 
         if around.box_pos.shape[0] == 0:
@@ -149,17 +149,19 @@ class VictSensor(Sensor):
         boxes = (around.box_pos, around.box_mat, around.box_size)
         return end, jax.vmap(one)(*map(jnp.asarray, boxes))
 
-    def start(self, sight: Sight, key: jax.Array) -> Any:  # noqa: ANN401 - a sketch if it draws
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - a sketch if it draws
         """Nothing was met yet."""
-        del sight, key
-        return blank(sum(len(grid) for grid in grids(self.settings[0]))) if self.draws else ()
+        del inputs, key
+        return (
+            no_overlay(sum(len(grid) for grid in shifted_grids(self.settings[0]))) if self.has_overlay else ()
+        )
 
     @property
-    def draws(self) -> bool:
+    def has_overlay(self) -> bool:
         """With bShowResults (manual 10.10.2)."""
         return self.settings[0].show_results
 
-    def sketch(self, memory: Sketch) -> Sketch:
+    def overlay(self, memory: OverlayLines) -> OverlayLines:
         """Points where rays end, coloured by what is there."""
         return memory
 

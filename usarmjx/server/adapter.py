@@ -9,7 +9,7 @@ import numpy as np
 from usarmjx.base.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import STEER, RobotSpec
+from usarmjx.models.spec.robot import STEER_SUFFIX, RobotSpec
 from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.messages.sensors import (
     configuration,
@@ -19,16 +19,16 @@ from usarmjx.server.messages.sensors import (
     robot_report,
     sensor_report,
 )
-from usarmjx.server.messages.victims import access
+from usarmjx.server.messages.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
-from usarmjx.server.protocol.frames import angles, vector
-from usarmjx.server.protocol.grammar import Message, to_vector, truncated
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import Message, four_decimals, to_vector
 from usarmjx.server.protocol.session import RobotSession
-from usarmjx.server.protocol.traces import Trail
-from usarmjx.server.protocol.viewports import FAILED, OK
-from usarmjx.server.worlds.host import HostWorld, Robot
-from usarmjx.sim.control import FLIP_TIME, Order, steer
+from usarmjx.server.protocol.traces import RobotTrace
+from usarmjx.server.protocol.viewports import STATUS_FAILED, STATUS_OK
+from usarmjx.server.worlds.host import Robot, ServedWorld
+from usarmjx.sim.control import FLIP_TIME, ControlMode, set_drive
 from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ LOG_INTERVAL = 1.0
 """A client's faults are collected for this long, so that junk does not fill the disk with log lines [s]."""
 BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
-RELATIVE = {10: Order.POSITION, 11: Order.VELOCITY, 12: Order.TORQUE}
+RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
 """The wire's orders that add to the present position, or to the speed or torque in force (KRobot.uc)."""
 
 
@@ -49,17 +49,17 @@ class Client:
         peer: The peer's address, for the log.
     """
 
-    def __init__(self, world: HostWorld, peer: str) -> None:
+    def __init__(self, world: ServedWorld, peer: str) -> None:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
         self.next_report = 0.0
-        self._trail: Trail | None = None
+        self._trace_state: RobotTrace | None = None
         self._next_log = 0.0
         self._world = world
         self._peer = peer
         self._handlers: dict[type, Callable[..., None]] = {
             wire.GetStartPoses: self._start_poses,
-            wire.Drive: self._drive,
+            wire.DriveRobot: self._drive,
             wire.DriveWheels: self._drive_wheels,
             wire.DriveJoint: self._drive_joint,
             wire.MultiDrive: self._drive_joints,
@@ -68,7 +68,7 @@ class Client:
             wire.Set: self._set,
             wire.SetFov: self._zoom,
             wire.SetViewports: self._arrange,
-            wire.SetView: self._tie,
+            wire.SetView: self._set_view,
             wire.Trace: self._trace,
             wire.GetGeo: self._geometry,
             wire.GetConf: self._configuration,
@@ -100,26 +100,26 @@ class Client:
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
         try:
-            pos, turn = self._place(init, spec)
-            view = self._world.free_view(spec)
+            pos, turn = self._start_pose(init, spec)
+            view = self._world.free_tile(spec)
             robot = self._world.spawn(spec, init.name or self._free_name(spec), pos, turn)
         except UsageError as error:
             log.warning("%s: INIT refused: %s", self._peer, error)
             return False
-        robot.view, self.robot = view, robot
-        self.next_report = robot.born + spec.msg_timer
+        robot.tile, self.robot = view, robot
+        self.next_report = robot.spawn_time + spec.msg_timer
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
 
-    def _place(self, init: wire.Init, spec: RobotSpec) -> tuple[Vec3, Vec3]:
+    def _start_pose(self, init: wire.Init, spec: RobotSpec) -> tuple[Vec3, Vec3]:
         starts = {start.tag.lower(): start for start in self._world.arena.starts}
         if init.start and init.start.lower() not in starts:
             raise UsageError(
                 f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}"
             )
-        turn = angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
+        turn = flip_wire_angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
         if init.location is not None and not init.start:
-            return vector(init.location), turn
+            return flip_wire_vector(init.location), turn
         if not starts:
             raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
         start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
@@ -163,12 +163,16 @@ class Client:
         del command
         arena = self._world.arena
         poses = [
-            (start.tag, vector((*start.at[:2], arena.floor + start.at[2])), angles((0.0, 0.0, start.yaw)))
+            (
+                start.tag,
+                flip_wire_vector((*start.at[:2], arena.floor + start.at[2])),
+                flip_wire_angles((0.0, 0.0, start.yaw)),
+            )
             for start in arena.starts
         ]
         self.session.send(reports.nfo_start_poses(poses))
 
-    def _drive(self, command: wire.Drive) -> None:
+    def _drive(self, command: wire.DriveRobot) -> None:
         self._steer(dict(command.values), command)
 
     def _drive_wheels(self, command: wire.DriveWheels) -> None:
@@ -179,52 +183,52 @@ class Client:
                     values[f"{key}{wheel.number}"] = value
         self._steer(values, command)
 
-    def _steer(self, values: dict[str, float], command: wire.Drive | wire.DriveWheels) -> None:
+    def _steer(self, values: dict[str, float], command: wire.DriveRobot | wire.DriveWheels) -> None:
         """Set keys of DRIVE; those that the robot's drive does not have are logged and left out."""
         robot = self._present
-        full, told = robot.spec.drive.full, robot.command
+        full, told = robot.spec.drive.full_scale, robot.command
         unknown = [key for key in values if key not in full]
         if unknown:
             log.warning("%s: %s has no DRIVE {%s}", self._peer, robot.spec.name, "} {".join(unknown))
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         if known:
-            told = steer(robot.spec, told, known, np)
+            told = set_drive(robot.spec, told, known, np)
         if command.light is not None:
             told = told.replace(light=np.bool_(command.light))
         if command.flip:
             told = told.replace(flip_until=np.float32(self._world.time + FLIP_TIME))
-        self._world.tell(robot, told)
+        self._world.set_command(robot, told)
 
-    def _order_joint(self, joint: int, order: int, value: float) -> bool:
+    def _set_joint_mode(self, joint: int, order: int, value: float) -> bool:
         """Give one joint an order as the wire numbers them; return whether there is such an order."""
         robot = self._present
-        target, orders = robot.command.target.copy(), robot.command.order.copy()
+        target, orders = robot.command.target.copy(), robot.command.mode.copy()
         if order == BRAKE:
-            value, mode = 0.0, Order.VELOCITY
-        elif order in RELATIVE:
-            mode = RELATIVE[order]
-            now = self._world.state(robot).joint_pos[joint] if mode == Order.POSITION else 0.0
-            value += target[joint] if mode != Order.POSITION and orders[joint] == mode else now
-        elif order in tuple(Order):
-            mode = Order(order)
+            value, mode = 0.0, ControlMode.VELOCITY
+        elif order in RELATIVE_MODES:
+            mode = RELATIVE_MODES[order]
+            now = self._world.state(robot).joint_pos[joint] if mode == ControlMode.POSITION else 0.0
+            value += target[joint] if mode != ControlMode.POSITION and orders[joint] == mode else now
+        elif order in tuple(ControlMode):
+            mode = ControlMode(order)
         else:
             return False
         target[joint], orders[joint] = value, mode
-        self._world.tell(robot, robot.command.replace(target=target, order=orders))
+        self._world.set_command(robot, robot.command.replace(target=target, mode=orders))
         return True
 
     def _order_named(self, name: str, order: int, value: float) -> None:
-        joint = self._present.plan.joint(name)
+        joint = self._present.plan.joint_index(name)
         if joint is None:
             log.warning("%s: %s has no joint %r", self._peer, self._present.spec.name, name)
-        elif not self._order_joint(joint, order, value):
+        elif not self._set_joint_mode(joint, order, value):
             log.warning("%s: no such order as %d for joint %s", self._peer, order, name)
 
     def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
         if command.value is not None:
             self._order_named(command.name, command.order, command.value)
         if command.steer is not None:
-            self._order_named(command.name + STEER, Order.POSITION, command.steer)
+            self._order_named(command.name + STEER_SUFFIX, ControlMode.POSITION, command.steer)
 
     def _set_joint(self, command: wire.SetJoint) -> None:
         if not self.battery_empty:
@@ -232,14 +236,14 @@ class Client:
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
         for name, angle in command.joints:
-            self._order_named(name, Order.POSITION, angle)
+            self._order_named(name, ControlMode.POSITION, angle)
 
     def _move_package(self, command: wire.MisPkg) -> None:
         for link in command.links:
             joint = link_joint(self._present.spec, command.name, link.link)
             if joint is None:
                 log.warning("%s: no link %d in package %r", self._peer, link.link, command.name)
-            elif not self._order_joint(joint, link.order, link.value):
+            elif not self._set_joint_mode(joint, link.order, link.value):
                 log.warning("%s: MISPKG order %d is not supported", self._peer, link.order)
 
     def _set(self, command: wire.Set) -> None:
@@ -251,9 +255,9 @@ class Client:
             self.session.send(self._access_tag(robot, sensor, command))
             return
         values = self._numbers(command.params)
-        status = FAILED
+        status = STATUS_FAILED
         if values is not None:
-            camera = robot.camera(command.name) if command.type.lower() == "camera" else None
+            camera = robot.camera_index(command.name) if command.type.lower() == "camera" else None
             if sensor is not None:
                 status = self._order_sensor(robot, sensor, command.opcode, values)
             elif camera is not None:
@@ -265,27 +269,27 @@ class Client:
     def _order_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
         """Carry out a SET on a sensor; return the Status to answer."""
         if opcode.upper() == "POSE" and len(values) == 6:
-            values = (*vector(values[:3]), *angles(values[3:]))
-        return "OK" if self._world.order(robot, sensor, opcode, values) else "Failed"
+            values = (*flip_wire_vector(values[:3]), *flip_wire_angles(values[3:]))
+        return "OK" if self._world.operate_sensor(robot, sensor, opcode, values) else "Failed"
 
     def _order_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
         """Carry out the older form of zooming; the Status is the field of view [rad]."""
         if opcode.lower() != "zoom" or not values:
-            return FAILED
+            return STATUS_FAILED
         self._world.zoom(robot, camera, values[0])
-        return truncated(robot.fovs[camera])
+        return four_decimals(robot.fovs[camera])
 
     def _zoom(self, command: wire.SetFov) -> None:
         robot = self._present
         if self.battery_empty:
             return
-        statuses = [OK] * len(robot.cameras)
+        statuses = [STATUS_OK] * len(robot.cameras)
         for name, fov in command.cameras:
-            camera = robot.camera(name)
+            camera = robot.camera_index(name)
             if camera is None:
                 log.warning("%s: %s has no camera %r", self._peer, robot.spec.name, name)
             else:
-                statuses[camera] = OK if self._world.zoom(robot, camera, fov) else FAILED
+                statuses[camera] = STATUS_OK if self._world.zoom(robot, camera, fov) else STATUS_FAILED
         names = [camera.mount.name for camera in robot.cameras]
         lines = zip(names, robot.fovs, statuses, strict=True)
         self.session.send(reports.res_camera(self._world.time, lines))
@@ -300,42 +304,42 @@ class Client:
         config = (robot.viewports.config, status)
         self.session.send(reports.res_viewports(self._world.time, config, shown))
 
-    def _tie(self, command: wire.SetView) -> None:
+    def _set_view(self, command: wire.SetView) -> None:
         """Tie an image client's view to a camera, or let go; nobody is told, as ever."""
         if not command.robot:
-            self._world.ties.release(command.client)
+            self._world.view_bindings.unbind(command.client)
             return
         try:
-            self._world.ties.tie(command.client, command.robot, command.name)
+            self._world.view_bindings.bind(command.client, command.robot, command.name)
         except PeerError as error:
             log.warning("%s: %s", self._peer, error)
 
     def _trace(self, command: wire.Trace) -> None:
-        self._trail = Trail(command, self._trail.last if self._trail else None)
+        self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
 
-    def leave_trace(self) -> None:
+    def add_trace_point(self) -> None:
         """Drop a point of the robot's trace if it is time to; to be called after every control step."""
         if (
-            self._trail is not None
-            and self._trail.due(self._world.time)
+            self._trace_state is not None
+            and self._trace_state.due(self._world.time)
             and not (self.robot is None or self.lost)
         ):
             x, y, z = (float(value) for value in self._world.state(self.robot).pos)
-            self._world.traces.drop(self._trail, (x, y, z), self._world.time)
+            self._world.traces.add_point(self._trace_state, (x, y, z), self._world.time)
 
     def _access_tag(self, robot: Robot, sensor: int, command: wire.Set) -> Message:
         """Read or write an RFID tag; return the RES."""
 
         def reaches(number: int) -> bool:
-            return self._world.order(robot, sensor, command.opcode, (float(number),))
+            return self._world.operate_sensor(robot, sensor, command.opcode, (float(number),))
 
-        return access(command, self._world.time, self._world.tag_texts, reaches)
+        return access_tag(command, self._world.time, self._world.tag_texts, reaches)
 
     def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
-        place = robot.effecter(command.type, command.name)
+        place = robot.effecter_index(command.type, command.name)
         opcode = None if place is None else robot.effecters[place].opcode(command.opcode)
-        value = values[0] if values else opcode and opcode.usual
+        value = values[0] if values else opcode and opcode.default_val
         if place is None or opcode is None or value is None:
             return "Failed"
         return self._world.operate(robot, place, opcode, value)
@@ -372,7 +376,7 @@ class Client:
         self.next_report += robot.spec.msg_timer
         joints = self._world.state(robot).joint_pos
         battery = self._battery(robot)
-        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.view))
+        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
         if self.battery_empty:
             robot.pending.clear()
             return

@@ -8,11 +8,11 @@ from usarmjx.models.ini.read import as_whole, fail
 
 SECTION = "BotAPI.BotServer"
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
-"""What each key sets of `net.Settings`, its least and its largest value; port 0 picks a free one."""
+"""What each key sets of `net.BotServerSettings`, its least and its largest value; port 0 picks a free one."""
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return what `[BotAPI.BotServer]` of ini files says, by fields of `net.Settings`; later files override.
+    """Return what `[BotAPI.BotServer]` of ini files says, by fields of `net.BotServerSettings`; later files override.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.

@@ -15,26 +15,26 @@ from typing import Protocol
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol.commands import Init
-from usarmjx.server.worlds.host import HostWorld
+from usarmjx.server.worlds.host import ServedWorld
 
 log = logging.getLogger(__name__)
 
-CHUNK = 4096
+READ_SIZE = 4096
 """Most bytes taken from a socket at once."""
-TURN = 1e-3
+MAX_SLICE = 1e-3
 """Once a client's lines have taken this long in a control step, the rest of them wait for the next [s]."""
-SOCKET_BACKLOG = 64 * 1024
+MAX_WRITE_BUFFER = 64 * 1024
 """While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
-RESYNC = 0.5
+MAX_LAG = 0.5
 """A server that is further behind the clock than this gives up catching up [s]."""
-SELDOM = 1000
+GC_THRESHOLD = 1000
 """Young objects are looked through for garbage so often before old ones are; Python's default is 10."""
-SWITCH = 5e-4
+SWITCH_INTERVAL = 5e-4
 """The loop gets its turn so soon when a thread beside it runs Python, as when JAX traces a function [s]."""
 
 
 @dataclass(frozen=True)
-class Settings:
+class BotServerSettings:
     """How to serve.
 
     Attributes:
@@ -51,7 +51,7 @@ class Settings:
 
 
 @dataclass
-class Turn:
+class TimeSlice:
     """What a client has used of a control step.
 
     Attributes:
@@ -81,7 +81,7 @@ class Service(Protocol):
         """Hang up."""
 
 
-class Server:
+class BotServer:
     """Serves one world to many clients until told to stop.
 
     Args:
@@ -93,7 +93,9 @@ class Server:
         port: The port in use, once all is listening.
     """
 
-    def __init__(self, world: HostWorld, settings: Settings, services: Sequence[Service] = ()) -> None:
+    def __init__(
+        self, world: ServedWorld, settings: BotServerSettings, services: Sequence[Service] = ()
+    ) -> None:
         self._services = services
         self._world = world
         self._settings = settings
@@ -101,7 +103,7 @@ class Server:
         self._stepped = asyncio.Event()
         self._stop = asyncio.Event()
         # One thread prepares robot classes beside the loop.
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="prepare")
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
         self._busy = 0.0
         self.port = settings.port
 
@@ -135,7 +137,7 @@ class Server:
                 service.stop()
             for writer in list(self._clients.values()):
                 writer.close()
-            self._beside.shutdown(wait=False, cancel_futures=True)
+            self._executor.shutdown(wait=False, cancel_futures=True)
 
     def stop(self) -> None:
         """End `run` after the present step."""
@@ -156,7 +158,7 @@ class Server:
                 continue
             deadline += period / factor
             behind = time.perf_counter() - deadline
-            if behind > RESYNC:
+            if behind > MAX_LAG:
                 log.warning("%.2f s behind the clock: giving up catching up", behind)
                 deadline += behind
             await asyncio.sleep(max(0.0, -behind))
@@ -173,7 +175,7 @@ class Server:
         began = time.perf_counter()
         self._world.step()
         for client in self._clients:
-            client.leave_trace()
+            client.add_trace_point()
         due = [client for client in self._clients if client.due() and not client.lost]
         if due:
             self._world.observe([client.robot for client in due if client.robot is not None])
@@ -194,7 +196,7 @@ class Server:
             self._clients[client].transport.abort()
 
     def _flush(self, client: Client, writer: asyncio.StreamWriter) -> None:
-        if not writer.is_closing() and writer.transport.get_write_buffer_size() < SOCKET_BACKLOG:
+        if not writer.is_closing() and writer.transport.get_write_buffer_size() < MAX_WRITE_BUFFER:
             data = client.session.data_to_send()
             if data:
                 writer.write(data)
@@ -227,9 +229,9 @@ class Server:
     async def _listen(
         self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        turn = Turn()
+        turn = TimeSlice()
         while not writer.is_closing():
-            data = await reader.read(CHUNK)
+            data = await reader.read(READ_SIZE)
             began = time.perf_counter()
             commands = client.session.receive_data(data) if data else client.session.receive_eof()
             await self._charge(turn, began)
@@ -239,15 +241,15 @@ class Server:
             if not data:
                 return
 
-    async def _charge(self, turn: Turn, began: float) -> None:
+    async def _charge(self, turn: TimeSlice, began: float) -> None:
         """Let a client that has used up its turn wait: no one may keep the world from stepping."""
         if turn.step != self._world.time:
             turn.step, turn.spent = self._world.time, 0.0
         turn.spent += time.perf_counter() - began
-        if turn.spent > TURN:
+        if turn.spent > MAX_SLICE:
             await self._stepped.wait()
 
-    async def _obey(self, client: Client, commands: list, turn: Turn) -> None:
+    async def _obey(self, client: Client, commands: list, turn: TimeSlice) -> None:
         while commands:
             for command in commands:
                 if not isinstance(command, Init):
@@ -261,11 +263,11 @@ class Server:
         spec = client.class_of(init)
         if spec is None:
             return False
-        await asyncio.get_running_loop().run_in_executor(self._beside, self._world.prepare, spec)
+        await asyncio.get_running_loop().run_in_executor(self._executor, self._world.prepare, spec)
         return client.spawn(init, spec)
 
 
-def serve(world: HostWorld, settings: Settings, services: Sequence[Service] = ()) -> None:
+def serve(world: ServedWorld, settings: BotServerSettings, services: Sequence[Service] = ()) -> None:
     """Serve a world until SIGINT or SIGTERM.
 
     Raises:
@@ -273,11 +275,11 @@ def serve(world: HostWorld, settings: Settings, services: Sequence[Service] = ()
     """
 
     async def main() -> None:
-        await Server(world, settings, services).run()
+        await BotServer(world, settings, services).run()
 
-    sys.setswitchinterval(SWITCH)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     # To look for garbage among the hundreds of thousands of objects that JAX keeps holds up all threads, and
     # that again and again while a function is traced.
     gc.freeze()
-    gc.set_threshold(*gc.get_threshold()[:2], SELDOM)
+    gc.set_threshold(*gc.get_threshold()[:2], GC_THRESHOLD)
     asyncio.run(main())

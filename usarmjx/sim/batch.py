@@ -15,44 +15,53 @@ from flax import struct
 
 from usarmjx.base.errors import EngineError, UsageError
 from usarmjx.base.transforms import Array
-from usarmjx.cameras.mounts import cameras_of, find_camera
-from usarmjx.cameras.picture import Picture, Viewpoint, check_size, shoot, viewpoint
-from usarmjx.cameras.shading import Stage
+from usarmjx.cameras.mounts import camera_index, cameras_of
+from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, check_size, render_picture_jit
+from usarmjx.cameras.shading import RenderScene
 from usarmjx.comms.links import Links
-from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, empty
+from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages, clear_inboxes
 from usarmjx.engines import Inputs, PhysicsState, choose_engine, make_engine
-from usarmjx.models.build.arena_set import Site, turn_of
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.build.arena_set import ArenaState, arena_index_of
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.control import Order, check_keys, move_joints, steer
-from usarmjx.sim.operate import Outcome, find_operation, operate
-from usarmjx.sim.radio import boxes, every, kept_links, links_due, mail_of, present_links, radio_of, send
+from usarmjx.sim.control import ControlMode, check_drive_keys, move_joints, set_drive
+from usarmjx.sim.operate import OperationResult, find_operation, operate
+from usarmjx.sim.radio import (
+    last_links,
+    link_interval,
+    links_due,
+    mail_of,
+    mailboxes,
+    radio_of,
+    send,
+    update_links,
+)
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.views import Eye, each, look_around, pictures
-from usarmjx.sim.world import World, control, first_episode, observe, restart, settle
+from usarmjx.sim.views import GroupCamera, build_render_scene, map_pictures, render_group
+from usarmjx.sim.world import World, compute_inputs, finish_step, init_world, observe, reset
 
 Readings = tuple[tuple[Reading, ...], ...]
 """Per team and sensor a reading with leading axes (worlds, robots of the team)."""
 
 
-class State(struct.PyTreeNode, kw_only=True):
+class BatchState(struct.PyTreeNode, kw_only=True):
     """A batch of worlds.
 
     Attributes:
         physics: The engine's own state.
         worlds: Everything else (worlds, ...).
-        library: The arenas that resets draw from (arenas, ...), which may be replaced by others of the same
+        arenas: The arenas that resets draw from (arenas, ...), which may be replaced by others of the same
             shapes; None where all worlds have the same arena.
     """
 
     physics: Any
     worlds: World
-    library: Site | None = None
+    arenas: ArenaState | None = None
 
 
-def choose(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
     """Return new where masked (worlds,), else old (worlds, ...)."""
     return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
@@ -90,27 +99,29 @@ class Batch:
         self.scene = scene
         self.worlds = worlds
         kind = choose_engine(engine, "train")
-        self.engine = make_engine(kind, scene.spec, scene.physics, worlds, scene.moved, scene.varied)
+        self.engine = make_engine(
+            kind, scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
+        )
         self._numbers = jnp.arange(first, first + worlds)
         self._keys = self._keys_of(seed)
-        self._control = self._compile(jax.vmap(partial(control, scene)))
-        self._settle = self._compile(jax.vmap(partial(settle, scene)))
-        self._settle_and_control = self._compile(self._both)
-        self._fresh = jax.vmap(partial(restart, scene, shuffle=shuffle), in_axes=(0, None))
-        self._restart = self._compile(self._restart_where)
-        self._first = self._compile(
-            jax.vmap(partial(first_episode, scene, shuffle=shuffle), in_axes=(0, 0, None))
+        self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
+        self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))
+        self._finish_and_compute_inputs = self._compile(self._finish_and_compute_inputs_all)
+        self._fresh = jax.vmap(partial(reset, scene, shuffle=shuffle), in_axes=(0, None))
+        self._reset = self._compile(self._reset_worlds_where)
+        self._init = self._compile(
+            jax.vmap(partial(init_world, scene, shuffle=shuffle), in_axes=(0, 0, None))
         )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
         self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
-        self._look = self._compile(self._look_all, static_argnums=(2, 3))
-        self._stage = self._compile(self._stage_of)
-        self._links = self._compile(self._look_at_links)
+        self._render = self._compile(self._render_all, static_argnums=(2, 3))
+        self._render_scene = self._compile(self._render_scene_of)
+        self._links = self._compile(self._update_links)
         self._send = self._compile(jax.vmap(partial(send, scene)))
         traceable = self.engine.traceable
-        self.step: Callable[[State], State] = self._compile(self._step) if traceable else self._step
+        self.step: Callable[[BatchState], BatchState] = self._compile(self._step) if traceable else self._step
         """Advance every world by one control step under the commands in force."""
-        self.reset_where: Callable[[State, jax.Array], State] = (
+        self.reset_where: Callable[[BatchState, jax.Array], BatchState] = (
             self._compile(self._reset_where) if traceable else self._reset_where
         )
         """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
@@ -123,88 +134,90 @@ class Batch:
         # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
         return jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static_argnums)
 
-    def reset(self, seed: int | None = None, library: Site | None = None) -> State:
+    def reset(self, seed: int | None = None, arenas: ArenaState | None = None) -> BatchState:
         """Return all worlds at the start of their first episode.
 
         Args:
             seed: Of all random numbers; None: the batch's own.
-            library: Arenas to draw from instead of the scene's, of the same shapes.
+            arenas: Arenas to draw from instead of the scene's, of the same shapes.
         """
-        if library is None and self.scene.arenas is not None:
-            library = jax.tree.map(jnp.asarray, self.scene.arenas.sites)
+        if arenas is None and self.scene.arenas is not None:
+            arenas = jax.tree.map(jnp.asarray, self.scene.arenas.states)
         keys = self._keys if seed is None else self._keys_of(seed)
-        worlds, qpos = self._first(keys, self._numbers, library)
+        worlds, qpos = self._init(keys, self._numbers, arenas)
         everywhere = jnp.ones(self.worlds, bool)
         physics = self.engine.reset(self.engine.start(), everywhere, qpos)
-        return State(physics=physics, worlds=worlds, library=library)
+        return BatchState(physics=physics, worlds=worlds, arenas=arenas)
 
-    def _restart_where(self, worlds: World, library: Site | None, mask: jax.Array) -> tuple[World, jax.Array]:
+    def _reset_worlds_where(
+        self, worlds: World, library: ArenaState | None, mask: jax.Array
+    ) -> tuple[World, jax.Array]:
         fresh, qpos = self._fresh(worlds, library)
-        return jax.tree.map(partial(choose, mask), fresh, worlds), qpos
+        return jax.tree.map(partial(select_worlds, mask), fresh, worlds), qpos
 
-    def _reset_where(self, state: State, mask: jax.Array) -> State:
-        worlds, qpos = self._restart(state.worlds, state.library, mask)
+    def _reset_where(self, state: BatchState, mask: jax.Array) -> BatchState:
+        worlds, qpos = self._reset(state.worlds, state.arenas, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
-    def _step(self, state: State) -> State:
-        worlds, inputs = self._control(state.worlds, self.engine.state(state.physics))
+    def _step(self, state: BatchState) -> BatchState:
+        worlds, inputs = self._compute_inputs(state.worlds, self.engine.state(state.physics))
         physics = self.engine.advance(state.physics, inputs)
         lost = self.engine.overflow(physics, inputs)
-        worlds, finite = self._settle(worlds, self.engine.state(physics), lost)
+        worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
         state = state.replace(physics=physics, worlds=worlds)
         if self.engine.traceable:
             return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
         return state if bool(finite.all()) else self._reset_where(state, ~finite)
 
-    def run(self, state: State, steps: int) -> State:
+    def run(self, state: BatchState, steps: int) -> BatchState:
         """Advance every world by some control steps, as `step` does, in fewer calls."""
         if self.engine.traceable:
             return jax.lax.fori_loop(0, steps, lambda _, s: self.step(s), state)
         if steps < 1:
             return state
-        physics, (worlds, inputs) = state.physics, self._control(state.worlds, self.physics(state))
+        physics, (worlds, inputs) = state.physics, self._compute_inputs(state.worlds, self.physics(state))
         for left in reversed(range(steps)):
             physics = self.engine.advance(physics, inputs)
             lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
-            settled, finite, (told, inputs) = self._settle_and_control(worlds, now, lost)
+            settled, finite, (told, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
             if not bool(finite.all()):
                 state = self._reset_where(state.replace(physics=physics, worlds=settled), ~finite)
                 return self.run(state, left)
             worlds = told if left else settled
         return state.replace(physics=physics, worlds=worlds)
 
-    def _both(
+    def _finish_and_compute_inputs_all(
         self, worlds: World, physics: PhysicsState, lost: jax.Array
     ) -> tuple[World, jax.Array, tuple[World, Inputs]]:
         """Settle a control step and begin the next one."""
-        worlds, finite = jax.vmap(partial(settle, self.scene))(worlds, physics, lost)
-        return worlds, finite, jax.vmap(partial(control, self.scene))(worlds, physics)
+        worlds, finite = jax.vmap(partial(finish_step, self.scene))(worlds, physics, lost)
+        return worlds, finite, jax.vmap(partial(compute_inputs, self.scene))(worlds, physics)
 
-    def arena_of(self, state: State, world: int) -> ArenaSpec:
+    def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
         """Return the arena that a world has in its present episode, if nobody replaced the library."""
         arenas = self.scene.arenas
         if arenas is None:
             return self.scene.arena
         episode = int(state.worlds.episode[world])
-        return arenas.arenas[turn_of(int(state.worlds.number[world]), episode, len(arenas.arenas))]
+        return arenas.arenas[arena_index_of(int(state.worlds.number[world]), episode, len(arenas.arenas))]
 
-    def physics(self, state: State) -> PhysicsState:
+    def physics(self, state: BatchState) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""
         return self.engine.state(state.physics)
 
-    def observe(self, state: State) -> tuple[State, Readings]:
+    def observe(self, state: BatchState) -> tuple[BatchState, Readings]:
         """Read the sensors that are due; the others repeat their last reading, marked as not fresh."""
         worlds, readings = self._observe(state.worlds, self.physics(state))
         return state.replace(worlds=worlds), readings
 
-    def _look_at_links(self, worlds: World, physics: PhysicsState) -> Links:
-        look, keep = jax.vmap(partial(present_links, self.scene)), jax.vmap(kept_links)
-        if every(self.scene) == 1:
+    def _update_links(self, worlds: World, physics: PhysicsState) -> Links:
+        look, keep = jax.vmap(partial(update_links, self.scene)), jax.vmap(last_links)
+        if link_interval(self.scene) == 1:
             return look(worlds, physics)
         due = jax.vmap(partial(links_due, self.scene))(worlds).any()
         return jax.lax.cond(due, look, lambda worlds, _: keep(worlds), worlds, physics)
 
-    def links(self, state: State) -> tuple[State, Links]:
+    def links(self, state: BatchState) -> tuple[BatchState, Links]:
         """Look at the radio links, which are evaluated at most once in a control step, or radio `period`.
 
         Returns:
@@ -218,7 +231,7 @@ class Batch:
         links = self._links(state.worlds, self.physics(state))
         return state.replace(worlds=state.worlds.replace(links=links)), links
 
-    def send(self, state: State, to: Array, payload: Array, length: Array | None = None) -> State:
+    def send(self, state: BatchState, to: Array, payload: Array, length: Array | None = None) -> BatchState:
         """Let each robot send a message to any of the others, over the links of `links`.
 
         What arrives is in `state.worlds.mail` at once, and what did not is counted there.
@@ -232,32 +245,32 @@ class Batch:
         Raises:
             UsageError: The scene has no mail.
         """
-        mail, robots = mail_of(self.scene), self.scene.robots
+        mail, robots = mail_of(self.scene), self.scene.num_robots
         state, _ = self.links(state)
         shape = (self.worlds, robots)
         size = BYTES_PER_NUMBER * mail.numbers if length is None else length
-        letters = Letters(
-            to=jnp.broadcast_to(to, (*shape, robots)),
+        letters = OutgoingMessages(
+            receivers=jnp.broadcast_to(to, (*shape, robots)),
             payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
-            length=jnp.broadcast_to(size, shape),
+            size_bytes=jnp.broadcast_to(size, shape),
         )
         return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, letters)))
 
-    def empty_mail(self, state: State, where: Array = True) -> State:
+    def clear_mail(self, state: BatchState, where: Array = True) -> BatchState:
         """Empty the boxes of robots that have read their mail: those masked, broadcast to (worlds, robots).
 
         Raises:
             UsageError: The scene has no mail.
         """
-        mail = empty(boxes(self.scene, state.worlds), where)
+        mail = clear_inboxes(mailboxes(self.scene, state.worlds), where)
         return state.replace(worlds=state.worlds.replace(mail=mail))
 
-    def drive(self, state: State, team: int, values: Mapping[str, Array]) -> State:
+    def drive(self, state: BatchState, group: int, values: Mapping[str, Array]) -> BatchState:
         """Set keys of DRIVE for a team's robots; the other keys keep what they were last set to.
 
         Args:
             state: The batch.
-            team: Index into `scene.teams`.
+            group: Index into `scene.teams`.
             values: Numbers for some of the keys of the robots' drive (`robot.drive.full` lists them with
                 their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
                 (worlds, robots).
@@ -265,45 +278,49 @@ class Batch:
         Raises:
             UnknownNameError: A key that this drive does not have; lists those it has.
         """
-        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
-        check_keys(robot, values)
+        members, robot = state.worlds.groups[group], self.scene.groups[group].robot
+        check_drive_keys(robot, values)
         shape = members.active.shape
         told = {key: jnp.broadcast_to(value, shape) for key, value in values.items()}
-        return self.with_team(state, team, members.replace(command=steer(robot, members.command, told)))
+        return self.with_group(state, group, members.replace(command=set_drive(robot, members.command, told)))
 
     def move(
-        self, state: State, team: int, targets: Mapping[str, Array], order: Order = Order.POSITION
-    ) -> State:
+        self,
+        state: BatchState,
+        group: int,
+        targets: Mapping[str, Array],
+        mode: ControlMode = ControlMode.POSITION,
+    ) -> BatchState:
         """Tell joints of a team's robots where to go, how fast to move or what to exert.
 
         Args:
             state: The batch.
-            team: Index into `scene.teams`.
+            group: Index into `scene.teams`.
             targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
                 broadcast to (worlds, robots).
-            order: What the numbers are.
+            mode: What the numbers are.
 
         Raises:
             UnknownNameError: A joint that these robots do not have; lists those they have.
         """
-        members, plan = state.worlds.teams[team], self.scene.teams[team].plan
-        command = move_joints(plan, members.command, targets, order)
-        return self.with_team(state, team, members.replace(command=command))
+        members, plan = state.worlds.groups[group], self.scene.groups[group].plan
+        command = move_joints(plan, members.command, targets, mode)
+        return self.with_group(state, group, members.replace(command=command))
 
     def operate(
         self,
-        state: State,
-        team: int,
+        state: BatchState,
+        group: int,
         name: str,
         opcode: str,
         value: Array | None = None,
         where: Array = True,
-    ) -> tuple[State, Outcome]:
+    ) -> tuple[BatchState, OperationResult]:
         """Let a team's robots operate an effecter (manual 8), as SET does.
 
         Args:
             state: The batch.
-            team: Index into `scene.teams`.
+            group: Index into `scene.teams`.
             name: Name of the effecter, case ignored.
             opcode: Name of one of its operations, case ignored.
             value: Its parameter, broadcast to (worlds, robots); None: the usual one.
@@ -316,13 +333,13 @@ class Batch:
             UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
             UsageError: The operation needs a parameter.
         """
-        place, operation = find_operation(self.scene.teams[team], name, opcode)
-        value = operation.usual if value is None else value
+        place, operation = find_operation(self.scene.groups[group], name, opcode)
+        value = operation.default_val if value is None else value
         if value is None:
             raise UsageError(f"{operation.name} of {name} needs a value")
-        shape = state.worlds.teams[team].active.shape
+        shape = state.worlds.groups[group].active.shape
         told = (jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape))
-        worlds, outcome = self._operate(state.worlds, self.physics(state), (team, place), operation, *told)
+        worlds, outcome = self._operate(state.worlds, self.physics(state), (group, place), operation, *told)
         return state.replace(worlds=worlds), outcome
 
     def _operate_all(
@@ -333,26 +350,31 @@ class Batch:
         opcode: Opcode,
         value: jax.Array,
         asked: jax.Array,
-    ) -> tuple[World, Outcome]:
+    ) -> tuple[World, OperationResult]:
         def one(world: World, physics: PhysicsState, value: jax.Array, asked: jax.Array) -> Any:  # noqa: ANN401
             return operate(self.scene, world, physics, where, opcode, value, asked)
 
         return jax.vmap(one)(worlds, physics, value, asked)
 
-    def _eye(self, team: int, camera: str | int | None, size: tuple[int, int]) -> Eye:
-        robot = self.scene.teams[team].robot
-        place = find_camera(robot, camera)
+    def _group_camera(self, team: int, camera: str | int | None, size: tuple[int, int]) -> GroupCamera:
+        robot = self.scene.groups[team].robot
+        place = camera_index(robot, camera)
         check_size(cameras_of(robot)[place], *size)
         return team, cameras_of(robot)[place], place
 
-    def look(
-        self, state: State, team: int, camera: str | int | None = None, width: int = 64, height: int = 64
+    def render(
+        self,
+        state: BatchState,
+        group: int,
+        camera: str | int | None = None,
+        width: int = 64,
+        height: int = 64,
     ) -> Picture:
         """Return what a camera of each of a team's robots sees (worlds, robots, ...).
 
         Args:
             state: The batch.
-            team: Index into `scene.teams`.
+            group: Index into `scene.teams`.
             camera: Name or place of a camera of the class; None: the main one.
             width: Pixels along a row.
             height: Rows.
@@ -361,12 +383,12 @@ class Batch:
             UnknownNameError: The robots have no such camera; lists those they have.
             UsageError: A picture of that size cannot be taken.
         """
-        eye = self._eye(team, camera, (width, height))
-        return self._look(state.worlds, self.physics(state), eye, (width, height))
+        eye = self._group_camera(group, camera, (width, height))
+        return self._render(state.worlds, self.physics(state), eye, (width, height))
 
-    def photo(
+    def render_robot(
         self,
-        state: State,
+        state: BatchState,
         world: int,
         slot: int,
         camera: str | int | None = None,
@@ -374,36 +396,42 @@ class Batch:
         height: int = 240,
     ) -> Picture:
         """Return what a camera of the robot in one slot of one world sees; the others are as in `look`."""
-        team, member = self.scene.team_of(slot)
-        _, lens, place = self._eye(team, camera, (width, height))
-        stage, bodies = self._stage(state.worlds, self.physics(state), world)
+        team, member = self.scene.group_of(slot)
+        _, lens, place = self._group_camera(team, camera, (width, height))
+        stage, bodies = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
             body = jax.tree.map(lambda x: x[member], bodies[team])
-            fov = state.worlds.teams[team].fov[world, member, place]
-            return shoot(stage, viewpoint(lens, body, np.int32(slot), fov), width, height)
+            fov = state.worlds.groups[team].fov[world, member, place]
+            return render_picture_jit(stage, camera_viewpoint(lens, body, np.int32(slot), fov), width, height)
 
-    def photo_from(
-        self, state: State, world: int, eye: Viewpoint, width: int = 320, height: int = 240
+    def render_view(
+        self, state: BatchState, world: int, viewpoint: Viewpoint, width: int = 320, height: int = 240
     ) -> Picture:
         """Return what there is to see of a world from any place."""
-        stage, _ = self._stage(state.worlds, self.physics(state), world)
+        stage, _ = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
-            return shoot(stage, eye, width, height)
+            return render_picture_jit(stage, viewpoint, width, height)
 
-    def _look_all(self, worlds: World, physics: PhysicsState, eye: Eye, size: tuple[int, int]) -> Picture:
-        return each(lambda world, now: pictures(self.scene, world, now, eye, size), worlds, physics)
+    def _render_all(
+        self, worlds: World, physics: PhysicsState, eye: GroupCamera, size: tuple[int, int]
+    ) -> Picture:
+        return map_pictures(
+            lambda world, now: render_group(self.scene, world, now, eye, size), worlds, physics
+        )
 
-    def _stage_of(self, worlds: World, physics: PhysicsState, world: int) -> tuple[Stage, tuple[Bodies, ...]]:
-        return look_around(self.scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
+    def _render_scene_of(
+        self, worlds: World, physics: PhysicsState, world: int
+    ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
+        return build_render_scene(self.scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
 
     def zoom(
-        self, state: State, team: int, camera: str | int | None, fov: Array, where: Array = True
-    ) -> State:
+        self, state: BatchState, group: int, camera: str | int | None, fov: Array, where: Array = True
+    ) -> BatchState:
         """Set a camera's field of view, as SET does: within its limits, and 0 is the default (manual 9.4).
 
         Args:
             state: The batch.
-            team: Index into `scene.teams`.
+            group: Index into `scene.teams`.
             camera: Name or place of a camera of the class; None: the main one.
             fov: Horizontal field of view [rad], broadcast to (worlds, robots).
             where: Which robots shall do it, broadcast to (worlds, robots).
@@ -411,24 +439,26 @@ class Batch:
         Raises:
             UnknownNameError: The robots have no such camera; lists those they have.
         """
-        members, robot = state.worlds.teams[team], self.scene.teams[team].robot
-        place = find_camera(robot, camera)
+        members, robot = state.worlds.groups[group], self.scene.groups[group].robot
+        place = camera_index(robot, camera)
         told = jnp.where(where, cameras_of(robot)[place].clamp(fov, jnp), members.fov[..., place])
-        return self.with_team(state, team, members.replace(fov=members.fov.at[..., place].set(told)))
+        return self.with_group(state, group, members.replace(fov=members.fov.at[..., place].set(told)))
 
     @staticmethod
-    def with_team(state: State, team: int, members: Any) -> State:  # noqa: ANN401 - a TeamState
+    def with_group(state: BatchState, group: int, group_state: Any) -> BatchState:  # noqa: ANN401 - a TeamState
         """Return the batch with one team's state replaced."""
-        teams = state.worlds.teams
-        return state.replace(worlds=state.worlds.replace(teams=(*teams[:team], members, *teams[team + 1 :])))
+        teams = state.worlds.groups
+        return state.replace(
+            worlds=state.worlds.replace(groups=(*teams[:group], group_state, *teams[group + 1 :]))
+        )
 
-    def check(self, state: State) -> None:
+    def check_overflow(self, state: BatchState) -> None:
         """Refuse to go on with results that a full contact buffer has falsified.
 
         Raises:
             EngineError: Says how many worlds lost contacts, and what to raise.
         """
-        lost = int((np.asarray(state.worlds.status.overflow) > 0).sum())
+        lost = int((np.asarray(state.worlds.faults.overflow) > 0).sum())
         if lost:
             raise EngineError(
                 f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "

@@ -7,7 +7,7 @@ from pathlib import Path
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models.effecters import EFFECTERS
 from usarmjx.models.ini.read import UU_PER_METRE
-from usarmjx.models.ini.robots import Loaded, load_robots
+from usarmjx.models.ini.robots import LoadedRobots, load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.payload import overload
@@ -15,13 +15,13 @@ from usarmjx.sensors.settings import CameraSettings
 from usarmjx.sensors.suite import suite_of
 
 
-def item_settings() -> dict[str, type]:
+def settings_by_kind() -> dict[str, type]:
     """Return the settings of every type of sensor, effecter and camera: dataclasses, by type."""
     items = [*SENSORS, *EFFECTERS]
-    return {"Camera": CameraSettings} | {kind: item.defaults for kind, item in items}
+    return {"Camera": CameraSettings} | {kind: item.settings_class for kind, item in items}
 
 
-def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -> Loaded:
+def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -> LoadedRobots:
     """Load ini files and put the robot classes that they change or define into `ROBOTS`.
 
     Robots that are there already stay as they are; call it before the first scene or world.
@@ -38,8 +38,8 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.
     """
     paths = tuple(paths)
-    loaded = load_robots(paths, ROBOTS, uu_per_metre, item_settings())
-    places, files = dict(loaded.places), ", ".join(map(str, paths))
+    loaded = load_robots(paths, ROBOTS, uu_per_metre, settings_by_kind())
+    places, files = dict(loaded.source_lines), ", ".join(map(str, paths))
     warnings = list(loaded.warnings)
     for robot in loaded.robots:
         try:

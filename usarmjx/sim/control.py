@@ -14,20 +14,20 @@ from flax import struct
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import GRAVITY, Array
-from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, parts_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import Motor, RobotSpec
 
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
-UPRIGHT = np.cos(np.radians(10.0))
+MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
 FLIP_RATE = 2.5
 """About how fast a robot is righted [rad/s]."""
 
 
-class Order(IntEnum):
+class ControlMode(IntEnum):
     """Control modes of a joint, with the wire's numbers (manual 9.4)."""
 
     POSITION = 0
@@ -35,26 +35,26 @@ class Order(IntEnum):
     TORQUE = 2
 
 
-class Command(struct.PyTreeNode, kw_only=True):
+class RobotCommand(struct.PyTreeNode, kw_only=True):
     """What a robot is told to do until told otherwise.
 
     Attributes:
         target: Wanted position [rad or m], velocity [rad/s or m/s] or torque [N m or N] of each joint
             (joints,).
-        order: `Order` of each joint (joints,).
+        mode: `ControlMode` of each joint (joints,).
         setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
         flip_until: Until when it is being righted [s] ().
         light: Whether the headlight is on ().
     """
 
     target: Array
-    order: Array
+    mode: Array
     setpoint: Array
     flip_until: Array
     light: Array
 
 
-class Circumstances(struct.PyTreeNode, kw_only=True):
+class DriveConditions(struct.PyTreeNode, kw_only=True):
     """What decides what a robot's command does.
 
     Attributes:
@@ -72,7 +72,7 @@ class Circumstances(struct.PyTreeNode, kw_only=True):
     speed: Array | None = None
 
 
-class Driven(struct.PyTreeNode, kw_only=True):
+class ActuatorInputs(struct.PyTreeNode, kw_only=True):
     """What the engine needs for one robot.
 
     Attributes:
@@ -102,7 +102,7 @@ class Servos:
         low: Lowest position.
         high: Highest position.
         lead: How far a servo's target is ahead of its joint per speed of that, without torque.
-        slack: How much farther it may be: just enough to exert its full torque. Without the bound a stalled
+        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a stalled
             wheel would have to unwind first, and a braked one would roll back.
     """
 
@@ -113,7 +113,7 @@ class Servos:
     low: np.ndarray
     high: np.ndarray
     lead: np.ndarray
-    slack: np.ndarray
+    windup_limit: np.ndarray
 
 
 @cache
@@ -134,17 +134,17 @@ def servos_of(robot: RobotSpec) -> Servos:
         low=row([low for low, _ in limits]),
         high=row([high for _, high in limits]),
         lead=row([m.damping / m.stiffness for m in motors]),
-        slack=row([m.torque / m.stiffness for m in motors]),
+        windup_limit=row([m.torque / m.stiffness for m in motors]),
     )
 
 
-def idle(robot: RobotSpec) -> Command:
+def idle_command(robot: RobotSpec) -> RobotCommand:
     """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
     parts = parts_of(robot)
-    order = [Order.VELOCITY if part.rolls else Order.POSITION for part in parts]
-    return Command(
+    order = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
+    return RobotCommand(
         target=jnp.zeros(len(parts)),
-        order=jnp.array(order, jnp.int32).reshape(len(parts)),
+        mode=jnp.array(order, jnp.int32).reshape(len(parts)),
         setpoint=jnp.zeros(len(robot.drive.keys)),
         flip_until=jnp.zeros(()),
         light=jnp.zeros((), bool),
@@ -152,17 +152,17 @@ def idle(robot: RobotSpec) -> Command:
 
 
 @cache
-def _aimed(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return per joint whether the drive moves it, and the row of `Drive.values` that does."""
+def _driven_joints(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return per joint whether the drive moves it, and the row of `Drive.targets` that does."""
     names = joint_names(robot)
     mask, row = np.zeros(len(names), bool), np.zeros(len(names), int)
-    for i, aim in enumerate(robot.drive.aims):
+    for i, aim in enumerate(robot.drive.joint_controls):
         joint = names.index(aim.joint)
         mask[joint], row[joint] = True, i
     return mask, row
 
 
-def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
+def check_drive_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
     """Refuse keys that a robot's DRIVE does not have.
 
     Raises:
@@ -174,7 +174,9 @@ def check_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
         raise UnknownNameError(f"{robot.name}'s DRIVE has no key {', '.join(bad)}; it has: {known}")
 
 
-def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: ModuleType = jnp) -> Command:
+def set_drive(
+    robot: RobotSpec, command: RobotCommand, values: Mapping[str, Array], xp: ModuleType = jnp
+) -> RobotCommand:
     """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
 
     Args:
@@ -186,50 +188,57 @@ def steer(robot: RobotSpec, command: Command, values: Mapping[str, Array], xp: M
     Raises:
         UnknownNameError: A key that this drive does not have; lists those it has.
     """
-    check_keys(robot, values)
+    check_drive_keys(robot, values)
     drive, setpoint = robot.drive, command.setpoint
     for key, value in values.items():
         place = drive.keys.index(key)
         here = np.arange(len(drive.keys)) == place
         value = xp.asarray(value, xp.float32)[..., None]
         setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
-    mask, row = _aimed(robot)
+    mask, row = _driven_joints(robot)
     command = command.replace(setpoint=setpoint)
     if not mask.any():
         return command
-    aimed, order = drive.values(setpoint, xp)[..., row], drive.orders(setpoint, xp)[..., row]
+    aimed, order = drive.targets(setpoint, xp)[..., row], drive.control_modes(setpoint, xp)[..., row]
     return command.replace(
         target=xp.where(mask, aimed, command.target).astype(xp.float32),
-        order=xp.where(mask, order, command.order).astype(xp.int32),
+        mode=xp.where(mask, order, command.mode).astype(xp.int32),
     )
 
 
-def move_joints(plan: BodyPlan, command: Command, targets: Mapping[str, Array], order: Order) -> Command:
+def move_joints(
+    plan: KinematicTree, command: RobotCommand, targets: Mapping[str, Array], mode: ControlMode
+) -> RobotCommand:
     """Return a command with joints told where to go, how fast to move or what to exert.
 
     Args:
         plan: Body plan of the robot class.
         command: What it was told so far; arrays may have leading axes.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
-        order: What the numbers are.
+        mode: What the numbers are.
 
     Raises:
         UnknownNameError: A joint that these robots do not have; lists those they have.
     """
-    target, orders = command.target, command.order
+    target, orders = command.target, command.mode
     for name, value in targets.items():
-        joint = plan.joint(name)
+        joint = plan.joint_index(name)
         if joint is None:
             known = ", ".join(plan.parts[1:])
             raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
         target = target.at[..., joint].set(value)
-        orders = orders.at[..., joint].set(int(order))
-    return command.replace(target=target, order=orders)
+        orders = orders.at[..., joint].set(int(mode))
+    return command.replace(target=target, mode=orders)
 
 
-def drive(
-    plan: BodyPlan, command: Command, state: RobotState, act: Array, now: Circumstances, period: float
-) -> Driven:
+def compute_actuation(
+    plan: KinematicTree,
+    command: RobotCommand,
+    state: RobotState,
+    act: Array,
+    conditions: DriveConditions,
+    period: float,
+) -> ActuatorInputs:
     """Return one robot's actuator inputs for a control step of `period` [s].
 
     Speeds are clamped to what the joints can do, positions to their ranges; a number that is not finite
@@ -237,53 +246,61 @@ def drive(
     power brakes its joints and exerts nothing (KRobot.uc).
     """
     robot = plan.robot
-    braked = idle(robot).replace(order=jnp.full(command.order.shape, int(Order.VELOCITY)))
-    command = jax.tree.map(lambda told, still: jnp.where(now.powered, told, still), command, braked)
+    braked = idle_command(robot).replace(mode=jnp.full(command.mode.shape, int(ControlMode.VELOCITY)))
+    command = jax.tree.map(lambda told, still: jnp.where(conditions.powered, told, still), command, braked)
     finite, sound = jnp.isfinite(command.target), jnp.isfinite(command.setpoint)
     command = command.replace(
         target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
     )
-    ctrl, hold, act = _servo(plan, command, state, act, period, now)
-    wrench = robot.drive.passive_wrench(state, now.depth)
-    setpoint = command.setpoint if now.speed is None else command.setpoint * now.speed
-    wrench += jnp.where(now.powered, robot.drive.wrench(setpoint, state, now.depth), 0.0)
-    if robot.drive.wheeled:
-        wrench += jnp.where(now.time < command.flip_until, righting(plan, state, period), 0.0)
+    ctrl, hold, act = _servo(plan, command, state, act, period, conditions)
+    wrench = robot.drive.passive_wrench(state, conditions.depth)
+    setpoint = command.setpoint if conditions.speed is None else command.setpoint * conditions.speed
+    wrench += jnp.where(conditions.powered, robot.drive.wrench(setpoint, state, conditions.depth), 0.0)
+    if robot.drive.is_wheeled:
+        wrench += jnp.where(conditions.time < command.flip_until, righting_wrench(plan, state, period), 0.0)
     # A key of a drive that aims joints has reached their targets already.
-    refused = (~finite).sum() + (0 if robot.drive.aims else (~sound).sum())
-    return Driven(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
+    refused = (~finite).sum() + (0 if robot.drive.joint_controls else (~sound).sum())
+    return ActuatorInputs(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
 
 
 def _servo(
-    plan: BodyPlan, command: Command, state: RobotState, act: Array, period: float, now: Circumstances
+    plan: KinematicTree,
+    command: RobotCommand,
+    state: RobotState,
+    act: Array,
+    period: float,
+    conditions: DriveConditions,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the inputs and activations of a robot's actuators (`Driven`).
+    """Return the inputs and activations of a robot's actuators (`ActuatorInputs`).
 
     Under a torque order nothing holds the joint and the pull is that torque; at the end of its range the
     joint is held there for as long as the torque pushes outward.
     """
     servos, here = servos_of(plan.robot), plan.actuated
-    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.order))
+    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.mode))
     speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
-    slack = servos.slack[here]
-    if now.torque is not None:
-        torque, slack = torque * now.torque, slack * now.torque
-    if now.speed is not None:
-        speed, target = speed * now.speed, jnp.where(order == Order.VELOCITY, target * now.speed, target)
+    slack = servos.windup_limit[here]
+    if conditions.torque is not None:
+        torque, slack = torque * conditions.torque, slack * conditions.torque
+    if conditions.speed is not None:
+        speed, target = (
+            speed * conditions.speed,
+            jnp.where(order == ControlMode.VELOCITY, target * conditions.speed, target),
+        )
     even = q + servos.lead[here] * v
     act = jnp.clip(act, even - slack, even + slack)
-    wanted = jnp.where(order == Order.POSITION, (target - act) / period, target)
+    wanted = jnp.where(order == ControlMode.POSITION, (target - act) / period, target)
     rate = jnp.clip(wanted, -speed, speed)
     ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
-    forced = order == Order.TORQUE
+    forced = order == ControlMode.TORQUE
     free = forced & ~outward
     pull = jnp.clip(target, -torque, torque) / servos.stiffness[here]
     act = jnp.where(forced, jnp.where(outward, jnp.clip(q, low, high), pull), act)
     return jnp.where(forced, 0.0, ctrl), jnp.where(free, 0.0, 1.0), act
 
 
-def righting(plan: BodyPlan, state: RobotState, period: float) -> jax.Array:
+def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> jax.Array:
     """Return the wrench (6,) that turns a robot's wheels down again: a damped torque about its tilt axis.
 
     The torque is twice what tips a box of the robot's dimensions over its edge, so it rolls over its own.
@@ -302,4 +319,4 @@ def righting(plan: BodyPlan, state: RobotState, period: float) -> jax.Array:
     push = jnp.clip(1.0 - jnp.dot(spin, axis) / FLIP_RATE, 0.0, 1.0)
     damping = jnp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
     torque = strength * push * axis - damping * spin
-    return jnp.where(up[2] < UPRIGHT, jnp.concatenate([jnp.zeros(3), torque]), 0.0)
+    return jnp.where(up[2] < MIN_UPRIGHT_COS, jnp.concatenate([jnp.zeros(3), torque]), 0.0)

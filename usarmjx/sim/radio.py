@@ -6,17 +6,17 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.comms.antenna import antenna_places
-from usarmjx.comms.attenuation import Radio, RadioSettings, VariedRadio
-from usarmjx.comms.links import Links, evaluate, is_due, repeat
-from usarmjx.comms.mail import Letters, Mail, MailSettings, deliver
-from usarmjx.comms.walls import arena_solids, bare, with_boxes
+from usarmjx.comms.antenna import antenna_positions
+from usarmjx.comms.attenuation import AnyRadioSettings, RadioSettings, WorldRadioSettings
+from usarmjx.comms.links import Links, evaluate_links, is_due, without_old_events
+from usarmjx.comms.mail import Inboxes, MessageSettings, OutgoingMessages, deliver
+from usarmjx.comms.walls import arena_solids, bare_floor, with_boxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.spec.robot import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, team_states, time_of
+from usarmjx.sim.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, robot_states, time_of
 
 
 def radio_of(scene: Scene) -> RadioSettings:
@@ -30,7 +30,7 @@ def radio_of(scene: Scene) -> RadioSettings:
     return scene.radio
 
 
-def radio_in(scene: Scene, world: World) -> Radio:
+def world_radio(scene: Scene, world: World) -> AnyRadioSettings:
     """Return the constants of a world's radios.
 
     Raises:
@@ -44,10 +44,10 @@ def radio_in(scene: Scene, world: World) -> Radio:
         return usual
     own = {name: getattr(usual, name) if value is None else value for name, value in drawn.items()}
     same = {name: getattr(usual, name) for name in ("do", "max_obs", "shadowing", "loss_band")}
-    return VariedRadio(**own, **same)
+    return WorldRadioSettings(**own, **same)
 
 
-def mail_of(scene: Scene) -> MailSettings:
+def mail_of(scene: Scene) -> MessageSettings:
     """Return the mail of a scene.
 
     Raises:
@@ -58,56 +58,56 @@ def mail_of(scene: Scene) -> MailSettings:
     return scene.mail
 
 
-def antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[jax.Array, jax.Array]:
+def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[jax.Array, jax.Array]:
     """Return where the robots' antennas are [m] (robots, 3), and which robots are in use (robots,), by slot.
 
     A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
     """
-    places, in_use = jnp.zeros((scene.robots, 3)), jnp.zeros(scene.robots, bool)
-    for team, state in zip(scene.teams, world.teams, strict=True):
-        robots = team_states(team, physics)
-        here = antenna_places(team.robot, robots.pos, robots.quat, scene.arena.floor)
+    places, in_use = jnp.zeros((scene.num_robots, 3)), jnp.zeros(scene.num_robots, bool)
+    for team, state in zip(scene.groups, world.groups, strict=True):
+        robots = robot_states(team, physics)
+        here = antenna_positions(team.robot, robots.pos, robots.quat, scene.arena.floor)
         places, in_use = places.at[team.slots].set(here), in_use.at[team.slots].set(state.active)
     return places, in_use
 
 
-def every(scene: Scene) -> int:
+def link_interval(scene: Scene) -> int:
     """Return after how many control steps the links are evaluated again."""
     return max(1, round(radio_of(scene).period / scene.physics.period))
 
 
 def links_due(scene: Scene, world: World) -> jax.Array:
     """Return whether the links are to be evaluated again ()."""
-    return is_due(_links(world), world.step, every(scene))
+    return is_due(_links(world), world.step, link_interval(scene))
 
 
-def kept_links(world: World) -> Links:
+def last_links(world: World) -> Links:
     """Return the links as they were last."""
-    return repeat(_links(world), world.step)
+    return without_old_events(_links(world), world.step)
 
 
-def solids(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
+def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     """Return what weakens links now: the arena's solids, and doors where they stand."""
-    if world.site is None:
+    if world.arena_state is None:
         doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
         return with_boxes(arena_solids(scene.arena), *doors)
-    site, lift = world.site, jnp.array([0.0, 0.0, scene.arena.floor])
+    site, lift = world.arena_state, jnp.array([0.0, 0.0, scene.arena.floor])
     shapes = scene.arena.shapes[: len(site.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
     pos, mat = site.pos[walls] + lift, mat_from_quat(site.quat[walls])
-    return with_boxes(arena_solids(bare(scene.arena)), pos, mat, site.size[walls])
+    return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, site.size[walls])
 
 
-def present_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
+def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
-    places, in_use = antennas(scene, world, physics)
-    key, walls = episode_key(world, RADIO_STREAM), solids(scene, world, physics)
-    now = evaluate(radio_in(scene, world), walls, (places, in_use), _links(world), key, world.step)
+    places, in_use = robot_antennas(scene, world, physics)
+    key, walls = episode_key(world, RADIO_STREAM), radio_obstacles(scene, world, physics)
+    now = evaluate_links(world_radio(scene, world), walls, (places, in_use), _links(world), key, world.step)
     due = links_due(scene, world)
-    return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, kept_links(world))
+    return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, last_links(world))
 
 
-def boxes(scene: Scene, world: World) -> Mail:
+def mailboxes(scene: Scene, world: World) -> Inboxes:
     """Return the robots' boxes.
 
     Raises:
@@ -118,12 +118,12 @@ def boxes(scene: Scene, world: World) -> Mail:
     return world.mail
 
 
-def send(scene: Scene, world: World, letters: Letters) -> Mail:
+def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
-    mail = boxes(scene, world)
+    mail = mailboxes(scene, world)
     key = jax.random.fold_in(episode_key(world, MAIL_STREAM), mail.sent.sum())
     moment = (world.step, time_of(scene, world))
-    return deliver(mail_of(scene), mail, letters, _links(world), moment, key)
+    return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
 
 
 def _links(world: World) -> Links:

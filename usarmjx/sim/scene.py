@@ -11,26 +11,38 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Array
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.mail import MailSettings
+from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.build.arena_set import ArenaSet, arena_set
-from usarmjx.models.build.body_plan import BodyPlan, body_plan
+from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
-from usarmjx.models.build.compose_arena import ARENA, BONE
+from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
 from usarmjx.models.build.layout import RobotIndex, index_robot
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.build.tags import TagTable, tag_table
-from usarmjx.models.build.variation import Variation, VariedBodies, check_variation, varies
+from usarmjx.models.build.variation import (
+    DomainRandomization,
+    RandomizedBodies,
+    check_randomization,
+    is_randomized,
+)
 from usarmjx.models.build.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.rays.targets import check_types
+from usarmjx.sensors.rays.targets import check_ray_kinds
 from usarmjx.sensors.suite import Suite, suite_of
-from usarmjx.sim.scene_geoms import Look, LooseGeoms, door_qpos, fixed_look, loose_geoms, moved_look
+from usarmjx.sim.scene_geoms import (
+    GeomTable,
+    LooseGeoms,
+    door_qpos,
+    fixed_geoms,
+    loose_geoms,
+    moved_geom_table,
+)
 
 PARKING_HEIGHT = 30.0
 """Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""
@@ -41,7 +53,7 @@ START_GAP = 0.002
 
 
 @dataclass(frozen=True)
-class Entry:
+class RosterEntry:
     """One robot of a roster.
 
     Attributes:
@@ -65,7 +77,7 @@ class Entry:
 
 
 @dataclass(frozen=True, eq=False)
-class Team:
+class RobotGroup:
     """The robots of one class in a scene; arrays have a leading axis over them.
 
     Attributes:
@@ -75,7 +87,7 @@ class Team:
         indices: Where each lies in the model.
     """
 
-    plan: BodyPlan
+    plan: KinematicTree
     suite: Suite
     slots: np.ndarray
     indices: tuple[RobotIndex, ...]
@@ -91,49 +103,49 @@ class Team:
         return effecters_of(self.robot)
 
     @property
-    def stock(self) -> tuple[int, ...]:
+    def releases(self) -> tuple[int, ...]:
         """What each effecter carries to release."""
-        return tuple(effecter.stock for effecter in self.effecters)
+        return tuple(effecter.initial_stock for effecter in self.effecters)
 
     @cached_property
-    def root_qpos(self) -> np.ndarray:
+    def root_qposadr(self) -> np.ndarray:
         """Qpos addresses of the free joints (n, 7)."""
-        return np.array([index.root_qpos + np.arange(7) for index in self.indices])
+        return np.array([index.root_qposadr + np.arange(7) for index in self.indices])
 
     @cached_property
-    def root_dof(self) -> np.ndarray:
+    def root_dofadr(self) -> np.ndarray:
         """Qvel addresses of the free joints (n, 6)."""
-        return np.array([index.root_dof + np.arange(6) for index in self.indices])
+        return np.array([index.root_dofadr + np.arange(6) for index in self.indices])
 
     @cached_property
-    def qpos(self) -> np.ndarray:
+    def qposadr(self) -> np.ndarray:
         """Qpos addresses of the joints (n, joints)."""
-        return np.array([index.qpos for index in self.indices], int)
+        return np.array([index.qposadr for index in self.indices], int)
 
     @cached_property
-    def dof(self) -> np.ndarray:
+    def dofadr(self) -> np.ndarray:
         """Qvel addresses of the joints (n, joints)."""
-        return np.array([index.dof for index in self.indices], int)
+        return np.array([index.dofadr for index in self.indices], int)
 
     @cached_property
-    def actuator(self) -> np.ndarray:
+    def actuator_ids(self) -> np.ndarray:
         """Ids of the actuators that pull (n, actuators)."""
-        return np.array([index.actuator for index in self.indices], int)
+        return np.array([index.actuator_ids for index in self.indices], int)
 
     @cached_property
-    def activation(self) -> np.ndarray:
+    def actadr(self) -> np.ndarray:
         """Addresses of the actuators' activations (n, actuators)."""
-        return np.array([index.activation for index in self.indices], int)
+        return np.array([index.actadr for index in self.indices], int)
 
     @cached_property
-    def hold(self) -> np.ndarray:
+    def hold_actuator_ids(self) -> np.ndarray:
         """Ids of the actuators that hold the joints (n, actuators)."""
-        return np.array([index.hold for index in self.indices], int)
+        return np.array([index.hold_actuator_ids for index in self.indices], int)
 
     @cached_property
     def chassis(self) -> np.ndarray:
         """Body ids of the chassis (n,)."""
-        return np.array([index.body[0] for index in self.indices])
+        return np.array([index.body_ids[0] for index in self.indices])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +158,7 @@ class Scene:
         roster: The robots, by slot.
         spec: The MuJoCo description, for engines that add and remove robots.
         model: The compiled model.
-        teams: The robots by class.
+        groups: The robots by class.
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over it; None: there are none.
         arenas: The arenas, of which each world has one; None: all have `arena`.
@@ -155,14 +167,14 @@ class Scene:
 
     arena: ArenaSpec
     physics: Physics
-    roster: tuple[Entry, ...]
+    roster: tuple[RosterEntry, ...]
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    teams: tuple[Team, ...] = field(default=())
+    groups: tuple[RobotGroup, ...] = field(default=())
     radio: RadioSettings | None = None
-    mail: MailSettings | None = None
+    mail: MessageSettings | None = None
     arenas: ArenaSet | None = None
-    vary: Variation | None = None
+    vary: DomainRandomization | None = None
 
     @cached_property
     def victims(self) -> VictimTable:
@@ -175,55 +187,57 @@ class Scene:
         return tag_table(self.arena.tags)
 
     @property
-    def robots(self) -> int:
+    def num_robots(self) -> int:
         """Number of robot slots."""
         return len(self.roster)
 
     @cached_property
-    def swinging(self) -> np.ndarray:
+    def moving_victim_boxes(self) -> np.ndarray:
         """The victims' boxes that move, as places in `victims`; where all worlds have the same arena."""
         return np.flatnonzero(self.victims.swing > 0)
 
     @cached_property
-    def moved(self) -> MovedGeoms | None:
+    def moved_geoms(self) -> MovedGeoms | None:
         """The arena's geoms that are data; None: there are none."""
         if self.arenas is not None:
             names = tuple(f"{ARENA}{i}" for i in range(len(self.arena.shapes)))
-            return MovedGeoms(names=names, longest=self.arenas.longest, resized=True)
-        if not len(self.swinging):
+            return MovedGeoms(names=names, max_half_length=self.arenas.max_half_length, resized=True)
+        if not len(self.moving_victim_boxes):
             return None
-        names = tuple(f"{BONE}{i}" for i in self.swinging)
-        return MovedGeoms(names=names, longest=self.victims.size[self.swinging].max(-1), resized=False)
+        names = tuple(f"{VICTIM_PREFIX}{i}" for i in self.moving_victim_boxes)
+        return MovedGeoms(
+            names=names, max_half_length=self.victims.size[self.moving_victim_boxes].max(-1), resized=False
+        )
 
     @cached_property
-    def varied(self) -> VariedBodies | None:
+    def varied_bodies(self) -> RandomizedBodies | None:
         """The robots that vary between worlds; None: nothing varies."""
         if self.vary is None:
             return None
-        chassis = np.zeros(self.robots, int)
-        which = np.zeros(self.robots, bool)
+        chassis = np.zeros(self.num_robots, int)
+        which = np.zeros(self.num_robots, bool)
         owner, wheel = np.full(self.model.nbody, -1), np.zeros(self.model.nbody, bool)
-        for team in self.teams:
-            rolls = np.array([False, *(part.rolls for part in parts_of(team.robot))])
+        for team in self.groups:
+            rolls = np.array([False, *(part.is_wheel for part in parts_of(team.robot))])
             for slot, index in zip(team.slots, team.indices, strict=True):
-                chassis[slot], which[slot] = index.body[0], varies(self.vary, team.robot)
+                chassis[slot], which[slot] = index.body_ids[0], is_randomized(self.vary, team.robot)
                 if which[slot]:
-                    owner[list(index.body)], wheel[list(index.body)] = slot, rolls
-        return VariedBodies(vary=self.vary, varies=which, chassis=chassis, owner=owner, wheel=wheel)
+                    owner[list(index.body_ids)], wheel[list(index.body_ids)] = slot, rolls
+        return RandomizedBodies(vary=self.vary, varies=which, chassis=chassis, owner=owner, wheel=wheel)
 
     @cached_property
     def _moved_names(self) -> tuple[str, ...]:
-        return () if self.moved is None else self.moved.names
+        return () if self.moved_geoms is None else self.moved_geoms.names
 
     @cached_property
-    def fixed_look(self) -> Look:
+    def fixed_geoms(self) -> GeomTable:
         """Floor and arena, without the geoms that are data."""
-        return fixed_look(self.model, self.arena, self._moved_names)
+        return fixed_geoms(self.model, self.arena, self._moved_names)
 
     @cached_property
-    def moved_look(self) -> Look:
+    def moved_geom_table(self) -> GeomTable:
         """The geoms that are data; the kinds, materials and sizes of these are of use."""
-        return moved_look(self.model, self.arena, self._moved_names)
+        return moved_geom_table(self.model, self.arena, self._moved_names)
 
     @cached_property
     def loose_geoms(self) -> LooseGeoms:
@@ -235,13 +249,13 @@ class Scene:
         """Qpos addresses of the doors' hinges (doors,)."""
         return door_qpos(self.model, self.arena)
 
-    def team_of(self, slot: int) -> tuple[int, int]:
+    def group_of(self, slot: int) -> tuple[int, int]:
         """Return (team, place in the team) of a roster slot."""
-        for t, team in enumerate(self.teams):
+        for t, team in enumerate(self.groups):
             places = np.flatnonzero(team.slots == slot)
             if places.size:
                 return t, int(places[0])
-        raise SpecError(f"slot {slot} is not in the roster of {self.robots} robots")
+        raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
 
 
 def prefix_of(slot: int) -> str:
@@ -249,7 +263,7 @@ def prefix_of(slot: int) -> str:
     return f"r{slot}/"
 
 
-def parking_place(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
+def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
     """Return where the robot of a slot waits while unused [m]."""
     row, column = divmod(slot, 8)
     return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
@@ -257,7 +271,7 @@ def parking_place(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
 
 def origin_height(arena: ArenaSpec, height: Array, robot: RobotSpec) -> Array:
     """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
-    return arena.floor + height - START_ELEVATION + body_plan(robot).clearance + START_GAP
+    return arena.floor + height - START_ELEVATION + kinematic_tree_of(robot).clearance + START_GAP
 
 
 def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
@@ -267,12 +281,12 @@ def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
 
 def build_scene(
     arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
-    roster: Sequence[str | RobotSpec | Entry] = ("P2AT",),
+    roster: Sequence[str | RobotSpec | RosterEntry] = ("P2AT",),
     physics: Physics | None = None,
     *,
     radio: RadioSettings | None = None,
-    mail: MailSettings | None = None,
-    vary: Variation | None = None,
+    mail: MessageSettings | None = None,
+    vary: DomainRandomization | None = None,
 ) -> Scene:
     """Compose an arena and its robots.
 
@@ -299,7 +313,7 @@ def build_scene(
     elif not isinstance(arena, ArenaSpec):
         arenas = arena_set(arena)
         arena = arenas.template
-    entries = tuple(e if isinstance(e, Entry) else Entry(robot=e) for e in roster)
+    entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
     if radio is not None:
@@ -310,19 +324,19 @@ def build_scene(
     spec = new_spec(arena, physics)
     robots = [entry.spec for entry in entries]
     if vary is not None:
-        check_variation(vary, robots, radio is not None)
+        check_randomization(vary, robots, radio is not None)
     for slot, robot in enumerate(robots):
-        add_robot(spec, robot, prefix_of(slot), parking_place(arena, slot))
+        add_robot(spec, robot, prefix_of(slot), parking_position(arena, slot))
     cap_contacts(spec, physics, arena, robots)
     model = spec.compile()
-    check_types(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
+    check_ray_kinds(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
     return Scene(
         arena=arena,
         physics=physics,
         roster=entries,
         spec=spec,
         model=model,
-        teams=_teams(model, entries),
+        groups=_groups(model, entries),
         radio=radio,
         mail=mail,
         arenas=arenas,
@@ -330,15 +344,15 @@ def build_scene(
     )
 
 
-def _teams(model: mujoco.MjModel, entries: tuple[Entry, ...]) -> tuple[Team, ...]:
+def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[RobotGroup, ...]:
     slots: dict[RobotSpec, list[int]] = {}
     for slot, entry in enumerate(entries):
         slots.setdefault(entry.spec, []).append(slot)
     teams = []
     for robot, members in slots.items():
         teams.append(
-            Team(
-                plan=body_plan(robot),
+            RobotGroup(
+                plan=kinematic_tree_of(robot),
                 suite=suite_of(robot),
                 slots=np.array(members),
                 indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),

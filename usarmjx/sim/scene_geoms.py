@@ -7,14 +7,14 @@ import mujoco
 import numpy as np
 
 from usarmjx.cameras.paint import labels_of
-from usarmjx.models.build.compose_arena import DOOR, LOOSE
+from usarmjx.models.build.compose_arena import DOOR, LOOSE_PREFIX
 from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class GeomTable:
     """Pieces of geoms.
 
     Attributes:
@@ -49,37 +49,37 @@ class LooseGeoms:
         local: The pieces, in the frames of their objects.
     """
 
-    root_qpos: np.ndarray
+    root_qposadr: np.ndarray
     root_dof: np.ndarray
     owner: np.ndarray
-    local: Look
+    local: GeomTable
 
 
-def fixed_look(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> Look:
+def fixed_geoms(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> GeomTable:
     """Return floor and arena as they are in the model, without the geoms that are data."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     names = [model.geom(i).name for i in range(model.ngeom)]
     left = (model.geom_bodyid < 2) & ~np.isin(names, list(moved))  # the world's own body and the arena's
     fixed = np.flatnonzero(left)
-    return _look(model, arena, fixed, data.geom_xpos[fixed], data.geom_xmat[fixed].reshape(-1, 3, 3))
+    return _geom_table(model, arena, fixed, data.geom_xpos[fixed], data.geom_xmat[fixed].reshape(-1, 3, 3))
 
 
-def moved_look(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> Look:
+def moved_geom_table(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> GeomTable:
     """Return the geoms that are data, in the axes of the arena, where the model has them."""
     geoms = np.array([model.geom(name).id for name in moved], int)
-    return _look(model, arena, geoms, model.geom_pos[geoms], _matrices(model.geom_quat[geoms]))
+    return _geom_table(model, arena, geoms, model.geom_pos[geoms], _matrices(model.geom_quat[geoms]))
 
 
 def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
     """Return what of the scene lies loose."""
-    names = [f"{LOOSE}{loose.name}" for loose in arena.loose]
+    names = [f"{LOOSE_PREFIX}{loose.name}" for loose in arena.loose]
     bodies = [model.body(name).id for name in names]
     mine = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
-    local = _look(model, arena, mine, model.geom_pos[mine], _matrices(model.geom_quat[mine]))
+    local = _geom_table(model, arena, mine, model.geom_pos[mine], _matrices(model.geom_quat[mine]))
     joints = [model.joint(name) for name in names]
     return LooseGeoms(
-        root_qpos=np.array([j.qposadr[0] + np.arange(7) for j in joints], int).reshape(-1, 7),
+        root_qposadr=np.array([j.qposadr[0] + np.arange(7) for j in joints], int).reshape(-1, 7),
         root_dof=np.array([j.dofadr[0] + np.arange(6) for j in joints], int).reshape(-1, 6),
         owner=np.searchsorted(bodies, model.geom_bodyid[local.geom]),
         local=local,
@@ -98,12 +98,12 @@ def _matrices(quats: np.ndarray) -> np.ndarray:
     return mats.reshape(-1, 3, 3)
 
 
-def _look(
+def _geom_table(
     model: mujoco.MjModel, arena: ArenaSpec, geoms: np.ndarray, pos: np.ndarray, mat: np.ndarray
-) -> Look:
-    pieces = pieces_of(model, geoms, materials_of(model, arena))
-    pos, mat = pieces.placed(pos, mat)
-    return Look(
+) -> GeomTable:
+    pieces = ray_primitives_of(model, geoms, materials_of(model, arena))
+    pos, mat = pieces.world_poses(pos, mat)
+    return GeomTable(
         geom=geoms[pieces.geom],
         kind=pieces.kind,
         pos=pos.astype(np.float32),

@@ -7,52 +7,56 @@ several gives each world a `Site` of its own at every reset.
 import jax
 import jax.numpy as jnp
 
-from usarmjx.engines.base import Places
-from usarmjx.models.build.arena_set import Site, turn_of
+from usarmjx.engines.base import GeomPoses
+from usarmjx.models.build.arena_set import ArenaState, arena_index_of
 from usarmjx.models.build.victims import VictimTable, segment_poses
-from usarmjx.models.effecters import Tags
-from usarmjx.sensors.surroundings import Surroundings, survey
+from usarmjx.models.effecters import DroppedTags
+from usarmjx.sensors.surroundings import Surroundings, surroundings_at
 from usarmjx.sim.scene import Scene
 
 
-def site_at(library: Site | None, number: jax.Array, episode: jax.Array) -> Site | None:
+def arena_state_at(arenas: ArenaState | None, number: jax.Array, episode: jax.Array) -> ArenaState | None:
     """Return the arena of a world's episode: worlds go through the library (arenas, ...) in turn."""
-    if library is None:
+    if arenas is None:
         return None
-    turn = turn_of(number, episode, len(library.starts))
-    return jax.tree.map(lambda rows: jnp.asarray(rows)[turn], library)
+    turn = arena_index_of(number, episode, len(arenas.starts))
+    return jax.tree.map(lambda rows: jnp.asarray(rows)[turn], arenas)
 
 
-def victims_of(scene: Scene, site: Site | None) -> VictimTable:
+def victims_of(scene: Scene, arena_state: ArenaState | None) -> VictimTable:
     """Return the victims of a world."""
-    return jax.tree.map(jnp.asarray, scene.victims) if site is None else site.victims
+    return jax.tree.map(jnp.asarray, scene.victims) if arena_state is None else arena_state.victims
 
 
-def surroundings(scene: Scene, site: Site | None, dropped: Tags, time: jax.Array) -> Surroundings | None:
+def surroundings(
+    scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: jax.Array
+) -> Surroundings | None:
     """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them."""
-    if not any(team.suite.looks_around for team in scene.teams):
+    if not any(team.suite.needs_surroundings for team in scene.groups):
         return None
-    tags = jax.tree.map(jnp.asarray, scene.tags if site is None else site.tags)
-    return survey(victims_of(scene, site), tags, dropped, time, jnp.asarray(scene.arena.floor, jnp.float32))
+    tags = jax.tree.map(jnp.asarray, scene.tags if arena_state is None else arena_state.tags)
+    return surroundings_at(
+        victims_of(scene, arena_state), tags, dropped, time, jnp.asarray(scene.arena.floor, jnp.float32)
+    )
 
 
-def start_poses(scene: Scene, site: Site | None) -> jax.Array:
+def start_poses(scene: Scene, arena_state: ArenaState | None) -> jax.Array:
     """Return the start poses of a world: x, y, z above the arena's floor [m] and yaw [rad] (starts, 4)."""
-    if site is not None:
-        return site.starts
+    if arena_state is not None:
+        return arena_state.starts
     return jnp.array([(*start.at, start.yaw) for start in scene.arena.starts])
 
 
-def places(scene: Scene, site: Site | None, time: jax.Array) -> Places | None:
+def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: jax.Array) -> GeomPoses | None:
     """Return where the geoms of `scene.moved` are at a time [s] (); without an axis over worlds."""
-    if scene.moved is None:
+    if scene.moved_geoms is None:
         return None
-    table = victims_of(scene, site)
+    table = victims_of(scene, arena_state)
     pos, quat = segment_poses(table, time, jnp)
-    if site is None:
-        return Places(pos=pos[scene.swinging], quat=quat[scene.swinging])
-    return Places(
-        pos=jnp.concatenate([site.pos, pos]),
-        quat=jnp.concatenate([site.quat, quat]),
-        size=jnp.concatenate([site.size, table.size]),
+    if arena_state is None:
+        return GeomPoses(pos=pos[scene.moving_victim_boxes], quat=quat[scene.moving_victim_boxes])
+    return GeomPoses(
+        pos=jnp.concatenate([arena_state.pos, pos]),
+        quat=jnp.concatenate([arena_state.quat, quat]),
+        size=jnp.concatenate([arena_state.size, table.size]),
     )

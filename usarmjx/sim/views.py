@@ -8,74 +8,83 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.cameras.light import SUN, Headlights, Lamps, lamps_of
+from usarmjx.cameras.light import SUN_DIRECTION, Headlights, PointLights, point_lights
 from usarmjx.cameras.mounts import Camera, headlight_of
-from usarmjx.cameras.paint import ROBOT
-from usarmjx.cameras.picture import Picture, take, viewpoint
-from usarmjx.cameras.shading import Stage
+from usarmjx.cameras.paint import ROBOT_LABEL
+from usarmjx.cameras.picture import Picture, camera_viewpoint, render_picture
+from usarmjx.cameras.shading import RenderScene
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.body_plan import Bodies, body_poses
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.visible import arena_rows, collect_painted, door_rows, loose_rows, robot_rows, water_rows
-from usarmjx.sim.world import World, powered, team_states, time_of
+from usarmjx.sim.visible import (
+    camera_geoms,
+    visible_arena,
+    visible_doors,
+    visible_loose,
+    visible_robots,
+    visible_water,
+)
+from usarmjx.sim.world import World, powered, robot_states, time_of
 
-Eye = tuple[int, Camera, int]
+GroupCamera = tuple[int, Camera, int]
 """A team, one of its robots' cameras, and its place among them."""
-TILE = 0.5
+CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
-EVERYWHERE = ((-np.inf, np.inf), (-np.inf, np.inf))
+UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 
 
-def look_around(scene: Scene, world: World, physics: PhysicsState) -> tuple[Stage, tuple[Bodies, ...]]:
+def build_render_scene(
+    scene: Scene, world: World, physics: PhysicsState
+) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
     """Return all that cameras see of a world, and where the robots' bodies are, by team."""
     bodies = tuple(
-        jax.vmap(partial(body_poses, team.plan))(team_states(team, physics)) for team in scene.teams
+        jax.vmap(partial(forward_kinematics, team.plan))(robot_states(team, physics)) for team in scene.groups
     )
-    geoms, paint = collect_painted(
+    geoms, paint = camera_geoms(
         [
-            *arena_rows(scene, world.site, time_of(scene, world)),
-            loose_rows(scene, physics),
-            door_rows(scene, physics),
-            water_rows(scene),
-            *robot_rows(scene, bodies, [state.active for state in world.teams]),
+            *visible_arena(scene, world.arena_state, time_of(scene, world)),
+            visible_loose(scene, physics),
+            visible_doors(scene, physics),
+            visible_water(scene),
+            *visible_robots(scene, bodies, [state.active for state in world.groups]),
         ]
     )
-    if world.site is None:
-        lamps = lamps_of(scene.arena.lights, scene.arena.floor)
+    if world.arena_state is None:
+        lamps = point_lights(scene.arena.lights, scene.arena.floor)
     else:
-        lamps = Lamps(pos=world.site.lamps[:, :3], rgb=world.site.lamps[:, 3:])
-    sun = np.array(SUN, np.float32)
-    stage = Stage(
+        lamps = PointLights(pos=world.arena_state.lamps[:, :3], rgb=world.arena_state.lamps[:, 3:])
+    sun = np.array(SUN_DIRECTION, np.float32)
+    stage = RenderScene(
         geoms=geoms,
-        paint=paint,
-        sun=sun / np.linalg.norm(sun),
-        lamps=lamps,
+        appearance=paint,
+        sun_direction=sun / np.linalg.norm(sun),
+        lights=lamps,
         headlights=_headlights(scene, world, bodies),
-        tile=np.float32(TILE),
-        tiled=np.array(EVERYWHERE, np.float32),
+        checker_size=np.float32(CHECKER_SIZE),
+        checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
     )
     return stage, bodies
 
 
-def _headlights(scene: Scene, world: World, bodies: tuple[Bodies, ...]) -> Headlights:
+def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
     """Return the headlights; those of robots without power are off."""
     pos, along, on = [], [], []
-    for team, state, body in zip(scene.teams, world.teams, bodies, strict=True):
+    for team, state, body in zip(scene.groups, world.groups, bodies, strict=True):
         lamp = headlight_of(team.robot)
         mat = body.mat[:, lamp.body]
-        pos.append(body.pos[:, lamp.body] + mat @ lamp.at)
-        along.append(mat @ lamp.along)
+        pos.append(body.pos[:, lamp.body] + mat @ lamp.pos)
+        along.append(mat @ lamp.direction)
         on.append(state.command.light & powered(scene, world, team, state))
-    slots = np.concatenate([team.slots for team in scene.teams])
+    slots = np.concatenate([team.slots for team in scene.groups])
     joined = [jnp.concatenate(parts) for parts in (pos, along, on)]
-    return Headlights(pos=joined[0], along=joined[1], on=joined[2], label=ROBOT + slots)
+    return Headlights(pos=joined[0], direction=joined[1], on=joined[2], label=ROBOT_LABEL + slots)
 
 
-def pictures(
+def render_group(
     scene: Scene,
     world: World,
     physics: PhysicsState,
-    eye: Eye,
+    group_camera: GroupCamera,
     size: tuple[int, int],
 ) -> Picture:
     """Return what a camera of all robots of a team sees; leading axis over robots.
@@ -84,16 +93,18 @@ def pictures(
         scene: The scene.
         world: The world.
         physics: Where everything is.
-        eye: Team, camera, and the camera's place among those of its class; static.
+        group_camera: Team, camera, and the camera's place among those of its class; static.
         size: Width and height of a picture; static.
     """
-    team, camera, place = eye
-    stage, bodies = look_around(scene, world, physics)
-    members = bodies[team], jnp.asarray(scene.teams[team].slots), world.teams[team].fov[:, place]
-    return each(lambda *member: take(stage, viewpoint(camera, *member), *size), *members)
+    team, camera, place = group_camera
+    stage, bodies = build_render_scene(scene, world, physics)
+    members = bodies[team], jnp.asarray(scene.groups[team].slots), world.groups[team].fov[:, place]
+    return map_pictures(
+        lambda *member: render_picture(stage, camera_viewpoint(camera, *member), *size), *members
+    )
 
 
-def each(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees
+def map_pictures(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees
     """Return a function's pictures for each row of some values.
 
     On a CPU one after the other: then what a picture does not need, as mirrors where none are in sight, is

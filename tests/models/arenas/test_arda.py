@@ -17,7 +17,12 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import ARDA, FILES, STARTS
 from usarmjx.models.arenas.arda_roads import MISSIONS, NETWORK, ORIGIN, RADIUS
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.roads.geodesy import LATITUDE_SCALE, LONGITUDE_SCALE, degrees_of, metres_of
+from usarmjx.models.roads.geodesy import (
+    METRES_PER_LATITUDE_DEGREE,
+    METRES_PER_LONGITUDE_DEGREE,
+    to_lat_lon,
+    to_local_xy,
+)
 from usarmjx.models.roads.mdf import read_mdf, write_mdf
 from usarmjx.models.roads.network import FOOT, Lane, Zone
 from usarmjx.models.roads.rndf import read_rndf, write_rndf
@@ -33,7 +38,7 @@ from usarmjx.models.roads.shapes import (
 )
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.gps import GpsSettings, largest_error
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene, start_height
 
 CARS = ("SnowStorm", "Hummer", "Sedan", "Cooper")
@@ -89,7 +94,9 @@ def test_every_checkpoint_can_be_driven_to_from_every_other():
 
 def test_exits_lead_ahead_or_round_a_corner_that_cars_can_drive():
     """The circle that leaves along one lane and arrives along the other is wider than the cars' smallest."""
-    smallest = max(ROBOTS.get(car).wheel_base / math.tan(ROBOTS.get(car).drive.steers[0]) for car in CARS)
+    smallest = max(
+        ROBOTS.get(car).wheel_base / math.tan(ROBOTS.get(car).drive.max_steering[0]) for car in CARS
+    )
     points = NETWORK.points()
 
     def heading(point):
@@ -103,7 +110,7 @@ def test_exits_lead_ahead_or_round_a_corner_that_cars_can_drive():
             if entry[1] == 0:
                 continue  # into the car park, where there are no lanes
             out, way = heading((*owner, i)), np.subtract(
-                metres_of(ORIGIN, points[entry]), metres_of(ORIGIN, points[(*owner, i)])
+                to_local_xy(ORIGIN, points[entry]), to_local_xy(ORIGIN, points[(*owner, i)])
             )  # fmt: skip
             into = heading(entry)
             if out @ into > 0.9:
@@ -172,7 +179,7 @@ def test_lines_and_kerbs_lie_beside_the_files_waypoints(owner):
 def test_stop_signs_have_lines():
     lines = [s for s in ARDA.shapes if s.size[1] == STOP_LINE / 2]
     stops = [
-        np.array(metres_of(ORIGIN, NETWORK.lane(*owner).waypoints[i - 1]))
+        np.array(to_local_xy(ORIGIN, NETWORK.lane(*owner).waypoints[i - 1]))
         for owner in LANES
         for i in NETWORK.lane(*owner).stops
     ]
@@ -225,7 +232,7 @@ def test_the_check_above_can_fail(scene):
 
 def test_starts_are_on_lanes_in_their_direction_or_in_spots(scene):
     data = mujoco.MjData(scene.model)
-    spots = [np.array(metres_of(ORIGIN, spot.waypoints[1])) for spot in NETWORK.zones[0].spots]
+    spots = [np.array(to_local_xy(ORIGIN, spot.waypoints[1])) for spot in NETWORK.zones[0].spots]
     assert len({start.tag for start in ARDA.starts}) == len(ARDA.starts) == len(STARTS)
     for start in ARDA.starts:
         assert start.at[2] == 0.188  # manual 5.3.5
@@ -248,7 +255,7 @@ def test_starts_are_on_lanes_in_their_direction_or_in_spots(scene):
 def test_spots_hold_a_car_between_their_lines():
     zone = NETWORK.zones[0]
     assert isinstance(zone, Zone)
-    path = np.array([[metres_of(ORIGIN, at) for at in spot.waypoints] for spot in zone.spots])
+    path = np.array([[to_local_xy(ORIGIN, at) for at in spot.waypoints] for spot in zone.spots])
     gaps = np.diff(path[:, 1, 0])
     np.testing.assert_allclose(gaps, 9 * FOOT, atol=FILE_ATOL)
     assert max(ROBOTS.get(car).dimensions[1] for car in CARS) < 9 * FOOT - LINE
@@ -264,9 +271,11 @@ def test_spots_hold_a_car_between_their_lines():
 
 
 def test_degrees_and_metres_are_each_others_inverse():
-    assert degrees_of((10.0, 20.0), (LATITUDE_SCALE, -LONGITUDE_SCALE)) == pytest.approx((11.0, 21.0))
+    assert to_lat_lon(
+        (10.0, 20.0), (METRES_PER_LATITUDE_DEGREE, -METRES_PER_LONGITUDE_DEGREE)
+    ) == pytest.approx((11.0, 21.0))
     for at in ((0.0, 0.0), (60.0, -45.0), (-1e3, 1e3)):
-        assert metres_of(ORIGIN, degrees_of(ORIGIN, at)) == pytest.approx(at, abs=1e-6)
+        assert to_local_xy(ORIGIN, to_lat_lon(ORIGIN, at)) == pytest.approx(at, abs=1e-6)
 
 
 GPS = re.compile(
@@ -276,7 +285,7 @@ GPS = re.compile(
 
 @pytest.fixture(scope="module")
 def port():
-    world = LiveWorld(ARDA, Physics(), jax.random.key(3))
+    world = DynamicWorld(ARDA, Physics(), jax.random.key(3))
     with serving(world, realtime_factor=PACE) as (port, _):
         yield port
 
@@ -285,7 +294,7 @@ def port():
 def test_a_car_at_a_waypoint_reports_its_degrees(port, point):
     """The antenna is 0.8 m behind the car's middle; the largest error is that of the satellites it sees."""
     peer, (north, east) = Peer(port), NETWORK.points()[point]
-    x, y = metres_of(ORIGIN, (north, east))
+    x, y = to_local_xy(ORIGIN, (north, east))
     peer.say(f"INIT {{ClassName USARBot.SnowStorm}} {{Name R1}} {{Location {x + 0.8},{-y},-0.8}}")
     for _ in range(5):
         line = peer.until(b"SEN {Type GPS}").decode()
@@ -296,7 +305,7 @@ def test_a_car_at_a_waypoint_reports_its_degrees(port, point):
         found = int(degree) + float(minute) / 60, -int(east_degree) - float(east_minute) / 60
         # Minutes are cut after four decimals: 0.19 m of latitude; and the car settles on its springs.
         allowed = largest_error(GpsSettings(), int(satellites)) + 0.25
-        assert np.abs(np.subtract(metres_of(ORIGIN, found), (x, y))).max() < allowed
+        assert np.abs(np.subtract(to_local_xy(ORIGIN, found), (x, y))).max() < allowed
     peer.close()
 
 

@@ -26,7 +26,7 @@ from usarmjx.models.arenas.debris import (
 from usarmjx.models.arenas.elements import CELL, RISE, STEEP, STEEPER, deck, ramp, ramps, slope, stairs
 from usarmjx.models.arenas.pieces import brick
 from usarmjx.models.arenas.pipes import EDGE, PIPE, loose_pipe, pipe, pipe_steps
-from usarmjx.models.arenas.step_fields import POST, STEP_FIELDS, cover, step_field
+from usarmjx.models.arenas.step_fields import POST, STEP_FIELDS, cover_boxes, step_field
 from usarmjx.models.arenas.step_fields import heights as posts_of
 
 ATOL = 1e-9  # m: rays in double precision
@@ -164,7 +164,7 @@ def test_a_hill_has_its_ridge_across_and_a_diagonal_one_from_corner_to_corner():
 )
 def test_few_boxes_have_the_same_top_as_one_per_post(grid):
     top = np.zeros_like(grid)
-    boxes = cover(grid)
+    boxes = cover_boxes(grid)
     for height, x0, x1, y0, y1 in boxes:
         top[x0:x1, y0:y1] = np.maximum(top[x0:x1, y0:y1], height)
     np.testing.assert_array_equal(top, grid)

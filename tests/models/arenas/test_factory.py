@@ -11,7 +11,7 @@ from tests.starts import deepest
 from tests.tours import Tour
 from usarmjx.models.arenas.factory import FACTORY, FLOOR
 from usarmjx.models.arenas.factory_plan import BAY, DOCK, HEIGHT, WINDOW
-from usarmjx.models.build.reach import reach_map, size_of, victims_reached
+from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR
 from usarmjx.sim.scene import build_scene
@@ -136,7 +136,7 @@ def test_a_p2at_drives_up_the_ramp_onto_the_dock():
 
 def test_p2ats_reach_every_start_and_every_victim():
     """Doors do not count, they open; a victim is reached when a robot gets within a metre of a part."""
-    size = size_of(ROBOTS.get("P2AT"))
+    size = footprint_of(ROBOTS.get("P2AT"))
     reach = reach_map(FACTORY, size.radius, size.step)
     for start in FACTORY.starts:
         assert reach.reachable(*start.at[:2]), start.tag

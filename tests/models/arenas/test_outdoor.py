@@ -10,7 +10,7 @@ from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
 from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TREES, ground
-from usarmjx.models.build.reach import reach_map, size_of, victims_reached
+from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION
 from usarmjx.models.spec.robot import SKY
@@ -106,7 +106,7 @@ def test_no_robot_drives_out_over_the_rim():
     rig = Rig("Talon", arena=OUTDOOR, places=((-14.0, 0.0, math.pi, ground(-14.0, 0.0)),))
     rig.tell(Left=9.0, Right=9.0)
     rows = rig.run(12.0)
-    root = rig.indices[0].root_qpos
+    root = rig.indices[0].root_qposadr
     x, _, z = rig.data.qpos[root : root + 3]
     assert -HALF < x < -17.5
     assert z > FLOOR + BASE
@@ -150,7 +150,7 @@ def test_victims_lie_in_voids_with_something_above_them(built):
 
 
 def test_p2ats_reach_every_start_and_every_victim_over_the_hills():
-    size = size_of(ROBOTS.get("P2AT"))
+    size = footprint_of(ROBOTS.get("P2AT"))
     reach = reach_map(OUTDOOR, size.radius, size.step)
     assert all(reach.reachable(*start.at[:2]) for start in OUTDOOR.starts)
     assert victims_reached(OUTDOOR, reach) == [True] * len(OUTDOOR.victims)

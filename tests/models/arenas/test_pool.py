@@ -12,7 +12,7 @@ from tests.rig import Rig
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.pool import DECK, DEPTH, KEEL, POOL
 from usarmjx.models.build.victims import rest_height
-from usarmjx.models.drives import DRY
+from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, StartPose, Water
 from usarmjx.sim.batch import Batch
@@ -49,7 +49,7 @@ def test_robots_touch_nothing_where_they_start(name):
         poses = arena.starts if name == "field" else starts("Water" if kind == "Submarine" else "Quay")
         scene = build_scene(replace(arena, starts=tuple(poses)), [kind] * len(poses))
         data = mujoco.MjData(scene.model)
-        for root, start in zip(scene.teams[0].root_qpos, poses, strict=True):
+        for root, start in zip(scene.groups[0].root_qposadr, poses, strict=True):
             height = start_height(arena, start, ROBOTS.get(kind))
             turn = (math.cos(start.yaw / 2), 0, 0, math.sin(start.yaw / 2))
             data.qpos[root] = (*start.at[:2], height, *turn)
@@ -57,7 +57,7 @@ def test_robots_touch_nothing_where_they_start(name):
         mujoco.mj_comPos(scene.model, data)
         mujoco.mj_collision(scene.model, data)
         assert data.ncon == 0
-        data.qpos[scene.teams[0].root_qpos[:, 2]] -= 0.01 + (KEEL if kind == "Submarine" else 0.0)
+        data.qpos[scene.groups[0].root_qposadr[:, 2]] -= 0.01 + (KEEL if kind == "Submarine" else 0.0)
         mujoco.mj_kinematics(scene.model, data)
         mujoco.mj_collision(scene.model, data)
         assert data.ncon >= len(poses), "a centimetre lower all stand in the ground"
@@ -74,7 +74,7 @@ def test_submarines_start_submerged_and_others_on_the_quay():
     for start in starts("Quay"):
         height = start_height(POOL, start, ROBOTS.get("P2AT"))
         assert height == pytest.approx(POOL.floor + DECK + ROBOTS.get("P2AT").origin_height + START_GAP)
-        assert depth_in_water(POOL, np.array([*start.at[:2], height])) == DRY
+        assert depth_in_water(POOL, np.array([*start.at[:2], height])) == DRY_DEPTH
 
 
 @pytest.mark.parametrize(
@@ -83,9 +83,9 @@ def test_submarines_start_submerged_and_others_on_the_quay():
         ((0.0, 0.0, WATER_LEVEL - 2.0), 2.0),
         ((0.0, 0.0, WATER_LEVEL + 3.0), -3.0),  # over it
         ((29.9, -21.9, WATER_LEVEL - 1.0), 1.0),
-        ((30.1, 0.0, WATER_LEVEL - 1.0), DRY),  # beside it
-        ((0.0, -22.1, WATER_LEVEL - 1.0), DRY),
-        ((0.0, 0.0, POOL.floor - 0.1), DRY),  # below its floor
+        ((30.1, 0.0, WATER_LEVEL - 1.0), DRY_DEPTH),  # beside it
+        ((0.0, -22.1, WATER_LEVEL - 1.0), DRY_DEPTH),
+        ((0.0, 0.0, POOL.floor - 0.1), DRY_DEPTH),  # below its floor
     ],
 )
 def test_depth_in_water(place, depth):
@@ -93,7 +93,7 @@ def test_depth_in_water(place, depth):
 
 
 def test_a_dry_arena_has_no_water_and_of_two_waters_the_one_around_counts():
-    assert depth_in_water(ARENAS.get("field"), np.zeros(3)) == DRY
+    assert depth_in_water(ARENAS.get("field"), np.zeros(3)) == DRY_DEPTH
     two = replace(
         POOL, waters=(Water(low=(0, 0, 0), high=(1, 1, 2)), Water(low=(5, 5, 0), high=(6, 6, 4))), floor=1.0
     )
@@ -115,10 +115,10 @@ def test_water_empties_the_battery_of_all_but_submarines():
     first = np.asarray(batch.physics(state).qpos)[0]
     for _ in range(150):
         state = batch.step(state)
-    drowned = [np.asarray(team.drowned)[0].tolist() for team in state.worlds.teams]
+    drowned = [np.asarray(team.drowned)[0].tolist() for team in state.worlds.groups]
     assert drowned == [[False, True], [False], [False]]
     gone = np.asarray(batch.physics(state).qpos)[0] - first
-    on_quay, in_water, flyer, boat = (gone[root][:3] for team in scene.teams for root in team.root_qpos)
+    on_quay, in_water, flyer, boat = (gone[root][:3] for team in scene.groups for root in team.root_qposadr)
     assert on_quay[0] > 0.9, "3 rad/s for 3 s on wheels of 0.13 m, less the start"
     assert np.hypot(*in_water[:2]) < 0.05
     assert in_water[2] == pytest.approx(-KEEL, abs=0.02), "it lies on the bottom"
@@ -134,7 +134,7 @@ def test_a_submarine_crosses_the_pool_at_its_depth():
     boat = ROBOTS.get("Submarine")
     height = start_height(POOL, start, boat)
     rig = Rig("Submarine", arena=POOL, places=((*start.at[:2], 0.0),), height=height)
-    rig.tell(Propeller=boat.drive.full["Propeller"])
+    rig.tell(Propeller=boat.drive.full_scale["Propeller"])
     log = rig.run(150.0)
     assert log[-1, 0] - log[0, 0] > 30.0
     assert np.abs(log[:, 1] - start.at[1]).max() < 0.3
@@ -145,7 +145,7 @@ def test_a_submarine_crosses_the_pool_at_its_depth():
 
 def test_who_sits_on_the_quay_is_not_in_the_water():
     for victim in POOL.victims:
-        assert depth_in_water(POOL, np.add(victim.at, (0.0, 0.0, POOL.floor))) == DRY
+        assert depth_in_water(POOL, np.add(victim.at, (0.0, 0.0, POOL.floor))) == DRY_DEPTH
         assert victim.at[2] - rest_height(victim.posture) == pytest.approx(DECK)
     for tag in POOL.tags:
         assert tag.at[2] > DECK
@@ -162,7 +162,7 @@ def test_recommended_robots_exist(name):
 def test_the_submarine_hears_the_floor_below_it():
     batch = Batch(build_scene("pool", ["Submarine"]), engine="c")
     _, readings = batch.observe(batch.reset())
-    sonar = batch.scene.teams[0].suite.place("Sonar")
+    sonar = batch.scene.groups[0].suite.index("Sonar")
     heard = float(np.asarray(readings[0][sonar].value)[0, 0, 0])
     assert heard == pytest.approx(KEEL + START_GAP, rel=SONAR_NOISE)
 
@@ -174,4 +174,4 @@ def test_the_base_station_stands_where_it_was_put():
     rig.run(5.0)
     assert np.abs(rig.data.qpos[:3] - start).max() < 0.005
     assert rig.up[0] > 0.9999
-    assert rig.robot.drive.full == {}
+    assert rig.robot.drive.full_scale == {}

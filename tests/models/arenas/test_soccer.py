@@ -25,7 +25,7 @@ from usarmjx.models.arenas.soccer import (
 )
 from usarmjx.models.build.compose import Physics
 from usarmjx.server.adapter import Client
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene
 
 DEEP = 0.002  # m
@@ -48,7 +48,7 @@ def kick(rig, at, velocity):
 
 def test_start_poses_are_told_as_the_manual_has_them():
     """Manual 5.3.3; it gives BlueGoal some pitch and roll, which no start pose has here."""
-    client = Client(LiveWorld(ARENAS.get("soccer"), Physics(), jax.random.key(0), seats=1), "peer")
+    client = Client(DynamicWorld(ARENAS.get("soccer"), Physics(), jax.random.key(0), max_robots=1), "peer")
     client.session.data_to_send()
     (command,) = client.session.receive_data(b"GETSTARTPOSES\r\n")
     client.handle(command)
@@ -156,7 +156,7 @@ def test_a_robot_dribbles_the_ball_over_the_goal_line():
 def test_wheels_pass_through_the_ball_and_hulls_do_not(field):
     """What the arena's text says; MuJoCo's own filter decides."""
     model, sphere = field.model, field.model.geom("loose/Ball/0").id
-    ours = np.isin(model.geom_bodyid, field.indices[0].body)
+    ours = np.isin(model.geom_bodyid, field.indices[0].body_ids)
     meets = (model.geom_contype[sphere] & model.geom_conaffinity) | (
         model.geom_conaffinity[sphere] & model.geom_contype
     )

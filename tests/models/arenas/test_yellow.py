@@ -14,7 +14,7 @@ from tests.tours import Tour
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.c import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
-from usarmjx.models.build.reach import reach_map, size_of, victims_reached
+from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR
 from usarmjx.sim.control import servos_of
@@ -135,15 +135,15 @@ def climb(model, start, yaw):
     data = mujoco.MjData(model)
     place(scene, data, *(o + (c + 0.5) * CELL for o, c in zip(ORIGIN, start, strict=True)), yaw)
     wheels = slice(len(P2AT.wheels))
-    team = scene.teams[0]
-    targets, joints = team.activation[0, wheels], team.qpos[0, wheels]
+    team = scene.groups[0]
+    targets, joints = team.actadr[0, wheels], team.qposadr[0, wheels]
     servos = servos_of(P2AT)
-    lead, slack = servos.lead[wheels], servos.slack[wheels]
-    data.ctrl[team.hold[0]] = 1.0
-    data.ctrl[team.actuator[0, wheels]] = 3.0
+    lead, slack = servos.lead[wheels], servos.windup_limit[wheels]
+    data.ctrl[team.hold_actuator_ids[0]] = 1.0
+    data.ctrl[team.actuator_ids[0, wheels]] = 3.0
     for _ in range(1200):
         mujoco.mj_step(model, data)
-        at = data.qpos[joints] + lead * data.qvel[team.dof[0, wheels]]
+        at = data.qpos[joints] + lead * data.qvel[team.dofadr[0, wheels]]
         data.act[targets] = np.clip(data.act[targets], at - slack, at + slack)
     chassis = data.body("r0/chassis")
     return (chassis.xpos[:2] - ORIGIN) / CELL, chassis.xmat[8]
@@ -219,11 +219,11 @@ def test_there_is_what_the_manual_names():
 
 
 def test_p2ats_get_near_every_victim_and_tag_with_all_loose_things_in_place():
-    size = size_of(P2AT)
+    size = footprint_of(P2AT)
     reach = reach_map(YELLOW, size.radius, size.step)
     assert victims_reached(YELLOW, reach) == [True] * len(YELLOW.victims), "within a metre of a part"
     for tag in YELLOW.tags:
-        assert reach.near(*tag.at[:2], 0.5), tag
+        assert reach.reaches_within(*tag.at[:2], 0.5), tag
     assert all(reach.reachable(*start.at[:2]) for start in YELLOW.starts)
 
 

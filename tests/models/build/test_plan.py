@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.build.body_plan import body_plan, body_poses, geom_poses, robot_state
+from usarmjx.models.build.body_plan import forward_kinematics, geom_poses, kinematic_tree_of, robot_state
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import index_robot
 from usarmjx.models.robots.pioneer import P2AT, P2DX
@@ -60,7 +60,7 @@ def test_poses_at_random_states_match_c_mujoco(robot):
     add_robot(spec, robot, "it/", (0.0, 0.0, 0.0))
     model = spec.compile()
     data = mujoco.MjData(model)
-    plan, index = body_plan(robot), index_robot(model, robot, "it/")
+    plan, index = kinematic_tree_of(robot), index_robot(model, robot, "it/")
     rng = np.random.default_rng(7)
     qpos = rng.uniform(-3, 3, (STATES, model.nq))  # quaternions too: both sides normalise them
     qvel = np.zeros(model.nv)
@@ -68,17 +68,17 @@ def test_poses_at_random_states_match_c_mujoco(robot):
     @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # runs once
     @jax.vmap
     def poses(q):
-        bodies = body_poses(plan, robot_state(index, q, qvel))
+        bodies = forward_kinematics(plan, robot_state(index, q, qvel))
         return bodies, geom_poses(plan, bodies)
 
     bodies, (geom_pos, geom_mat) = poses(qpos.astype(np.float32))
-    of_it = [g for g in range(model.ngeom) if model.geom_bodyid[g] in index.body]
+    of_it = [g for g in range(model.ngeom) if model.geom_bodyid[g] in index.body_ids]
     near = partial(np.testing.assert_allclose, atol=KINEMATICS_ATOL)
     for i, q in enumerate(qpos):
         data.qpos = q
         mujoco.mj_kinematics(model, data)
-        near(bodies.pos[i], data.xpos[list(index.body)])
-        near(bodies.mat[i], data.xmat[list(index.body)].reshape(-1, 3, 3))
+        near(bodies.pos[i], data.xpos[list(index.body_ids)])
+        near(bodies.mat[i], data.xmat[list(index.body_ids)].reshape(-1, 3, 3))
         near(geom_pos[i], data.geom_xpos[of_it])
         near(geom_mat[i], data.geom_xmat[of_it].reshape(-1, 3, 3))
     assert (plan.geom_type == model.geom_type[of_it]).all()
@@ -95,14 +95,14 @@ def test_robot_state_picks_its_own_numbers():
     state = robot_state(index_robot(model, P2AT, "it/"), data.qpos, data.qvel)
     np.testing.assert_array_equal([*state.pos, *state.quat], data.joint("it/root").qpos)
     np.testing.assert_array_equal([*state.linear, *state.angular], data.joint("it/root").qvel)
-    names = body_plan(P2AT).parts[1:]
+    names = kinematic_tree_of(P2AT).parts[1:]
     np.testing.assert_array_equal(state.joint_pos, [data.joint(f"it/{n}").qpos[0] for n in names])
     np.testing.assert_array_equal(state.joint_vel, [data.joint(f"it/{n}").qvel[0] for n in names])
 
 
 @pytest.mark.parametrize(("robot", "height"), [(P2AT, 0.26), (P2DX, 0.20)])
 def test_clearance_is_the_manuals_start_height(robot, height):
-    assert body_plan(robot).clearance == pytest.approx(height, abs=HEIGHT_ATOL)  # manual 5.3.6
+    assert kinematic_tree_of(robot).clearance == pytest.approx(height, abs=HEIGHT_ATOL)  # manual 5.3.6
     assert robot.origin_height == height
 
 
@@ -119,4 +119,4 @@ def test_clearance_is_the_manuals_start_height(robot, height):
 def test_clearance_knows_every_shape(shape, reach):
     low = replace(shape, at=(0.0, 0.0, 0.5), rotation=(0.0, np.pi / 6, 0.0), mass=1.0)
     robot = replace(P2AT, name="Keel", chassis=(low,))
-    assert body_plan(robot).clearance == pytest.approx(0.5 + reach, abs=HEIGHT_ATOL)
+    assert kinematic_tree_of(robot).clearance == pytest.approx(0.5 + reach, abs=HEIGHT_ATOL)

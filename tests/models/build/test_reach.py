@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.arenas.yellow import START_CELLS, YELLOW
 from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.raster import Grid, columns
-from usarmjx.models.build.reach import placed, reach_map, size_of, victims_reached
+from usarmjx.models.build.raster import Grid, rasterize
+from usarmjx.models.build.reach import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec, Loose, StartPose, Victim
+from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose, Victim
 from usarmjx.models.spec.robot import HeightField, Mesh, Shape
 
 SPLIT = settings(max_examples=20, deadline=None)
@@ -144,27 +144,27 @@ def test_without_a_floor_robots_stay_on_what_there_is():
 
 def test_near_is_measured_around_walls():
     wall = block((0.0, -3.0, 0.0), (0.1, 3.0, 1.0))
-    assert not reach(wall).near(0.3, 0.0)  # 0.6 m from where the robot gets, behind a wall
+    assert not reach(wall).reaches_within(0.3, 0.0)  # 0.6 m from where the robot gets, behind a wall
     end = block((0.0, -3.0, 0.0), (0.1, 0.0, 1.0))
     corner = block((0.0, -0.5, 0.0), (3.0, -0.4, 1.0))
     around = reach(end, corner, cell=0.05)
     assert not around.reachable(0.3, -0.2)
-    assert around.near(0.3, -0.2)
-    assert not around.near(0.3, -1.5, distance=0.3)
+    assert around.reaches_within(0.3, -0.2)
+    assert not around.reaches_within(0.3, -1.5, distance=0.3)
 
 
 def test_a_start_inside_a_wall_reaches_nothing():
     lost = reach(block((-2.5, -0.5, 0.0), (-1.5, 0.5, 1.0)))
-    assert lost.home == -1
+    assert lost.start_area == -1
     assert not lost.fits(-2.0, 0.0, 0.0)
     assert not lost.reachable(2.0, 0.0)
-    assert not lost.near(2.0, 0.0)
+    assert not lost.reaches_within(2.0, 0.0)
     assert lost.fits(2.0, 0.0)
 
 
 def test_places_outside_the_grid_are_not_reached():
     assert not reach().reachable(10.0, 0.0)
-    assert not reach().near(10.0, 0.0)
+    assert not reach().reaches_within(10.0, 0.0)
 
 
 def test_loose_objects_stand_in_the_way_and_what_is_only_seen_does_not():
@@ -172,7 +172,7 @@ def test_loose_objects_stand_in_the_way_and_what_is_only_seen_does_not():
     assert reach(replace(wall, surface="fixture")).reachable(2.0, 0.0)
     assert reach(replace(wall, material="sky")).reachable(2.0, 0.0)
     beside = Shape(kind="box", size=(3.0, 0.1, 0.5), at=(1.0, 0.0, 0.0), mass=1.0, surface="loose")
-    turned = Loose(name="beam", at=(0.0, -1.0, 0.5), rotation=(0, 0, math.pi / 2), shapes=(beside,))
+    turned = LooseObject(name="beam", at=(0.0, -1.0, 0.5), rotation=(0, 0, math.pi / 2), shapes=(beside,))
     assert not reach(keys={"loose": (turned,)}).reachable(2.0, 0.0)
 
 
@@ -187,7 +187,7 @@ def test_victims_stand_in_the_way_and_are_reached_beside_any_part():
     assert victims_reached(with_victim, there) == [True]
     # Its head, towards -x, ends 0.79 m from its pelvis; robots from there stop 0.3 m before it.
     assert victims_reached(with_victim, there, distance=0.3) == [False]
-    assert not there.near(0.0, 0.2, distance=0.5)
+    assert not there.reaches_within(0.0, 0.2, distance=0.5)
 
 
 def test_a_victims_solids_are_where_the_compiled_arena_has_them():
@@ -195,7 +195,7 @@ def test_a_victims_solids_are_where_the_compiled_arena_has_them():
     model = new_spec(arena(victims=(victim,)), Physics()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    parts = list(placed(victim))
+    parts = list(shapes_in_arena(victim))
     assert len(parts) == 11
     for part in parts:
         gaps = np.abs(data.geom_xpos - part.at).max(1)
@@ -207,7 +207,7 @@ def test_a_victims_solids_are_where_the_compiled_arena_has_them():
 
 
 def test_all_starts_of_the_yellow_arena_are_reached_by_a_p2at():
-    size = size_of(P2AT)
+    size = footprint_of(P2AT)
     there = reach_map(YELLOW, size.radius, size.step, height=size.height)
     assert size.radius == pytest.approx(math.hypot(0.5238, 0.4968) / 2)  # captured GEO
     assert [start.tag for start in YELLOW.starts if not there.reachable(*start.at[:2])] == []
@@ -216,7 +216,7 @@ def test_all_starts_of_the_yellow_arena_are_reached_by_a_p2at():
 def test_robots_that_climb_no_board_miss_what_lies_behind_the_yellow_arenas_boards():
     # As tests/models/arenas/test_yellow.py finds with distances from boxes instead of squares.
     behind = {(7, 0), (8, 0), (8, 1), (7, 2), (8, 2), (9, 3)}
-    there = reach_map(YELLOW, size_of(P2AT).radius, 0.03)
+    there = reach_map(YELLOW, footprint_of(P2AT).radius, 0.03)
     starts = zip(START_CELLS, YELLOW.starts[1:], strict=True)
     assert {cell for cell, start in starts if not there.reachable(*start.at[:2])} == behind
 
@@ -253,7 +253,7 @@ def rays(shape, x, y):
 
 def column(shape, x, y):
     grid = Grid(low=(x - FINE / 2, y - FINE / 2), cell=FINE, shape=(1, 1))
-    found = columns([shape], grid)
+    found = rasterize([shape], grid)
     return (None, None) if not len(found.low) else (found.low[0], found.high[0])
 
 

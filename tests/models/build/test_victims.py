@@ -13,24 +13,24 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.victims import (
+    BODY_HEIGHT,
     BONES,
-    HEIGHT,
-    NOBODY,
+    PADDING_OWNER,
     PART_NAMES,
-    PARTS,
+    PART_OF_BONE,
     POSTURES,
     box_names,
     loudness,
     lowest,
-    mouths,
-    padded,
+    mouth_positions,
+    pad_table,
     rest_height,
     segment_angles,
     segment_poses,
     segment_speeds,
     victim_table,
 )
-from usarmjx.models.spec.arena import FalseAlarm, HelpSound, Segment, Victim
+from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Victim
 
 FLOAT32_ATOL = 2e-6  # m: some ten roundings of lengths of 3 m
 SIGNS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
@@ -41,10 +41,14 @@ WAVING = Victim(
     rotation=(0.2, -0.1, 2.0),
     posture="sitting",
     segments=(
-        Segment(name="Chest", initial=(0.0, 0.0, 0.0), final=(0.4, -0.3, 0.2), rates=(0.5, 0.3, 0.1)),
-        Segment(name="LeftArm", initial=(-2.8, 0.1, 0.4), final=(-1.2, 0.5, 1.6), rates=(2.0, 0.0, 3.0)),
-        Segment(name="LeftHand", initial=(0.0, 0.0, -1.0), final=(0.0, 0.0, 1.0), rates=(0.0, 0.0, 4.0)),
-        Segment(name="RightLeg", initial=(-1.0, 0.0, -0.5), scale=0.5),
+        SegmentMotion(name="Chest", initial=(0.0, 0.0, 0.0), final=(0.4, -0.3, 0.2), rates=(0.5, 0.3, 0.1)),
+        SegmentMotion(
+            name="LeftArm", initial=(-2.8, 0.1, 0.4), final=(-1.2, 0.5, 1.6), rates=(2.0, 0.0, 3.0)
+        ),
+        SegmentMotion(
+            name="LeftHand", initial=(0.0, 0.0, -1.0), final=(0.0, 0.0, 1.0), rates=(0.0, 0.0, 4.0)
+        ),
+        SegmentMotion(name="RightLeg", initial=(-1.0, 0.0, -0.5), scale=0.5),
     ),
     anim_timer=0.7,
 )
@@ -76,11 +80,11 @@ def by_hand(victim, bone, time):
         chain.insert(0, BONES[chain[0]].parent)
     own = {segment.name: segment for segment in victim.segments}
     pos, turn = np.array(victim.at), Rotation.from_euler("ZYX", victim.rotation[::-1])
-    scale = HEIGHT
+    scale = BODY_HEIGHT
     for name in chain:
         pos = pos + turn.apply(scale * np.array(BONES[name].joint))
         pose = POSTURES[victim.posture].get(name, (0.0, 0.0, 0.0))
-        segment = own.get(name, Segment(name=name, initial=pose, final=pose))
+        segment = own.get(name, SegmentMotion(name=name, initial=pose, final=pose))
         scale *= segment.scale
         moves = zip(segment.initial, segment.final, segment.rates, strict=True)
         pitch, yaw, roll = (wave(a, b, victim.anim_timer * rate, time) for a, b, rate in moves)
@@ -107,17 +111,21 @@ def test_positive_pitch_bends_forward_and_positive_yaw_turns_left():
         name="bent",
         at=(0.0, 0.0, 0.0),
         posture="standing",
-        segments=(Segment(name="Chest", initial=(math.pi / 2, 0.0, 0.0)),),
+        segments=(SegmentMotion(name="Chest", initial=(math.pi / 2, 0.0, 0.0)),),
     )
     pos, _ = segment_poses(victim_table([bent]), 0.0)
     head = pos[rows(bent).index("Head")]
-    np.testing.assert_allclose(head, [HEIGHT * (0.198 + 0.091), 0.0, HEIGHT * 0.07], atol=FLOAT32_ATOL)
+    np.testing.assert_allclose(
+        head, [BODY_HEIGHT * (0.198 + 0.091), 0.0, BODY_HEIGHT * 0.07], atol=FLOAT32_ATOL
+    )
     left = pos[rows(bent).index("LeftLeg")]
     assert left[1] > 0 > pos[rows(bent).index("RightLeg")][1]
     turned = Victim(name="turned", at=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, math.pi / 2), posture="standing")
     pos, _ = segment_poses(victim_table([turned]), 0.0)
     np.testing.assert_allclose(
-        pos[rows(turned).index("LeftFoot")][:2], [-0.048 * HEIGHT, 0.046 * HEIGHT], atol=FLOAT32_ATOL
+        pos[rows(turned).index("LeftFoot")][:2],
+        [-0.048 * BODY_HEIGHT, 0.046 * BODY_HEIGHT],
+        atol=FLOAT32_ATOL,
     )
 
 
@@ -134,7 +142,7 @@ def test_angles_go_to_and_fro_between_their_ends_at_their_rate(first, last, rate
     def only(value):
         return tuple(value if i == axis else 0.0 for i in range(3))
 
-    segment = Segment(name="Head", initial=only(first), final=only(last), rates=only(rate))
+    segment = SegmentMotion(name="Head", initial=only(first), final=only(last), rates=only(rate))
     table = victim_table([Victim(name="v", at=(0, 0, 0), segments=(segment,), anim_timer=timer)])
     angles, rates = segment_angles(table, time)
     head = 2
@@ -178,18 +186,18 @@ def test_who_does_not_move_has_neither_speed_nor_swing():
 
 def test_swing_is_how_far_a_box_gets():
     """An arm of 0.332 H raised by half a turn: its end goes from hanging to straight up."""
-    up = Segment(name="LeftArm", initial=(0, 0, 0), final=(-math.pi, 0, 0), rates=(1, 0, 0))
+    up = SegmentMotion(name="LeftArm", initial=(0, 0, 0), final=(-math.pi, 0, 0), rates=(1, 0, 0))
     victim = Victim(name="v", at=(0, 0, 0), posture="standing", segments=(up,))
     swing = dict(zip(rows(victim), victim_table([victim]).swing, strict=True))
-    assert swing["LeftArm"] == pytest.approx(2 * math.hypot(0.332, 0.026) * HEIGHT, rel=1e-5)
-    assert swing["LeftHand"] == pytest.approx(2 * math.hypot(0.332 + 0.108, 0.024) * HEIGHT, rel=1e-5)
+    assert swing["LeftArm"] == pytest.approx(2 * math.hypot(0.332, 0.026) * BODY_HEIGHT, rel=1e-5)
+    assert swing["LeftHand"] == pytest.approx(2 * math.hypot(0.332 + 0.108, 0.024) * BODY_HEIGHT, rel=1e-5)
     assert swing["RightArm"] == swing["Chest"] == 0
 
 
 def test_a_shaken_head_moves_though_its_centre_stays():
-    shake = Segment(name="Head", initial=(0, -0.5, 0), final=(0, 0.5, 0), rates=(0, 2, 0))
+    shake = SegmentMotion(name="Head", initial=(0, -0.5, 0), final=(0, 0.5, 0), rates=(0, 2, 0))
     victim = Victim(name="v", at=(0, 0, 0), posture="standing", segments=(shake,))
-    table, corner = victim_table([victim]), math.hypot(0.055, 0.044) * HEIGHT
+    table, corner = victim_table([victim]), math.hypot(0.055, 0.044) * BODY_HEIGHT
     head = rows(victim).index("Head")
     assert table.swing[head] == pytest.approx(2 * corner * math.sin(0.5), rel=1e-5)
     assert segment_speeds(table, 0.1)[head] == pytest.approx(2 * corner, rel=1e-3)
@@ -244,7 +252,7 @@ def test_left_and_right_are_mirror_images():
 
 
 def test_the_seven_parts_of_the_manual_are_there():
-    assert set(PARTS.values()) == set(PART_NAMES)
+    assert set(PART_OF_BONE.values()) == set(PART_NAMES)
     assert len(PART_NAMES) == 7
     assert len(BONES) == 11
     assert next(iter(BONES)) == "Pelvis"
@@ -264,7 +272,7 @@ def test_the_seven_parts_of_the_manual_are_there():
 )
 def test_scale_0_hides_a_bone_and_all_that_hangs_on_it(bone, hidden):
     whole = Victim(name="v", at=(0.3, 0.2, 0.1), posture="crouched")
-    victim = Victim(**{**vars(whole), "name": "w", "segments": (Segment(name=bone, scale=0.0),)})
+    victim = Victim(**{**vars(whole), "name": "w", "segments": (SegmentMotion(name=bone, scale=0.0),)})
     assert set(rows(whole)) - set(rows(victim)) == hidden
     table = victim_table([whole, victim])
     pos, _ = segment_poses(table, 0.0)
@@ -275,13 +283,13 @@ def test_scale_0_hides_a_bone_and_all_that_hangs_on_it(bone, hidden):
 
 def test_scale_goes_down_the_chain_and_multiplies():
     """And leaves the posture alone: a segment whose poses are zero has none of its own."""
-    segments = (Segment(name="Chest", scale=0.5), Segment(name="LeftArm", scale=0.5))
+    segments = (SegmentMotion(name="Chest", scale=0.5), SegmentMotion(name="LeftArm", scale=0.5))
     victim = Victim(name="v", at=(0.0, 0.0, 0.0), posture="crouched", segments=segments)
     angles, _ = segment_angles(victim_table([victim]), 0.0)
     np.testing.assert_allclose(angles[rows(victim).index("Chest")], POSTURES["crouched"]["Chest"], rtol=1e-6)
     sizes = dict(zip(rows(victim), victim_table([victim]).size, strict=True))
     for bone, scale in {"Pelvis": 1, "Chest": 0.5, "Head": 0.5, "LeftArm": 0.25, "LeftHand": 0.25}.items():
-        np.testing.assert_allclose(sizes[bone], scale * HEIGHT * np.array(BONES[bone].half), rtol=1e-6)
+        np.testing.assert_allclose(sizes[bone], scale * BODY_HEIGHT * np.array(BONES[bone].half), rtol=1e-6)
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -289,13 +297,13 @@ def test_scale_goes_down_the_chain_and_multiplies():
 
 def test_false_alarms_are_single_boxes_of_their_own():
     table = victim_table([PLAIN], [ALARM, FalseAlarm(part="Head", at=(1, 1, 1), scale=0.0)])
-    assert table.boxes == 12
-    assert table.victims == 1
+    assert table.num_boxes == 12
+    assert table.num_victims == 1
     assert table.owner.tolist() == [0] * 11 + [-1]
     assert PART_NAMES[table.part[11]] == "Hand"
     pos, quat = segment_poses(table, 5.0)
     np.testing.assert_allclose(pos[11], ALARM.at, atol=1e-6)
-    np.testing.assert_allclose(table.size[11], 2 * HEIGHT * np.array(BONES["LeftHand"].half), rtol=1e-6)
+    np.testing.assert_allclose(table.size[11], 2 * BODY_HEIGHT * np.array(BONES["LeftHand"].half), rtol=1e-6)
     w, x, y, z = quat[11]
     expected = Rotation.from_euler("ZYX", ALARM.rotation[::-1]).as_matrix()
     np.testing.assert_allclose(Rotation((x, y, z, w)).as_matrix(), expected, atol=1e-6)
@@ -320,7 +328,7 @@ def test_jax_and_numpy_agree_also_over_several_times():
 def test_worlds_with_other_victims_are_one_batch():
     """Tables padded to one size and stacked: each world has what it would have alone."""
     worlds = [victim_table([WAVING, PLAIN], [ALARM]), victim_table([PLAIN]), victim_table([], [ALARM])]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(padded(w, 25, 3) for w in worlds))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(pad_table(w, 25, 3) for w in worlds))
     time = jnp.array([1.5, 2.5, 3.5])
     pos, quat = jax.jit(jax.vmap(partial(segment_poses, xp=jnp)))(stacked, time)
     sound = jax.vmap(partial(loudness, xp=jnp))(stacked, time)
@@ -329,12 +337,12 @@ def test_worlds_with_other_victims_are_one_batch():
     np.testing.assert_allclose(np.linalg.norm(quat, axis=-1), 1, atol=1e-5)
     for i, world in enumerate(worlds):
         alone, _ = segment_poses(world, np.float32(time[i]))
-        np.testing.assert_allclose(pos[i, : world.boxes], alone, atol=1e-5)
-        rest = padded(world, 25, 3).owner[world.boxes :]
-        assert np.all(rest == NOBODY)
-        assert np.all(np.abs(pos[i, world.boxes :]) > 1e5)
+        np.testing.assert_allclose(pos[i, : world.num_boxes], alone, atol=1e-5)
+        rest = pad_table(world, 25, 3).owner[world.num_boxes :]
+        assert np.all(rest == PADDING_OWNER)
+        assert np.all(np.abs(pos[i, world.num_boxes :]) > 1e5)
     with pytest.raises(SpecError, match="23 boxes of 2 victims do not fit into room for 22 of 3"):
-        padded(worlds[0], 22, 3)
+        pad_table(worlds[0], 22, 3)
 
 
 def test_an_arena_without_victims_has_an_empty_table():
@@ -343,8 +351,8 @@ def test_an_arena_without_victims_has_an_empty_table():
     assert pos.shape == (4, 0, 3)
     assert quat.shape == (4, 0, 4)
     assert loudness(table, 0.0).shape == (0,)
-    assert mouths(table, pos).shape == (4, 0, 3)
-    assert segment_poses(padded(table, 3, 1), 1.0)[0].shape == (3, 3)
+    assert mouth_positions(table, pos).shape == (4, 0, 3)
+    assert segment_poses(pad_table(table, 3, 1), 1.0)[0].shape == (3, 3)
 
 
 # --- sound ----------------------------------------------------------------------------------------
@@ -360,11 +368,11 @@ def test_cries_come_and_go(time, loud):
 
 
 def test_the_voice_comes_from_the_head_or_what_is_left():
-    headless = Victim(name="h", at=(1, 2, 3), segments=(Segment(name="Chest", scale=0.0),))
-    gone = Victim(name="g", at=(4, 5, 6), segments=(Segment(name="Pelvis", scale=0.0),))
+    headless = Victim(name="h", at=(1, 2, 3), segments=(SegmentMotion(name="Chest", scale=0.0),))
+    gone = Victim(name="g", at=(4, 5, 6), segments=(SegmentMotion(name="Pelvis", scale=0.0),))
     table = victim_table([PLAIN, headless, gone])
     pos, _ = segment_poses(table, 0.0)
-    np.testing.assert_allclose(mouths(table, pos), [pos[2], (1, 2, 3), (4, 5, 6)], atol=1e-6)
+    np.testing.assert_allclose(mouth_positions(table, pos), [pos[2], (1, 2, 3), (4, 5, 6)], atol=1e-6)
 
 
 # --- what is refused ------------------------------------------------------------------------------
@@ -374,15 +382,18 @@ def test_the_voice_comes_from_the_head_or_what_is_left():
     ("change", "message"),
     [
         ({"posture": "flying"}, "unknown posture 'flying'; known: standing, lying, sitting, crouched"),
-        ({"segments": (Segment(name="Tail"),)}, "unknown bone 'Tail'; known: Pelvis, Chest, Head, LeftArm"),
         (
-            {"segments": tuple(Segment(name=name) for name in list(BONES)[:9])},
+            {"segments": (SegmentMotion(name="Tail"),)},
+            "unknown bone 'Tail'; known: Pelvis, Chest, Head, LeftArm",
+        ),
+        (
+            {"segments": tuple(SegmentMotion(name=name) for name in list(BONES)[:9])},
             "9 segments, at most 8 are allowed",
         ),
-        ({"segments": (Segment(name="Head"), Segment(name="Head"))}, "segments of one name"),
-        ({"segments": (Segment(name="Head", rates=(0, -1, 0)),)}, "YawRate is -1, expected at least 0"),
-        ({"segments": (Segment(name="Head", scale=-1.0),)}, "Scale is -1.0"),
-        ({"segments": (Segment(name="Head", rates=(math.nan, 0, 0)),)}, "PitchRate is nan"),
+        ({"segments": (SegmentMotion(name="Head"), SegmentMotion(name="Head"))}, "segments of one name"),
+        ({"segments": (SegmentMotion(name="Head", rates=(0, -1, 0)),)}, "YawRate is -1, expected at least 0"),
+        ({"segments": (SegmentMotion(name="Head", scale=-1.0),)}, "Scale is -1.0"),
+        ({"segments": (SegmentMotion(name="Head", rates=(math.nan, 0, 0)),)}, "PitchRate is nan"),
         ({"anim_timer": -1.0}, "AnimTimer is -1.0, expected at least 0"),
         ({"help_sound": HelpSound(pause=-1.0)}, "pause is -1.0"),
     ],

@@ -9,14 +9,14 @@ import pytest
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.check.arena import check_arena
-from usarmjx.models.spec.arena import ArenaSpec, Door, Loose, StartPose, Tag, Victim, Water
+from usarmjx.models.spec.arena import ArenaSpec, Door, LooseObject, StartPose, Tag, Victim, Water
 from usarmjx.models.spec.robot import HeightField, Shape
 
 START = StartPose(tag="A", at=(0, 0, 0.188))
 ROOM = ArenaSpec(name="room", starts=(START,), extent=((-5, 5), (-5, 5)))
 WALL = Shape(kind="box", size=(0.05, 5, 0.5), at=(2, 0, 0.5), surface="wall")
 FLOOR = Shape(kind="box", size=(5, 5, 0.1), at=(0, 0, -0.1), surface="ground")
-BRICK = Loose(
+BRICK = LooseObject(
     name="brick",
     at=(1, 0, 0.051),
     shapes=(Shape(kind="box", size=(0.1, 0.1, 0.05), mass=2, surface="loose"),),

@@ -23,8 +23,8 @@ from usarmjx.models.spec.arena import (
     FalseAlarm,
     HelpSound,
     Light,
-    Loose,
-    Segment,
+    LooseObject,
+    SegmentMotion,
     StartPose,
     Tag,
     Victim,
@@ -93,7 +93,7 @@ hill = st.builds(
     at=vector,
 )
 segment = st.builds(
-    Segment,
+    SegmentMotion,
     name=st.sampled_from(sorted(BONES)),
     initial=vector,
     final=vector,
@@ -132,7 +132,7 @@ arenas = st.builds(
     shapes=tuples(box | rod | wedge | hill),
     starts=tuples(st.builds(StartPose, tag=text, at=vector, yaw=number)),
     extent=st.tuples(positive, positive).map(lambda ends: ((-ends[0], ends[0]), (-ends[1], ends[1]))),
-    loose=tuples(st.builds(Loose, name=text, shapes=st.tuples(box, wedge), **posed), name_of),
+    loose=tuples(st.builds(LooseObject, name=text, shapes=st.tuples(box, wedge), **posed), name_of),
     doors=tuples(
         st.builds(Door, name=text, at=vector, yaw=number, mass=positive, friction=share, rgba=rgba), name_of
     ),

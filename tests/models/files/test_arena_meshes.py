@@ -7,7 +7,7 @@ import trimesh
 import dev
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.meshes import MOST_VERTICES, pieces_of_file
+from usarmjx.models.files.meshes import MOST_VERTICES, load_convex_pieces
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 
@@ -26,13 +26,13 @@ def test_each_connected_piece_is_a_solid(tmp_path):
     box = trimesh.creation.box((1, 2, 3))
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5).apply_translation((5, 0, 0))
     for name in ("two.stl", "two.obj"):
-        found = pieces_of_file(export(tmp_path / name, box, ball), (2, 2, 2))
+        found = load_convex_pieces(export(tmp_path / name, box, ball), (2, 2, 2))
         assert sorted(len(piece.corners) for piece in found) == [8, 42]
         assert sorted(p.volume for p in found) == pytest.approx(sorted([48, 8 * ball.volume]), rel=1e-5)
 
 
 def test_objects_that_share_a_face_are_solids_of_their_own():
-    lower, upper = pieces_of_file(EXAMPLES / "rubble.obj")
+    lower, upper = load_convex_pieces(EXAMPLES / "rubble.obj")
     assert (lower.volume, upper.volume) == pytest.approx((8, 4))
     assert upper.corners.min(0).tolist() == [-1, -1, 1]
 
@@ -56,7 +56,7 @@ def test_a_piece_that_is_not_convex_is_refused_unless_it_is_filled_or_cut(tmp_pa
         ArenaFileError, match=r"ell\.obj is not convex \(its hull has 3\.5 m3, itself 3\): cut it"
     ):
         load_arena(path)
-    (filled,) = pieces_of_file(path, hull=True)
+    (filled,) = load_convex_pieces(path, hull=True)
     assert filled.volume == pytest.approx(3.5)
     for name, size, at in (("one", (2, 1, 1), (1, 0.5, 0.5)), ("two", (1, 1, 1), (0.5, 1.5, 0.5))):
         export(tmp_path / f"{name}.obj", trimesh.creation.box(size).apply_translation(at))

@@ -11,7 +11,7 @@ from usarmjx.models.files.robot_mjcf import robot_from_mjcf
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import CHASSIS, Motor, Mount
-from usarmjx.sensors.payload import payload_of
+from usarmjx.sensors.payload import carried_weight
 
 MASS_ATOL = 1e-6  # kg
 POSE_ATOL = 1e-5  # m, and the elements of rotation matrices
@@ -186,7 +186,7 @@ def test_solids_stay_and_meshes_become_their_inertia_boxes(write):
     assert inertia.mass == sum(shape.mass for shape in robot.chassis)
     wheel = robot.parts[2]
     assert [(shape.kind, shape.surface, shape.mass) for shape in wheel.shapes] == [("cylinder", "wheel", 0.4)]
-    assert wheel.rolls
+    assert wheel.is_wheel
     head = robot.parts[0]
     assert [(shape.kind, shape.surface) for shape in head.shapes] == [
         ("ellipsoid", "hull"),
@@ -232,7 +232,7 @@ def test_an_imported_car_drives_and_looks_around(write, monkeypatch):
     robot = robot_from_mjcf(write(CAR), name="Imported", drive=SKID, motors=wheels, sensors=sensors)
     monkeypatch.setattr(ROBOTS, "_entries", dict(ROBOTS._entries))
     ROBOTS.add("Imported", robot)
-    assert payload_of(robot) == 0.1, "an INS (manual 10.6)"
+    assert carried_weight(robot) == 0.1, "an INS (manual 10.6)"
     rig = Rig("Imported").tell(Left=3.0, Right=3.0)
     rig.move({"pan": 0.5})
     assert steady_speed(rig) == pytest.approx(3.0 * 0.08, rel=0.05)

@@ -17,12 +17,12 @@ from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.build.arena_set import arena_set
 from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.compose_arena import ARENA, BONE, LOOSE
-from usarmjx.models.build.reach import placed, reach_map, size_of, victims_reached
+from usarmjx.models.build.compose_arena import ARENA, LOOSE_PREFIX, VICTIM_PREFIX
+from usarmjx.models.build.reach import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generate_many
 from usarmjx.models.generate.contents import FORMS
-from usarmjx.models.generate.draw import Draw
-from usarmjx.models.generate.plan import CELL, HEIGHT
+from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.plan import CELL, WALL_HEIGHT
 from usarmjx.models.generate.structures import STOREY
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
@@ -34,7 +34,7 @@ FEW = settings(max_examples=12, deadline=None)
 SMALL = st.tuples(st.integers(3, 8), st.integers(3, 6))
 UNIT = st.integers(0, 10).map(lambda tenths: tenths / 10)
 DIFFICULTIES = st.builds(Difficulty, **{field.name: UNIT for field in fields(Difficulty)})
-NEED = size_of(P2AT)
+NEED = footprint_of(P2AT)
 EXACT = 1e-6  # m: all numbers are rounded to that
 
 
@@ -66,9 +66,9 @@ def test_the_same_seed_is_the_same_arena_on_every_machine(kind):
 def test_draws_are_those_of_the_bit_generator():
     bits = np.random.PCG64(np.random.SeedSequence([5, 0xD87F7E0C]))  # CRC-32 of "test"
     expected = bits.random_raw(512).tolist()[::-1]
-    draw = Draw(5, "test")
-    assert [draw.below(10**6) for _ in range(8)] == [value % 10**6 for value in expected[:8]]
-    assert sorted(Draw(5, "test").shuffled(range(9))) == list(range(9))
+    draw = RandomStream(5, "test")
+    assert [draw.randint(10**6) for _ in range(8)] == [value % 10**6 for value in expected[:8]]
+    assert sorted(RandomStream(5, "test").shuffled(range(9))) == list(range(9))
 
 
 def test_names_say_kind_size_and_seed_and_kinds_match_without_case():
@@ -90,7 +90,7 @@ def test_arenas_fit_into_one_batch(kind):
         assert (arena.floor, arena.doors, arena.waters) == (0.0, (), ())
     batch = arena_set(arenas)
     assert len(batch.arenas) == 5
-    assert batch.sites.pos.shape[1] <= budget(kind, (6, 5)).shapes
+    assert batch.states.pos.shape[1] <= budget(kind, (6, 5)).shapes
 
 
 @FEW
@@ -113,7 +113,7 @@ def test_budgets_are_kept(kind, size, seed, hard):
 )
 def test_the_stated_share_of_victims_and_all_starts_are_reached(kind, size, seed, hard, share, robot):
     arena = generate(kind, size, seed, hard, robot=robot, reachable=share)
-    need = size_of(ROBOTS.get(robot))
+    need = footprint_of(ROBOTS.get(robot))
     # Other squares than the generator's.
     there = reach_map(arena, need.radius, need.step, height=need.height, cell=0.018)
     assert sum(victims_reached(arena, there)) == round(share * len(arena.victims))
@@ -149,7 +149,7 @@ def solids(arena):
 def overlaps(arena):
     """Pairs of things that reach into each other by more than rounding, by C MuJoCo."""
     model, data = solids(arena)
-    groups = {ARENA: [], BONE: [], LOOSE: [], "start": [], "tag": []}
+    groups = {ARENA: [], VICTIM_PREFIX: [], LOOSE_PREFIX: [], "start": [], "tag": []}
     for geom in range(model.ngeom):
         name = model.geom(geom).name
         for group, members in groups.items():
@@ -165,7 +165,7 @@ def overlaps(arena):
     found = []
     for one, two in itertools.combinations_with_replacement(groups, 2):
         for a, b in itertools.product(groups[one], groups[two]):
-            if one == two and (a >= b or one in (ARENA, BONE)):
+            if one == two and (a >= b or one in (ARENA, VICTIM_PREFIX)):
                 continue
             reach = model.geom_rbound[a] + model.geom_rbound[b]
             if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > reach:
@@ -187,7 +187,7 @@ def test_victims_of_one_arena_do_not_overlap_each_other():
     arena = generate("collapsed", (8, 6), 1, victims=6)
     lows, highs = [], []
     for victim in arena.victims:
-        spots = np.array([part.at for part in placed(victim)])
+        spots = np.array([part.at for part in shapes_in_arena(victim)])
         lows.append(spots.min(0) - 0.08)  # half a hand, and less than half a limb
         highs.append(spots.max(0) + 0.08)
     for a, b in itertools.combinations(range(len(lows)), 2):
@@ -329,7 +329,7 @@ def test_walls_are_straight_pieces_of_at_most_four_cells():
     for kind in NAMES:
         walls = [s for s in generate(kind, (12, 8), 1).shapes if s.surface == "wall"]
         assert max(max(s.size[:2]) for s in walls) <= 2 * CELL + 0.025 + EXACT
-        assert {s.at[2] for s in walls} == {HEIGHT / 2}
+        assert {s.at[2] for s in walls} == {WALL_HEIGHT / 2}
 
 
 def test_curricula_set_all_of_the_difficulty():

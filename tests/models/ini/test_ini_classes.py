@@ -8,11 +8,11 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.sensors.payload import payload_of
+from usarmjx.sensors.payload import carried_weight
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.messages.sensors import configuration
-from usarmjx.server.protocol.grammar import format
-from usarmjx.sim.configure import item_settings
+from usarmjx.server.protocol.grammar import format_message
+from usarmjx.sim.configure import settings_by_kind
 
 BARE = replace(P2AT, sensors=(), cameras=())
 
@@ -27,7 +27,7 @@ def load(tmp_path):
         robots = Registry("robot")
         for robot in (BARE, P2DX):
             robots.add(robot.name, robot)
-        return load_robots(paths, robots, settings=item_settings())
+        return load_robots(paths, robots, settings=settings_by_kind())
 
     return read
 
@@ -61,9 +61,9 @@ def test_a_scanner_with_other_numbers_is_a_class_of_its_own(load):
     assert (settings.max_range, settings.resolution, settings.scan_fov) == (8.0, 0.0349, 1.5708)
     assert settings.scan_interval == 0.5, "what it says nothing of is the base's (manual 10.3.2)"
     assert settings.beams == 46
-    assert payload_of(robot_of(loaded)) == pytest.approx(1.1)
+    assert carried_weight(robot_of(loaded)) == pytest.approx(1.1)
     (line,) = configuration(robot_of(loaded), suite_of(robot_of(loaded)).sensors, (), "RangeScanner", "")
-    assert "{Name Small} {MaxRange 8.0000}" in format(line)
+    assert "{Name Small} {MaxRange 8.0000}" in format_message(line)
 
 
 def test_a_mount_overrides_its_class_which_overrides_the_bases_section(load):
@@ -97,7 +97,7 @@ Cameras=(ItemClass=class'USARBot.Wide',ItemName=Eye)
     robot = robot_of(load(text))
     assert (robot.effecters[0].kind, robot.cameras[0].kind) == ("RFIDReleaser", "Camera")
     assert dict(robot.cameras[0].options)["CameraDefFov"] == 1.2
-    assert payload_of(robot) == pytest.approx(0.7 + 0.4)
+    assert carried_weight(robot) == pytest.approx(0.7 + 0.4)
 
 
 @pytest.mark.parametrize(

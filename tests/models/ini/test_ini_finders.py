@@ -7,12 +7,12 @@ import pytest
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.sensors.human_motion import MotionSettings
+from usarmjx.sensors.human_motion import HumanMotionSettings
 from usarmjx.sensors.rfid import RfidSettings
 from usarmjx.sensors.sound import SoundSettings
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sensors.victim import VictimSettings
-from usarmjx.sim.configure import item_settings
+from usarmjx.sensors.victim import VictSensorSettings
+from usarmjx.sim.configure import settings_by_kind
 
 CURVE = "OutputCurve=(Points=((InVal=0.000000,OutVal=0.000000),(InVal=1000.000000,OutVal=1000.000000)))"
 EXCERPTS = {
@@ -33,11 +33,11 @@ Weight=0.5""",
             sensing_mode="Obstacle",
             max_range=2.0,
             max_single_shot_range=5.0,
-            d_bm_tx_power=30.0,
-            d_bm_rx_sensibility=-80.0,
-            d_b_obstacle_attenuation=4.0,
-            trace_rfi_ds=True,
-            always_read_rfi_dmem=True,
+            tx_power_dbm=30.0,
+            rx_sensitivity_dbm=-80.0,
+            obstacle_attenuation_db=4.0,
+            trace_rfids=True,
+            always_read_rfid_mem=True,
             hidden_sensor=False,
             with_time_stamp=True,
             weight=0.5,
@@ -55,7 +55,7 @@ bWithTimeStamp=false
 bShowResults=true
 Mean=0.1
 Sigma=0.05""",
-        VictimSettings(
+        VictSensorSettings(
             distance=4.0,
             vertical_fov=0.5,
             vertical_step=0.05,
@@ -73,7 +73,9 @@ Sigma=0.05""",
     "HumanMotion": (
         "HumanMotionSensor",
         f"HiddenSensor=True\nWeight=0.4\nMaxRange=100\nFOV=90\nNoise=0.2\n{CURVE}",
-        MotionSettings(max_range=100.0, fov=90.0, noise=0.2, output_curve=((0.0, 0.0), (1000.0, 1000.0))),
+        HumanMotionSettings(
+            max_range=100.0, fov=90.0, noise=0.2, output_curve=((0.0, 0.0), (1000.0, 1000.0))
+        ),
     ),
 }
 
@@ -86,7 +88,7 @@ def test_the_manuals_keys_set_what_they_say(tmp_path, kind):
     file.write_text(f"[USARBot.{section}]\n{keys}\n[USARBot.P2AT]\n{mount}\n")
     robots: Registry = Registry("robot")
     robots.add(P2AT.name, P2AT)
-    loaded = load_robots([file], robots, 250.0, item_settings())
+    loaded = load_robots([file], robots, 250.0, settings_by_kind())
     assert not loaded.warnings
     (robot,) = loaded.robots
     (sensor,) = (sensor for sensor in suite_of(robot).sensors if sensor.mounts[0].name == "Item")
@@ -98,7 +100,7 @@ def test_the_rescue_example_mounts_all_finders_on_a_p2at():
     file = Path(__file__).parents[3] / "examples" / "rescue.ini"
     stock_only: Registry = Registry("robot")
     stock_only.add(P2AT.name, P2AT)
-    loaded = load_robots([file], stock_only, 250.0, item_settings())
+    loaded = load_robots([file], stock_only, 250.0, settings_by_kind())
     assert not loaded.warnings
     (robot,) = loaded.robots
     suite_of(robot)
@@ -112,7 +114,7 @@ def test_the_full_suite_example_has_every_sensor_of_the_benchmark():
     file = Path(__file__).parents[3] / "examples" / "full_suite.ini"
     stock_only: Registry = Registry("robot")
     stock_only.add(P2AT.name, P2AT)
-    loaded = load_robots([file], stock_only, 250.0, item_settings())
+    loaded = load_robots([file], stock_only, 250.0, settings_by_kind())
     assert not loaded.warnings
     kinds = {sensor.kind for sensor in suite_of(loaded.robots[0]).sensors}
     assert {"Sonar", "RangeScanner", "Odometry", "INS", "Encoder", "Touch", "RFID", "VictSensor"} <= kinds

@@ -9,7 +9,7 @@ import pytest
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.ini.robots import load_robots
@@ -19,13 +19,13 @@ from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import CHASSIS, Motor, options
-from usarmjx.sensors.payload import overload, payload_of
+from usarmjx.sensors.payload import carried_weight, overload
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sim.configure import configure, item_settings
+from usarmjx.sim.configure import configure, settings_by_kind
 
 EXACT = 1e-9  # float64 arithmetic on the file's numbers
 PRINTED = 4e-3  # m: captured mounts of the excerpt's items differ from it by rounding to whole and half UU
-SETTINGS = item_settings()
+SETTINGS = settings_by_kind()
 
 # Manual 12.1.2, its line breaks mended.
 EXCERPT = """
@@ -462,7 +462,7 @@ Cameras=(ItemClass=class'USARBot.RobotCamera',ItemName=Camera,Parent=Pole_Link2)
     mujoco.mj_kinematics(model, data)
     # Half a turn about x makes the first link's z point up; the second is 0.2 along it, and it rises by 0.3.
     np.testing.assert_allclose(data.body("Pole_Link2").xpos, (-0.1, 0.0, 0.1 + 0.2 + 0.3), atol=1e-7)
-    assert body_plan(robot).mass == pytest.approx(14.0 + 0.5 + 0.2, abs=1e-6)
+    assert kinematic_tree_of(robot).mass == pytest.approx(14.0 + 0.5 + 0.2, abs=1e-6)
 
 
 # Tracks
@@ -472,8 +472,8 @@ Cameras=(ItemClass=class'USARBot.RobotCamera',ItemName=Camera,Parent=Pole_Link2)
 def test_the_number_of_tires_of_a_track_can_be_set_at_each_end(load, count):
     loaded = load(f"[USARBot.TarantulaFrontTrack]\nNumTires={count}")
     robot = named(loaded, "Tarantula")
-    rows = {f: [p for p in robot.parts if p.rolls and p.parent == f] for f in ("FRFlipper", "RLFlipper")}
-    stock = {f: [p for p in TARANTULA.parts if p.rolls and p.parent == f] for f in rows}
+    rows = {f: [p for p in robot.parts if p.is_wheel and p.parent == f] for f in ("FRFlipper", "RLFlipper")}
+    stock = {f: [p for p in TARANTULA.parts if p.is_wheel and p.parent == f] for f in rows}
     assert len(rows["FRFlipper"]) == count
     assert rows["RLFlipper"] == stock["RLFlipper"], "the rear is another section's"
     row, tip = rows["FRFlipper"], stock["FRFlipper"][-1]
@@ -483,7 +483,7 @@ def test_the_number_of_tires_of_a_track_can_be_set_at_each_end(load, count):
     speeds = dict(zip((*robot.drive.left, *robot.drive.right), robot.drive.ratios, strict=True))
     for part in robot.wheels:  # one belt speed
         assert speeds[part.name] * part.shapes[0].size[0] == pytest.approx(robot.drive.radius)
-    assert body_plan(robot).mass == pytest.approx(body_plan(TARANTULA).mass, abs=1e-5)
+    assert kinematic_tree_of(robot).mass == pytest.approx(kinematic_tree_of(TARANTULA).mass, abs=1e-5)
 
 
 # Payload
@@ -492,7 +492,7 @@ def test_the_number_of_tires_of_a_track_can_be_set_at_each_end(load, count):
 def test_the_payload_is_the_sum_of_the_weights_of_all_items(load):
     """Manual 10: 0.4 kg for a sensor or camera by default, 0.1 kg for an INS, here 1 kg for a sonar."""
     light = sum(m.kind not in ("INS", "Sonar") for m in (*P2AT.sensors, *P2AT.cameras))
-    assert payload_of(P2AT) == pytest.approx(0.1 + 0.4 * (light + 16), abs=EXACT)
+    assert carried_weight(P2AT) == pytest.approx(0.1 + 0.4 * (light + 16), abs=EXACT)
     text = """
 [USARBot.SonarSensor]
 Weight=1.0
@@ -504,11 +504,13 @@ Effecters=(ItemClass=class'USARBot.RFIDReleaser',ItemName=Gun)
 """
     robot = named(load(text), "P2AT")
     expected = 0.1 + 0.4 * light + 16 * 1.0 + 0.5
-    assert payload_of(robot) == pytest.approx(expected, abs=EXACT)
+    assert carried_weight(robot) == pytest.approx(expected, abs=EXACT)
     assert f"carries {expected:.2f} kg" in overload(robot)
     assert "payload is 10.00 kg" in overload(robot)
     assert overload(P2AT) == ""
-    assert body_plan(robot).mass == body_plan(P2AT).mass, "weights are for the payload only (footnote 3)"
+    assert kinematic_tree_of(robot).mass == kinematic_tree_of(P2AT).mass, (
+        "weights are for the payload only (footnote 3)"
+    )
 
 
 # Mistakes
@@ -595,7 +597,7 @@ def test_configuring_replaces_classes_in_the_registry_or_nothing(own_robots, tmp
     assert own_robots.get("P2AT") == replace(P2AT, payload=1.0)
     assert own_robots.names().count("P2AT") == 1
     assert sorted(text.partition("good.ini:")[2] for text in warnings) == [
-        f"11: P2AT carries {payload_of(P2AT):.2f} kg of {len(P2AT.sensors) + len(P2AT.cameras)} items, its "
+        f"11: P2AT carries {carried_weight(P2AT):.2f} kg of {len(P2AT.sensors) + len(P2AT.cameras)} items, its "
         "payload is 1.00 kg",
         "2: Rover carries 0.50 kg of 1 items, its payload is 0.20 kg",
     ]

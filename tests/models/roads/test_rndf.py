@@ -12,8 +12,8 @@ from usarmjx.models.roads.network import (
     BOUNDARIES,
     Lane,
     Mission,
+    RoadSegment,
     RouteNetwork,
-    Segment,
     SpeedLimit,
     Spot,
     Zone,
@@ -72,7 +72,7 @@ NETWORK = RouteNetwork(
     format_version="1.0",
     creation_date="14-Mar-07",
     segments=(
-        Segment(
+        RoadSegment(
             name="Elm_Street",
             lanes=(
                 Lane(
@@ -337,7 +337,7 @@ def networks(draw):
         name=draw(NAMES.filter(bool)),
         format_version=draw(NAMES),
         creation_date=draw(NAMES),
-        segments=tuple(Segment(lanes=tuple(map(lane, lanes)), name=draw(NAMES)) for lanes in shape),
+        segments=tuple(RoadSegment(lanes=tuple(map(lane, lanes)), name=draw(NAMES)) for lanes in shape),
         zones=tuple(
             Zone(perimeter=places(k), exits=exits(k), spots=tuple(spot() for _ in range(n)), name=draw(NAMES))
             for k, n in zones

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.roads.geodesy import degrees_of
-from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Segment
-from usarmjx.models.roads.shapes import DASH, GAP, LINE, PAINT, WHITE, YELLOW, beside, lane_runs, road_shapes
+from usarmjx.models.roads.geodesy import to_lat_lon
+from usarmjx.models.roads.network import FOOT, Lane, RoadSegment, RouteNetwork
+from usarmjx.models.roads.shapes import (
+    DASH,
+    GAP,
+    LINE,
+    PAINT,
+    WHITE,
+    YELLOW,
+    lane_runs,
+    offset_path,
+    road_shapes,
+)
 
 ORIGIN = (40.0, 10.0)
 HALF = 6 * FOOT
@@ -15,12 +25,12 @@ ATOL = 1e-4  # m: degrees to metres and back
 
 def lane(left, right, *points, y=0.0, **marks):
     """A lane straight along x; y is left."""
-    places = tuple(degrees_of(ORIGIN, (x, y)) for x in points or (0.0, LENGTH))
+    places = tuple(to_lat_lon(ORIGIN, (x, y)) for x in points or (0.0, LENGTH))
     return Lane(waypoints=places, left=left, right=right, **marks)
 
 
 def painted(*lanes):
-    return road_shapes(RouteNetwork(name="r", segments=(Segment(lanes=lanes),)), ORIGIN)
+    return road_shapes(RouteNetwork(name="r", segments=(RoadSegment(lanes=lanes),)), ORIGIN)
 
 
 def of(shapes, rgba=WHITE, surface="fixture"):
@@ -58,7 +68,7 @@ def test_lines_end_where_a_lane_crosses_another_road():
     crossing = lane(
         "solid_yellow", "solid_white", 0.0, 40.0, 60.0, 100.0, exits=((2, (1, 1, 3)),), stops=(2,)
     )
-    network = RouteNetwork(name="r", segments=(Segment(lanes=(crossing,)),))
+    network = RouteNetwork(name="r", segments=(RoadSegment(lanes=(crossing,)),))
     runs = lane_runs(network, (1, 1), ORIGIN)
     np.testing.assert_allclose([run[:, 0] for run in runs], [(0, 40), (60, 100)], atol=ATOL)
     shapes = road_shapes(network, ORIGIN)
@@ -79,5 +89,5 @@ def test_a_straight_lane_of_many_waypoints_has_one_line_and_kerb():
 
 def test_a_line_beside_a_bend_keeps_its_distance_to_both_pieces():
     path = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)])
-    np.testing.assert_allclose(beside(path, 1.0), [(0, 1), (9, 1), (9, 10)], atol=1e-12)
-    np.testing.assert_allclose(beside(path, -2.0), [(0, -2), (12, -2), (12, 10)], atol=1e-12)
+    np.testing.assert_allclose(offset_path(path, 1.0), [(0, 1), (9, 1), (9, 10)], atol=1e-12)
+    np.testing.assert_allclose(offset_path(path, -2.0), [(0, -2), (12, -2), (12, 10)], atol=1e-12)

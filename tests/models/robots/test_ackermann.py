@@ -8,7 +8,7 @@ import pytest
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.robots.cars import HUMMER, SEDAN
-from usarmjx.sim.control import Order, idle, steer
+from usarmjx.sim.control import ControlMode, idle_command, set_drive
 
 BASE, TRACK, AHEAD = 2.6, 1.5, 0.2  # m: of no car; the origin is not midway between the axles
 FRONT, REAR = BASE / 2 + AHEAD, -BASE / 2 + AHEAD
@@ -37,7 +37,7 @@ def car(powered="FR", rear_steer=0.5, brakes=False):
 def told(drive, speed, front, rear=0.0):
     """Speeds of powered wheels and angles of steered ones, by joint (those that do not steer: 0)."""
     values = drive.values(np.array([speed, front, rear], np.float32), np)
-    by_joint = dict(zip((aim.joint for aim in drive.aims), values.tolist(), strict=True))
+    by_joint = dict(zip((aim.joint for aim in drive.joint_controls), values.tolist(), strict=True))
     return by_joint, {wheel.joint: by_joint.get(wheel.steer, 0.0) for wheel in drive.wheels}
 
 
@@ -140,27 +140,29 @@ def test_reported_angles_are_measured():
 def test_many_setpoints_at_once_and_on_jax():
     drive = car()
     setpoints = np.array([[5.0, front, rear] for front, rear in STEERED], np.float32).reshape(2, 4, 3)
-    one_by_one = [drive.values(row, np) for row in setpoints.reshape(-1, 3)]
+    one_by_one = [drive.targets(row, np) for row in setpoints.reshape(-1, 3)]
     expected = np.array(one_by_one).reshape(2, 4, -1)
-    np.testing.assert_allclose(drive.values(setpoints, np), expected, rtol=1e-6)
-    np.testing.assert_allclose(drive.values(jnp.asarray(setpoints)), expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(drive.targets(setpoints, np), expected, rtol=1e-6)
+    np.testing.assert_allclose(drive.targets(jnp.asarray(setpoints)), expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_car_without_rear_steering_accepts_the_key_and_leaves_its_wheels_straight():
-    command = steer(HUMMER, idle(HUMMER), {"Speed": 10.0, "FrontSteer": 9.0, "RearSteer": 0.3}, np)
-    assert command.setpoint == pytest.approx([10.0, HUMMER.drive.steers[0], 0.0])
-    assert HUMMER.drive.full["RearSteer"] == 0.0
+    command = set_drive(
+        HUMMER, idle_command(HUMMER), {"Speed": 10.0, "FrontSteer": 9.0, "RearSteer": 0.3}, np
+    )
+    assert command.setpoint == pytest.approx([10.0, HUMMER.drive.max_steering[0], 0.0])
+    assert HUMMER.drive.full_scale["RearSteer"] == 0.0
 
 
 def test_only_the_front_wheels_of_a_sedan_are_powered():
     """Manual 12.7.1. Its rear wheels brake at Speed 0 and roll freely otherwise (chosen)."""
     drive = SEDAN.drive
-    orders = [drive.orders(np.array([speed, 0.2, 0.0], np.float32), np) for speed in (3.0, 0.0)]
-    by_joint = {aim.joint: (int(a), int(b)) for aim, a, b in zip(drive.aims, *orders, strict=True)}
-    moves, stands = (Order.VELOCITY, Order.VELOCITY), (Order.TORQUE, Order.VELOCITY)
+    orders = [drive.control_modes(np.array([speed, 0.2, 0.0], np.float32), np) for speed in (3.0, 0.0)]
+    by_joint = {aim.joint: (int(a), int(b)) for aim, a, b in zip(drive.joint_controls, *orders, strict=True)}
+    moves, stands = (ControlMode.VELOCITY, ControlMode.VELOCITY), (ControlMode.TORQUE, ControlMode.VELOCITY)
     assert by_joint["LeftFWheel"] == by_joint["RightFWheel"] == moves
     assert by_joint["LeftRWheel"] == by_joint["RightRWheel"] == stands
-    assert by_joint["LeftFWheel_Steer"] == (Order.POSITION, Order.POSITION)
+    assert by_joint["LeftFWheel_Steer"] == (ControlMode.POSITION, ControlMode.POSITION)
     speeds, _ = told(drive, 3.0, 0.2)
     assert speeds["LeftRWheel"] == speeds["RightRWheel"] == 0.0, "no torque"
 
@@ -168,5 +170,5 @@ def test_only_the_front_wheels_of_a_sedan_are_powered():
 def test_what_conf_reports():
     drive = car()
     assert (drive.steering, drive.vehicle) == ("AckermanSteered", "GroundVehicle")  # manual 9.3's spelling
-    assert (drive.max_speed, drive.steers, drive.top_speed) == (50.0, (0.6, 0.5), pytest.approx(15.0))
+    assert (drive.max_speed, drive.max_steering, drive.top_speed) == (50.0, (0.6, 0.5), pytest.approx(15.0))
     assert drive.wheel_base == pytest.approx(BASE)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.rig import Rig
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.drives.fluid import AIR, added_mass, shape_factors
+from usarmjx.models.drives.fluid import AIR_DENSITY, added_mass, shape_factors
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Shape
@@ -36,8 +36,8 @@ def row(count):
 def motion(rig, robot=0):
     """Speed forward, to the right and up, and turning rate clockwise, by the robot's heading."""
     index = rig.indices[robot]
-    mat = rig.data.xmat[index.body[0]].reshape(3, 3)
-    dof = slice(index.root_dof, index.root_dof + 6)
+    mat = rig.data.xmat[index.body_ids[0]].reshape(3, 3)
+    dof = slice(index.root_dofadr, index.root_dofadr + 6)
     v, spin = rig.data.qvel[dof][:3], mat @ rig.data.qvel[dof][3:]
     ahead = mat[:2, 0] / np.linalg.norm(mat[:2, 0])
     return np.array([v[:2] @ ahead, v[0] * ahead[1] - v[1] * ahead[0], v[2], -spin[2]])
@@ -48,14 +48,14 @@ def positions(rig, seconds):
     rows = []
     for _ in range(round(seconds * 50)):
         rig.step()
-        at = [rig.data.qpos[index.root_qpos :][:3] for index in rig.indices]
+        at = [rig.data.qpos[index.root_qposadr :][:3] for index in rig.indices]
         rows.append(np.column_stack([at, tilt_of(rig)]))
     return np.array(rows)
 
 
 def push(rig, velocity, robot=0):
     """Change a robot's velocity at once (6,)."""
-    dof = rig.indices[robot].root_dof
+    dof = rig.indices[robot].root_dofadr
     rig.data.qvel[dof : dof + 6] += velocity
 
 
@@ -148,7 +148,7 @@ COMMANDS = [
 def test_airrobot_follows_every_velocity_to_its_limit_and_all_at_once():
     """Manual 12.20: 5 m/s up, forward, sideways; 1.5708 rad/s. Signs: up, forward, right, clockwise."""
     names = ("LinearVelocity", "LateralVelocity", "AltitudeVelocity", "RotationalVelocity")
-    limits = ROBOTS.get("AirRobot").drive.full
+    limits = ROBOTS.get("AirRobot").drive.full_scale
     rig = Rig("AirRobot", places=row(len(COMMANDS)), height=HIGH)
     for i, command in enumerate(COMMANDS):
         rig.tell(robot=i, **command)
@@ -178,7 +178,7 @@ def test_airrobot_without_power_falls_as_a_plate_does():
     """With quadratic drag v = v1 tanh(g t / v1), where the terminal speed v1 has drag equal to weight."""
     rig = Rig("AirRobot", height=HIGH)
     rig.powered = False
-    terminal = math.sqrt(2 * 1.0 * G / (AIR * rig.robot.drive.drag_areas[2]))
+    terminal = math.sqrt(2 * 1.0 * G / (AIR_DENSITY * rig.robot.drive.drag_areas[2]))
     log = rig.run(8.0)[:, 5]
     for seconds in (0.5, 1.0, 2.0):
         expected = terminal * math.tanh(G * seconds / terminal)
@@ -276,8 +276,8 @@ def test_passarola_without_power_drifts_to_rest_against_quadratic_drag(axis):
     push(rig, velocity)
     a, b, c = 2.0, 1.0, 1.0
     area = math.pi * np.array([b * c, a * c, a * b])[axis]
-    drag = AIR / 2 * rig.robot.drive.hull.drag[axis] * area
-    mass = AIR * 4 / 3 * math.pi * a * b * c * (1 + (LAMB["k2"] if axis else LAMB["k1"]))
+    drag = AIR_DENSITY / 2 * rig.robot.drive.hull.drag[axis] * area
+    mass = AIR_DENSITY * 4 / 3 * math.pi * a * b * c * (1 + (LAMB["k2"] if axis else LAMB["k1"]))
     log = rig.run(60.0)[:, 3 + axis]
     for seconds in (5, 20, 60):
         expected = 2.0 / (1 + 2.0 * drag * seconds / mass)
@@ -294,8 +294,8 @@ def test_passarola_without_power_stops_spinning_and_rights_itself():
     strips = 2 * np.sqrt(1 - (x / 2) ** 2) * np.abs(x) ** 3
     ends = 2 * 2 * np.sqrt(1 - x[1000:3001] ** 2).clip(0) * np.abs(x[1000:3001]) ** 3 / 2
     drag = rig.robot.drive.hull.drag
-    moment = AIR / 2 * (drag[1] * strips.sum() + drag[0] * ends.sum()) * (x[1] - x[0])
-    inertia = AIR * 4 / 3 * math.pi * 2 * (4 + 1) / 5 * (1 + LAMB["k'"])
+    moment = AIR_DENSITY / 2 * (drag[1] * strips.sum() + drag[0] * ends.sum()) * (x[1] - x[0])
+    inertia = AIR_DENSITY * 4 / 3 * math.pi * 2 * (4 + 1) / 5 * (1 + LAMB["k'"])
     log = rig.run(20.0)
     assert log[-1, 8] == pytest.approx(1 / (1 + moment * 20 / inertia), rel=DRIFT_RTOL)
     assert tilt_of(rig)[1] < 1.0

@@ -16,8 +16,8 @@ from usarmjx.models.build.parts import joint_names
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Shape
-from usarmjx.server.worlds.dynamic_world import LiveWorld
-from usarmjx.sim.control import Order, servos_of
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.control import ControlMode, servos_of
 
 ROOT = Path(__file__).resolve().parents[3]
 BOTH = pytest.mark.parametrize("name", ["ERS", "QRIO"])
@@ -50,7 +50,7 @@ def floating(name):
 def joints(rig):
     """Positions and velocities of all joints (joints,)."""
     index = rig.indices[0]
-    return rig.data.qpos[list(index.qpos)].copy(), rig.data.qvel[list(index.dof)].copy()
+    return rig.data.qpos[list(index.qposadr)].copy(), rig.data.qvel[list(index.dofadr)].copy()
 
 
 def limits(name):
@@ -67,7 +67,7 @@ def farther(name):
 def bounds(rig):
     """Lower and upper corner of all geoms' boxes [m]."""
     mujoco.mj_kinematics(rig.model, rig.data)
-    mine = np.isin(rig.model.geom_bodyid, rig.indices[0].body)
+    mine = np.isin(rig.model.geom_bodyid, rig.indices[0].body_ids)
     mat = np.abs(rig.data.geom_xmat[mine].reshape(-1, 3, 3))
     sphere = rig.model.geom_type[mine] == mujoco.mjtGeom.mjGEOM_SPHERE
     half = np.where(sphere[:, None], rig.model.geom_size[mine][:, :1], rig.model.geom_size[mine])
@@ -185,7 +185,7 @@ def test_at_rest_only_its_feet_touch_the_ground(name):
 
 def push(rig, impulse, way, seconds=0.1):
     """Push the chassis by an impulse [N s] in a direction [deg]; return how upright it stayed."""
-    dof = rig.indices[0].root_dof
+    dof = rig.indices[0].root_dofadr
     force = impulse / seconds
     rig.data.qfrc_applied[dof : dof + 2] = (
         force * math.cos(math.radians(way)),
@@ -236,7 +236,7 @@ def test_all_joints_follow_velocities_and_stop_at_their_limits(name):
     """Each is told the speed that takes it to its farther limit in one second."""
     far = farther(name)
     assert (np.abs(far) < servos_of(ROBOTS.get(name)).speed).all()
-    rig = floating(name).move(dict(zip(names_of(name), far, strict=True)), Order.VELOCITY)
+    rig = floating(name).move(dict(zip(names_of(name), far, strict=True)), ControlMode.VELOCITY)
     rig.run(0.4)
     before, _ = joints(rig)
     rig.run(0.4)
@@ -252,7 +252,7 @@ def test_all_joints_follow_velocities_and_stop_at_their_limits(name):
 def test_no_joint_is_faster_than_its_servo(name):
     """Oracle: the way to the farther limit at full speed takes this long at least."""
     speed, far = servos_of(ROBOTS.get(name)).speed, farther(name)
-    rig = floating(name).move(dict(zip(names_of(name), 99.0 * far, strict=True)), Order.VELOCITY)
+    rig = floating(name).move(dict(zip(names_of(name), 99.0 * far, strict=True)), ControlMode.VELOCITY)
     for _ in range(50):
         rig.step()
         q, _ = joints(rig)
@@ -270,15 +270,15 @@ def test_all_joints_exert_the_torque_they_are_told(name, share):
     exerted = np.clip(share, -1, 1) * most
     for balance, sense in ((1.0, 0), (0.9, 1), (1.1, -1)):
         rig = floating(name)
-        rig.data.qpos[list(rig.indices[0].qpos)] = middle = (low + high) / 2
-        rig.move(dict(zip(names, share * most, strict=True)), Order.TORQUE)
-        rig.data.qfrc_applied[list(rig.indices[0].dof)] = -balance * exerted
+        rig.data.qpos[list(rig.indices[0].qposadr)] = middle = (low + high) / 2
+        rig.move(dict(zip(names, share * most, strict=True)), ControlMode.TORQUE)
+        rig.data.qfrc_applied[list(rig.indices[0].dofadr)] = -balance * exerted
         rig.run(0.04)
         moved = (joints(rig)[0] - middle) * np.sign(share)
         if sense:
             assert (moved * sense > 1e-4).all()
         else:
-            dofs = list(rig.indices[0].dof)
+            dofs = list(rig.indices[0].dofadr)
             np.testing.assert_allclose(rig.data.qfrc_actuator[dofs], exerted, rtol=TORQUE_RTOL)
             assert np.abs(moved).max() < 1e-4
 
@@ -307,9 +307,9 @@ def test_a_held_mass_takes_m_g_l_sin(name, joint, angle, masses):
     rig.run(2.0)
     assert rig.data.joint(f"r0/{joint}").qfrc_actuator[0] == pytest.approx(torque, rel=TORQUE_RTOL)
     held = rig.joint(joint)
-    rig.move({joint: torque}, Order.TORQUE).run(0.5)
+    rig.move({joint: torque}, ControlMode.TORQUE).run(0.5)
     assert rig.joint(joint) == pytest.approx(held, abs=0.05)
-    rig.move({joint: 0.0}, Order.TORQUE).run(0.5)
+    rig.move({joint: 0.0}, ControlMode.TORQUE).run(0.5)
     assert (rig.joint(joint) - held) * torque < -0.05 * abs(torque), "without torque it sinks"
 
 
@@ -318,14 +318,14 @@ def test_ers_feels_its_paws_and_sees_a_wall_ahead():
     face = 1.0
     wall = Shape(kind="box", size=(0.05, 2.0, 0.5), at=(face + 0.05, 0.0, 0.5), surface="wall")
     arena = ArenaSpec(name="wall", starts=(), extent=((-2, 2), (-2, 2)), shapes=(wall,))
-    world = LiveWorld(arena, Physics(), jax.random.key(0), seats=1)
+    world = DynamicWorld(arena, Physics(), jax.random.key(0), max_robots=1)
     robot = world.spawn(ROBOTS.get("ERS"), "It", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
 
     def read(**positions):
         target = robot.command.target.copy()
         for joint, position in positions.items():
-            target[robot.plan.joint(joint)] = position
-        world.tell(robot, robot.command.replace(target=target))
+            target[robot.plan.joint_index(joint)] = position
+        world.set_command(robot, robot.command.replace(target=target))
         for _ in range(50):
             world.step()
         world.observe([robot])

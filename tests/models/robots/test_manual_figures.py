@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.measure import extent
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sim.configure import item_settings
+from usarmjx.sim.configure import settings_by_kind
 
 # Length, width, height [m], mass and payload [kg] (manual 12), height of the origin [m] (manual 5.3.6); None:
 # not given there. ATRVJr: dimensions of manual 9.3's GEO.
@@ -55,9 +55,9 @@ def test_figures_are_the_manuals(name):
         assert robot.payload == payload
     if mass is not None:
         assert robot.mass == mass
-    assert body_plan(robot).mass == pytest.approx(robot.mass, rel=1e-6), "as reported, so built"
+    assert kinematic_tree_of(robot).mass == pytest.approx(robot.mass, rel=1e-6), "as reported, so built"
     if height is not None:
-        assert body_plan(robot).clearance == pytest.approx(height, abs=1e-6)
+        assert kinematic_tree_of(robot).clearance == pytest.approx(height, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_every_class_reads_the_keys_of_a_p2at(name, tmp_path):
         "AddCameras=(ItemClass=class'USARBot.RobotCamera',ItemName=C)\n"
         "AddEffecters=(ItemClass=class'USARBot.RFIDReleaser',ItemName=E)\n"
     )
-    loaded = load_robots([path], ROBOTS, 250.0, item_settings())
+    loaded = load_robots([path], ROBOTS, 250.0, settings_by_kind())
     assert loaded.warnings == ()
     (robot,) = loaded.robots
     assert (robot.msg_timer, robot.battery_life, robot.payload, robot.mass) == (0.3, 77.0, 3.0, 123.0)

@@ -10,21 +10,21 @@ from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.robots.lisa import LISA
-from usarmjx.sim.control import idle, steer
+from usarmjx.sim.control import idle_command, set_drive
 
 EXAMPLE = 0.75  # rad: manual 9.4's example, with wheel speeds of +-3.14 rad/s
 ROLL_RTOL = 0.03  # of a wheel 5 cm wide that turns on the spot
 
 
 def test_keys_are_those_of_the_driven_wheels():
-    assert LISA.drive.full == {
+    assert LISA.drive.full_scale == {
         "WheelSpeed0": 8.0,
         "WheelSteer0": 3.14,
         "WheelSpeed1": 8.0,
         "WheelSteer1": 3.14,
     }
     assert LISA.drive.steering == "OmniDrive"
-    assert LISA.drive.steers == (3.14, 3.14)  # manual 12.18.2: MaxSteerAngle
+    assert LISA.drive.max_steering == (3.14, 3.14)  # manual 12.18.2: MaxSteerAngle
 
 
 def test_wheels_without_motor_or_steering_have_no_keys():
@@ -36,16 +36,16 @@ def test_wheels_without_motor_or_steering_have_no_keys():
     )
     drive = OmniDrive(wheels=wheels, max_spin=2.0, radius=0.1, max_steer=1.0)
     assert drive.keys == ("WheelSpeed1", "WheelSteer1", "WheelSpeed2")
-    assert [(aim.joint, aim.order) for aim in drive.aims] == [("B", 1), ("B_Steer", 0), ("C", 1)]
-    assert drive.values(np.array([1.0, 0.5, -1.0]), np).tolist() == [1.0, 0.5, -1.0]
+    assert [(aim.joint, aim.mode) for aim in drive.joint_controls] == [("B", 1), ("B_Steer", 0), ("C", 1)]
+    assert drive.targets(np.array([1.0, 0.5, -1.0]), np).tolist() == [1.0, 0.5, -1.0]
     assert drive.steering_angles({"B_Steer": 0.5}, np.zeros(3)) == {"front_steer": 0.0, "rear_steer": 0.5}
 
 
 def test_values_are_clipped_and_passive_wheels_cannot_be_driven():
-    command = steer(LISA, idle(LISA), {"WheelSpeed0": 99.0, "WheelSteer1": -9.0}, np)
+    command = set_drive(LISA, idle_command(LISA), {"WheelSpeed0": 99.0, "WheelSteer1": -9.0}, np)
     assert command.setpoint == pytest.approx([8.0, 0.0, 0.0, -3.14])
     with pytest.raises(UnknownNameError, match="WheelSpeed2"):
-        steer(LISA, idle(LISA), {"WheelSpeed2": 1.0}, np)
+        set_drive(LISA, idle_command(LISA), {"WheelSpeed2": 1.0}, np)
 
 
 def test_at_the_manuals_angle_both_axes_go_through_the_middle():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import flip_vector
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec, remove_robot
 from usarmjx.models.build.layout import index_robot
 from usarmjx.models.build.parts import link_frames
@@ -124,8 +124,8 @@ def test_no_part_of_a_robot_collides_with_itself_in_any_camera_position(stand):
     for pan in np.linspace(-math.pi, math.pi, 13):
         for tilt in (-0.16, 0.0, 0.40):
             mujoco.mj_resetData(model, data)
-            data.qpos[index.root_qpos + 2] = 1.0  # away from the floor
-            data.qpos[list(index.qpos)[-2:]] = pan, tilt
+            data.qpos[index.root_qposadr + 2] = 1.0  # away from the floor
+            data.qpos[list(index.qposadr)[-2:]] = pan, tilt
             mujoco.mj_forward(model, data)
             assert data.ncon == 0
 
@@ -139,8 +139,8 @@ def test_a_positive_wheel_angle_rolls_forward(stand):
         assert np.cross(axis, [0, 0, -robot.wheel_radius])[0] < 0
     data.act[:] = 0
     index = index_robot(model, robot, "it/")
-    data.ctrl[list(index.hold)] = 1.0
-    data.ctrl[list(index.actuator)[: len(robot.wheels)]] = 2.0
+    data.ctrl[list(index.hold_actuator_ids)] = 1.0
+    data.ctrl[list(index.actuator_ids)[: len(robot.wheels)]] = 2.0
     for _ in range(200):
         mujoco.mj_step(model, data)
     assert data.body("it/chassis").xpos[0] > 0.5 * 2.0 * robot.wheel_radius  # a second's way, less start
@@ -208,7 +208,7 @@ def test_camera_head_sits_where_the_captured_frames_put_it():
 
 
 def test_parts_are_named_as_on_the_wire():
-    parts = body_plan(P2AT).parts
+    parts = kinematic_tree_of(P2AT).parts
     wheels = ("LeftFWheel", "RightFWheel", "LeftRWheel", "RightRWheel")
     assert parts == ("HARD", *wheels, "CameraPanTilt_Link1", "CameraPanTilt_Link2")
 
@@ -223,4 +223,4 @@ def test_a_removed_robot_leaves_no_trace():
     remove_robot(spec, "b/")
     after = spec.compile()
     assert (after.nq, after.nv, after.nu, after.na, after.ngeom, after.nexclude) == sizes
-    assert body_plan(P2AT).clearance == pytest.approx(0.26)
+    assert kinematic_tree_of(P2AT).clearance == pytest.approx(0.26)

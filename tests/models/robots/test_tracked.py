@@ -8,7 +8,7 @@ import pytest
 from tests.climb import FOLDED, NEAR, Climb, flippers, stairs, step
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.base.transforms import flip_vector, mat_from_angles
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.parts import joint_names, parts_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import kenaf, tarantula
@@ -45,7 +45,7 @@ MANUAL = {
 
 def track_extent(robot, axis):
     """Extent of the robot's wheels at rest, along x (0) or y (1) [m]."""
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     where = {part: plan.rest_pos[i][axis] for i, part in enumerate(plan.parts)}
     half = [(where[w.name], w.shapes[0].size[0 if axis == 0 else 1]) for w in robot.wheels]
     return max(x + r for x, r in half) - min(x - r for x, r in half)
@@ -56,8 +56,8 @@ def test_dimensions_and_mass_are_the_manuals(name):
     robot, (dimensions, mass) = ROBOTS.get(name), MANUAL[name]
     assert robot.dimensions == dimensions
     assert mass is None or robot.mass == mass
-    assert body_plan(robot).mass == pytest.approx(robot.mass, abs=1e-9), "as reported, so built"
-    assert body_plan(robot).clearance == pytest.approx(robot.origin_height, abs=EXACT)
+    assert kinematic_tree_of(robot).mass == pytest.approx(robot.mass, abs=1e-9), "as reported, so built"
+    assert kinematic_tree_of(robot).clearance == pytest.approx(robot.origin_height, abs=EXACT)
     assert track_extent(robot, 1) == pytest.approx(dimensions[1], abs=EXACT), "its tracks are its width"
 
 
@@ -75,22 +75,22 @@ def test_tracks_reach_as_far_as_the_robot_is_long(name):
 @EVERY
 def test_wheel_names_say_which_is_in_front_and_the_drive_has_them_all(name):
     robot = ROBOTS.get(name)
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     at = {part: plan.rest_pos[i] for i, part in enumerate(plan.parts)}
     for side, sign, driven in (("Left", 1, robot.drive.left), ("Right", -1, robot.drive.right)):
         row = {n: at[n][0] for n in driven if n.startswith(side)}
         assert max(row, key=row.get) == f"{side}FWheel"
         assert min(row, key=row.get) == f"{side}RWheel"
         assert all(sign * at[n][1] > 0 for n in driven)
-    assert {*robot.drive.left, *robot.drive.right} == {part.name for part in parts_of(robot) if part.rolls}
+    assert {*robot.drive.left, *robot.drive.right} == {part.name for part in parts_of(robot) if part.is_wheel}
 
 
 @EVERY
 def test_all_wheels_of_a_side_have_one_belt_speed(name):
     robot = ROBOTS.get(name)
     radius = {part.name: part.shapes[0].size[0] for part in robot.wheels}
-    spins = robot.drive.values(np.array([2.0, -1.0], np.float32), np)
-    for aim, spin in zip(robot.drive.aims, spins, strict=True):
+    spins = robot.drive.targets(np.array([2.0, -1.0], np.float32), np)
+    for aim, spin in zip(robot.drive.joint_controls, spins, strict=True):
         belt = 2.0 if aim.joint in robot.drive.left else -1.0
         assert spin * radius[aim.joint] == pytest.approx(belt * robot.wheel_radius, rel=1e-5)
 
@@ -106,8 +106,8 @@ def test_the_number_of_wheels_is_a_parameter(build):
 @WITH_FLIPPERS
 def test_flippers_point_outward_and_are_reported(name):
     robot = ROBOTS.get(name)
-    assert robot.reported == ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
-    for flipper in robot.reported:
+    assert robot.reported_joints == ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
+    for flipper in robot.reported_joints:
         row = [part for part in robot.parts if part.parent == flipper]
         radii = [part.shapes[0].size[0] for part in row]
         out = 1 if flipper.startswith("F") else -1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
-from usarmjx.models.drives.fluid import WATER, added_mass
+from usarmjx.models.drives.fluid import WATER_DENSITY, added_mass
 from usarmjx.models.drives.underwater import plate_force
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import Water
@@ -15,7 +15,7 @@ from usarmjx.models.spec.robot import Shape
 
 G = 9.81
 A, B, C = 6.5364 / 2, 1.1428 / 2, 1.9929 / 2  # manual 12.9: half length, half width, half height
-DISPLACED = WATER * 4 / 3 * math.pi * A * B * C
+DISPLACED = WATER_DENSITY * 4 / 3 * math.pi * A * B * C
 SURFACE, DEEP = 30.0, 15.0  # heights [m]
 SEA = (Water(low=(-500.0, -500.0, 0.0), high=(500.0, 500.0, SURFACE)),)
 TOP = 6.28  # rad/s
@@ -35,9 +35,9 @@ def boats(count=1, *solids, height=DEEP, waters=SEA, **more):
 def set_going(rig, *speeds, rises=()):
     """Give each boat a speed ahead, and upward [m/s]: they take minutes to reach one by themselves."""
     for i, speed in enumerate(speeds):
-        rig.data.qvel[rig.indices[i].root_dof] = speed
+        rig.data.qvel[rig.indices[i].root_dofadr] = speed
     for i, speed in enumerate(rises):
-        rig.data.qvel[rig.indices[i].root_dof + 2] = speed
+        rig.data.qvel[rig.indices[i].root_dofadr + 2] = speed
     return rig
 
 
@@ -45,7 +45,7 @@ def last(rig, seconds):
     """Position, velocity, turning rate of all boats after some time (boats, 9)."""
     rig.run(seconds)
     rows = [
-        np.r_[rig.data.qpos[i.root_qpos :][:3], rig.data.qvel[i.root_dof :][:6]]
+        np.r_[rig.data.qpos[i.root_qposadr :][:3], rig.data.qvel[i.root_dofadr :][:6]]
         for i in rig.indices
     ]  # fmt: skip
     return np.array(rows)
@@ -57,14 +57,14 @@ def tilt_of(rig):
 
 def drag_of(axis):
     """Drag over squared speed [N s2/m2]."""
-    return WATER / 2 * HULL.drag[axis] * math.pi * np.array([B * C, A * C, A * B])[axis]
+    return WATER_DENSITY / 2 * HULL.drag[axis] * math.pi * np.array([B * C, A * C, A * B])[axis]
 
 
 def test_it_weighs_what_it_displaces_and_says_so():
     assert SUBMARINE.mass == pytest.approx(DISPLACED, rel=1e-4)
     assert SUBMARINE.mass == pytest.approx(7800, rel=0.01)
     assert (SUBMARINE.drive.vehicle, SUBMARINE.drive.steering) == ("NauticVehicle", "VariableDepth")
-    assert SUBMARINE.drive.full == {"Propeller": TOP, "Rudder": FULL, "SternPlane": FULL}
+    assert SUBMARINE.drive.full_scale == {"Propeller": TOP, "Rudder": FULL, "SternPlane": FULL}
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.7, 0.0), (0.4, 1.1), (math.pi / 2, 0.0)])
@@ -156,7 +156,7 @@ def test_the_rudder_turns_it_to_its_side_in_three_lengths():
     speed = np.hypot(*right[3:5])
     assert 2 < speed / -right[8] / (2 * A) < 4, "turning circles of boats are some four to eight lengths wide"
     # The stern cannot go sideways faster than the rudder's angle lets the water past it.
-    assert -right[8] * SUBMARINE.drive.stern < math.tan(FULL) * (MADE + WASH) / 2
+    assert -right[8] * SUBMARINE.drive.stern_arm < math.tan(FULL) * (MADE + WASH) / 2
     assert np.abs(now[:, 2] - DEEP).max() < 0.1, "and keeps its depth"
     angles = SUBMARINE.drive.steering_angles({}, rig.commands[0].setpoint)
     assert angles == {"rudder": pytest.approx(FULL), "stern_plane": 0.0}
@@ -167,7 +167,7 @@ def steady_rise(plane):
     ahead, rise = (MADE + WASH) / 2, 0.0
     for _ in range(50):
         sine = math.sin(plane - math.atan(rise / ahead))
-        lift = WATER / 2 * 0.2152 * (ahead**2 + rise**2) * min(math.pi * sine, 1.17) * math.cos(plane)
+        lift = WATER_DENSITY / 2 * 0.2152 * (ahead**2 + rise**2) * min(math.pi * sine, 1.17) * math.cos(plane)
         rise = (rise + math.sqrt(lift / drag_of(2))) / 2
     return rise
 
@@ -194,7 +194,7 @@ def test_full_stern_plane_changes_depth_by_a_metre_in_a_minute():
 
 def test_a_plate_stalls_and_works_in_both_directions():
     """Thin-plate lift at small angles (Prandtl), a square plate's drag across the flow (Hoerner)."""
-    head = WATER / 2 * 2.0**2 * 0.5
+    head = WATER_DENSITY / 2 * 2.0**2 * 0.5
 
     def force(angle):
         return float(plate_force(0.5, math.pi, jnp.float32(2.0), jnp.float32(-2.0 * math.sin(angle))))

@@ -9,12 +9,12 @@ import pytest
 from tests.arenas import FLAT
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.engines.base import check_features
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import SUSPENSION
+from usarmjx.models.spec.robot import SUSPENSION_SUFFIX
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 SKID = ("StereoP2AT", "ATRVJr", "Zerg", "Kurt2D", "Kurt3D")
 CARS = ("Hummer", "SnowStorm", "Sedan", "Cooper")
@@ -45,7 +45,7 @@ GRAVITY, GRIP = 9.81, 0.8
 
 def full_speed(name, sign=1.0):
     """The keys of DRIVE that send a robot straight ahead as fast as it can."""
-    full = ROBOTS.get(name).drive.full
+    full = ROBOTS.get(name).drive.full_scale
     return {key: sign * value for key, value in full.items() if "Steer" not in key}
 
 
@@ -56,7 +56,7 @@ def seconds_to_top_speed(name):
 @every
 def test_it_weighs_and_stands_as_described(name):
     robot = ROBOTS.get(name)
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     assert plan.mass == pytest.approx(robot.mass, rel=1e-9)
     assert plan.clearance == pytest.approx(robot.origin_height, abs=1e-9)
     rig = Rig(name)
@@ -212,7 +212,7 @@ def test_suspension_gives_by_load_over_stiffness(name, load):
     """The car on a planet with other gravity. The springs carry all but wheels and hubs."""
     rig = Rig(name)
     rig.run(2.0)
-    slides = [part for part in rig.robot.parts if part.name.endswith(SUSPENSION)]
+    slides = [part for part in rig.robot.parts if part.name.endswith(SUSPENSION_SUFFIX)]
     assert len(slides) == 4
     for slide in slides:
         assert rig.joint(slide.name) == pytest.approx(0.0, abs=5e-4), "at rest they are as drawn"
@@ -344,7 +344,7 @@ def test_kurt3d_turns_its_scanner_up_and_down():
 
 def test_all_together_are_a_scene_for_every_engine():
     """MJX-JAX has no reliable contacts of round things with each other; two of a kind meet themselves."""
-    scene = build_scene(FLAT, [Entry(robot=name, parked=True) for name in (*ALL, *ALL, "P2DX")])
+    scene = build_scene(FLAT, [RosterEntry(robot=name, parked=True) for name in (*ALL, *ALL, "P2DX")])
     for engine in ("jax", "warp"):
         check_features(scene.model, engine)
 

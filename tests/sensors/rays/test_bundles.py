@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from tests.sensors.rays.test_raycast import NOBODY, make_rays, make_room
-from usarmjx.sensors.rays.bundles import Fans, bundled, cones
-from usarmjx.sensors.rays.raycast import ANYTHING, Gaze, culled, gpu, joined, nearest, one_by_one, parts
+from usarmjx.sensors.rays.bundles import Fans, bounding_cones, bundled
+from usarmjx.sensors.rays.raycast import (
+    DEFAULT_QUERY,
+    RayQuery,
+    brute_force_hits,
+    concatenated,
+    culled_hits,
+    gpu_hits,
+    indexed_blocks,
+    nearest_hits,
+)
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
 
@@ -30,24 +39,24 @@ def rays():
 ORIGIN, DIRECTION = rays()
 
 
-def on_a_gpu(seen, origin, direction, viewer, gaze=ANYTHING, **how):
-    return gpu(seen, (origin, direction), viewer, gaze, interpret=True, **how)
+def on_a_gpu(seen, origin, direction, viewer, gaze=DEFAULT_QUERY, **how):
+    return gpu_hits(seen, (origin, direction), viewer, gaze, interpret=True, **how)
 
 
-HOW = {"culled": culled, "gpu": on_a_gpu}
+HOW = {"culled": culled_hits, "gpu": on_a_gpu}
 
 
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("viewer", [NOBODY, jnp.int32(0)])
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_left_out_is_not_met(how, viewer, compact):
-    kinds = ROOM.geoms.types
-    seen = parts(ROOM.geoms.replace(compact=tuple(compact and kind != 0 for kind in kinds)))
-    plain = one_by_one(seen, ORIGIN, DIRECTION, viewer)
+    kinds = ROOM.geoms.kinds
+    seen = indexed_blocks(ROOM.geoms.replace(compact=tuple(compact and kind != 0 for kind in kinds)))
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION, viewer)
     for bundle in (32, 9, 1):
-        found = jax.jit(partial(HOW[how], seen, gaze=Gaze(bundle=bundle)))(ORIGIN, DIRECTION, viewer)
+        found = jax.jit(partial(HOW[how], seen, gaze=RayQuery(bundle_size=bundle)))(ORIGIN, DIRECTION, viewer)
         np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
-        np.testing.assert_array_equal(found.which, plain.which)
+        np.testing.assert_array_equal(found.geom_index, plain.geom_index)
 
 
 @pytest.mark.parametrize("count", [1, 4])
@@ -59,35 +68,35 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
     fans = Fans(jnp.asarray(rng.uniform(-2, 2, (count, 3)), jnp.float32), jnp.asarray(mat), lines)
     origin, direction = fans.rays()
     np.testing.assert_allclose(direction[-1], mat[-1] @ lines[-1, -1], atol=1e-6)
-    seen = parts(ROOM.geoms)
-    plain = one_by_one(seen, origin, direction, NOBODY)
-    found = jax.jit(lambda fans: gpu(seen, fans, NOBODY, interpret=True))(fans)
+    seen = indexed_blocks(ROOM.geoms)
+    plain = brute_force_hits(seen, origin, direction, NOBODY)
+    found = jax.jit(lambda fans: gpu_hits(seen, fans, NOBODY, interpret=True))(fans)
     assert np.isfinite(np.asarray(plain.distance)).mean() > 0.5
-    np.testing.assert_array_equal(found.which, plain.which)
+    np.testing.assert_array_equal(found.geom_index, plain.geom_index)
     np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
 
 
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_out_of_reach_is_not_met(how):
-    seen, reach = parts(ROOM.geoms), 2.5
-    plain = one_by_one(seen, ORIGIN, DIRECTION, NOBODY)
-    found = jax.jit(partial(HOW[how], seen, gaze=Gaze(reach=reach)))(ORIGIN, DIRECTION, NOBODY)
+    seen, reach = indexed_blocks(ROOM.geoms), 2.5
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION, NOBODY)
+    found = jax.jit(partial(HOW[how], seen, gaze=RayQuery(max_distance=reach)))(ORIGIN, DIRECTION, NOBODY)
     near = np.asarray(plain.distance) < reach
     assert 0.1 < near.mean() < 0.9
-    np.testing.assert_array_equal(found.which, np.where(near, plain.which, -1))
+    np.testing.assert_array_equal(found.geom_index, np.where(near, plain.geom_index, -1))
     np.testing.assert_allclose(found.distance, np.where(near, plain.distance, np.inf), atol=ATOL)
 
 
 @pytest.mark.parametrize("wanted", [False, True])
 def test_on_a_gpu_rays_that_nobody_wants_are_not_cast(wanted):
-    seen = parts(ROOM.geoms)
+    seen = indexed_blocks(ROOM.geoms)
     found = on_a_gpu(seen, ORIGIN, DIRECTION, NOBODY, wanted=jnp.asarray(wanted))
-    assert (np.asarray(found.which) >= 0).any() == wanted
+    assert (np.asarray(found.geom_index) >= 0).any() == wanted
 
 
 def test_each_world_and_robot_of_a_batch_is_as_alone():
     """The GPU's kernel under two maps, with geoms of their own for each world."""
-    near, far = parts(ROOM.geoms), parts(make_room(8).geoms)
+    near, far = indexed_blocks(ROOM.geoms), indexed_blocks(make_room(8).geoms)
     blocks = jax.tree.map(lambda *x: jnp.stack(x), *([p.block for p in some] for some in (near, far)))
     viewers = jnp.array([-2, 0, 5])
 
@@ -98,13 +107,13 @@ def test_each_world_and_robot_of_a_batch_is_as_alone():
     found = jax.jit(jax.vmap(world))(blocks)
     for w, seen in enumerate((near, far)):
         for r, viewer in enumerate(viewers):
-            alone = one_by_one(seen, ORIGIN, DIRECTION, viewer)
-            np.testing.assert_array_equal(found.which[w, r], alone.which)
+            alone = brute_force_hits(seen, ORIGIN, DIRECTION, viewer)
+            np.testing.assert_array_equal(found.geom_index[w, r], alone.geom_index)
 
 
 def test_a_cone_holds_its_rays():
     start, along = bundled(ORIGIN, 9), bundled(DIRECTION, 9)
-    cone = cones(start, along)
+    cone = bounding_cones(start, along)
     tip, axis = jnp.stack(cone.tip, -1)[:, None], jnp.stack(cone.axis, -1)[:, None]
     narrow = np.asarray(cone.slope) >= 0
     assert 0.3 < narrow.mean() < 1
@@ -112,15 +121,15 @@ def test_a_cone_holds_its_rays():
         point = start + reach * along - tip
         height = (point * axis).sum(-1)
         aside = jnp.linalg.norm(point - height[..., None] * axis, axis=-1)
-        width = cone.thick[:, None] + jnp.maximum(height, 0) * cone.slope[:, None]
+        width = cone.tip_radius[:, None] + jnp.maximum(height, 0) * cone.slope[:, None]
         assert (aside <= width + 1e-4 * reach)[narrow].all()  # 1e-4: rounding of single precision
 
 
 def test_places_are_those_of_all_blocks_in_a_row():
-    found = nearest(ROOM.geoms, ORIGIN, DIRECTION, NOBODY, Gaze())
-    geom = jax.tree.map(lambda x: np.asarray(x)[np.maximum(found.which, 0)], joined(ROOM.geoms))
+    found = nearest_hits(ROOM.geoms, ORIGIN, DIRECTION, NOBODY, RayQuery())
+    geom = jax.tree.map(lambda x: np.asarray(x)[np.maximum(found.geom_index, 0)], concatenated(ROOM.geoms))
     point = np.asarray(ORIGIN + found.distance[:, None] * DIRECTION)
-    met = (np.asarray(found.which) >= 0) & (geom.size > 0).all(-1)
+    met = (np.asarray(found.geom_index) >= 0) & (geom.size > 0).all(-1)
     away = np.linalg.norm(point - geom.pos, axis=-1)
     assert met.sum() > 50
     assert (away <= 2 * np.linalg.norm(geom.size, axis=-1) + 1e-3)[met].all()

@@ -11,21 +11,21 @@ import pytest
 
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import FENDER_KIND, pieces_of
+from usarmjx.models.build.pieces import FENDER_KIND, ray_primitives_of
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec, Loose, StartPose
+from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
 from usarmjx.models.spec.robot import FENDER, GLASS, MATERIALS, MIRROR, OPAQUE, SKY, Mount, Shape, options
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sensors.rays.kernels import BAR, KERNELS, PITCH
-from usarmjx.sensors.rays.raycast import Gaze, cast
-from usarmjx.sensors.rays.targets import Geoms, gather
-from usarmjx.server.worlds.dynamic_world import LiveWorld
+from usarmjx.sensors.rays.kernels import BAR_WIDTH, GRID_PITCH, RAY_KERNELS
+from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
+from usarmjx.sensors.rays.targets import Geoms, make_geoms
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 NOSE = (0.24, 0.0, 0.0)
 PANE, WALL = 1.0, 2.0  # m: where the faces of a pane and of the wall behind it are
 NOBODY = jnp.int32(-2)
-fender = jax.jit(KERNELS[FENDER_KIND])
+fender = jax.jit(RAY_KERNELS[FENDER_KIND])
 
 
 def mount(kind: str, **keys: object) -> Mount:
@@ -54,7 +54,7 @@ def room(material: str) -> Geoms:
     boxes = [((PANE + 0.01, 0, 1), (0.01, 9, 1)), ((WALL + 0.1, 0, 1), (0.1, 9, 1))]
     pos, size = (jnp.array([box[k] for box in boxes], jnp.float32) for k in (0, 1))
     kinds = np.full(2, mujoco.mjtGeom.mjGEOM_BOX)
-    return gather(kinds, pos, jnp.tile(jnp.eye(3), (2, 1, 1)), size, jnp.full(2, -1), [material, OPAQUE])
+    return make_geoms(kinds, pos, jnp.tile(jnp.eye(3), (2, 1, 1)), size, jnp.full(2, -1), [material, OPAQUE])
 
 
 @pytest.mark.parametrize("kind", ["Sonar", "IR", "RangeScanner", "IRScanner"])
@@ -71,9 +71,11 @@ def test_what_each_range_sensor_passes(bench, kind, material):
 
 def test_of_range_sensors_only_infrared_passes_glass_and_everything_passes_the_sky():
     classes = dict(SENSORS)
-    assert all(SKY in sensor.passes and sensor.passes <= set(MATERIALS) for sensor in classes.values())
+    assert all(
+        SKY in sensor.transparent and sensor.transparent <= set(MATERIALS) for sensor in classes.values()
+    )
     ranging = ("Sonar", "IR", "RangeScanner", "IRScanner", "RangeScanner3D", "Touch")
-    assert [kind for kind in ranging if GLASS in SENSORS.get(kind).passes] == ["IR", "IRScanner"]
+    assert [kind for kind in ranging if GLASS in SENSORS.get(kind).transparent] == ["IR", "IRScanner"]
 
 
 def test_passed_materials_cost_nothing():
@@ -81,11 +83,11 @@ def test_passed_materials_cost_nothing():
     rays = jnp.zeros((4, 3)), jnp.ones((4, 3)), NOBODY
 
     def program(geoms: Geoms, passes: frozenset[str]) -> list[str]:
-        equations = jax.make_jaxpr(lambda *a: cast(geoms, *a, Gaze(passes)))(*rays).jaxpr.eqns
+        equations = jax.make_jaxpr(lambda *a: cast_rays(geoms, *a, RayQuery(passes)))(*rays).jaxpr.eqns
         return [equation.primitive.name for equation in equations]
 
     full = room(GLASS)
-    bare = Geoms(blocks=full.blocks[1:], types=full.types[1:], materials=full.materials[1:])
+    bare = Geoms(blocks=full.blocks[1:], kinds=full.kinds[1:], materials=full.materials[1:])
     assert full.materials == (GLASS, OPAQUE)
     assert program(full, frozenset({GLASS})) == program(bare, frozenset())
     assert program(full, frozenset()) != program(bare, frozenset())
@@ -103,7 +105,7 @@ def at_fender(origins: np.ndarray, directions: np.ndarray, size: np.ndarray = HA
 def test_the_share_of_rays_that_pass_is_that_of_the_holes(slanted):
     """Holes are (1 - bar / pitch)^2 of whole meshes; 5 standard deviations of so many draws."""
     n, rng = 20_000, np.random.default_rng(0)
-    hole = (1 - BAR / PITCH) ** 2
+    hole = (1 - BAR_WIDTH / GRID_PITCH) ** 2
     assert hole == pytest.approx(0.64)
     points = np.stack([np.full(n, -HALF[0]), rng.uniform(-1, 1, n), rng.uniform(-0.5, 0.5, n)], -1)
     directions = np.tile([1.0, 0.0, 0.0], (n, 1))
@@ -175,7 +177,7 @@ PANES = ArenaSpec(
         Shape(kind="box", size=(9, 9, 0.1), at=(0, 0, -5), material=SKY),
     ),
     loose=(
-        Loose(
+        LooseObject(
             name="tumbler",
             at=(0, 3, 0.1),
             shapes=(Shape(kind="box", size=(0.1, 0.1, 0.1), mass=1.0, material=GLASS, surface="loose"),),
@@ -199,16 +201,16 @@ def test_materials_come_from_the_description_by_name():
         "arena/3": SKY,
         "loose/tumbler/0": GLASS,
     }
-    pieces = pieces_of(model, np.arange(model.ngeom), materials_of(model, PANES))
+    pieces = ray_primitives_of(model, np.arange(model.ngeom), materials_of(model, PANES))
     assert (pieces.kind == FENDER_KIND).tolist() == [name == "arena/2" for name in found]
 
 
 def test_a_served_robot_sees_through_glass_with_infrared_only():
     """Casts are shared by all sensors there: those that pass glass and the others are told apart."""
-    world = LiveWorld(PANES, Physics(), jax.random.key(0))
+    world = DynamicWorld(PANES, Physics(), jax.random.key(0))
     two = replace(SEEING, name="SeeingTwice", sensors=SEEING.sensors[1:3])
     robot = world.spawn(two, "R", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0))
     world.observe([robot])
-    read = {kind: np.ravel(robot.pending[robot.suite.place(kind)]) for kind in ("IR", "RangeScanner")}
+    read = {kind: np.ravel(robot.pending[robot.suite.index(kind)]) for kind in ("IR", "RangeScanner")}
     assert read["IR"][0] == pytest.approx(WALL - NOSE[0], abs=RANGE_ATOL)
     assert read["RangeScanner"][1] == pytest.approx(PANE - NOSE[0], abs=RANGE_ATOL)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import UnsupportedGeomError
-from usarmjx.sensors.rays.kernels import KERNELS
-from usarmjx.sensors.rays.raycast import Gaze, cast
-from usarmjx.sensors.rays.targets import FAR_AWAY, Geoms, check_types, gather
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms, check_ray_kinds, make_geoms
 from usarmjx.sim.scene import build_scene
 
 Geom = mujoco.mjtGeom
@@ -90,7 +90,7 @@ def make_room(seed: int, kinds=tuple(KINDS), each: int = 4, padding: int = 2) ->
     owner = np.where(model.geom_bodyid == body, 0, -1)
     # Padding: of each type some geoms of a big size, far away, as a batch keeps for other worlds.
     pad = np.repeat([int(KINDS[kind]) for kind in kinds], padding)
-    far = np.full((len(pad), 3), FAR_AWAY)
+    far = np.full((len(pad), 3), PADDING_DISTANCE)
     far[np.repeat([kind == "plane" for kind in kinds], padding)] *= (0, 0, -1)  # below everything
     kind = np.concatenate([model.geom_type, pad])
     pos = np.concatenate([data.geom_xpos, far])
@@ -98,7 +98,7 @@ def make_room(seed: int, kinds=tuple(KINDS), each: int = 4, padding: int = 2) ->
     size = np.concatenate([model.geom_size, np.ones((len(pad), 3))])
     owner = np.concatenate([owner, np.full(len(pad), -1)])
     ours = (jnp.asarray(a, jnp.float32) for a in (pos, mat, size))
-    return Room(model, data, gather(kind, *ours, jnp.asarray(owner)), body)
+    return Room(model, data, make_geoms(kind, *ours, jnp.asarray(owner)), body)
 
 
 def make_rays(room: Room, seed: int, count: int = RAYS):
@@ -124,8 +124,8 @@ def make_rays(room: Room, seed: int, count: int = RAYS):
 
 # Without XLA's optimiser, which would take longer than all the rays.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-see = quick_jit(cast)
-see_angle = quick_jit(partial(cast, gaze=Gaze(incidence=True)))
+see = quick_jit(cast_rays)
+see_angle = quick_jit(partial(cast_rays, query=RayQuery(incidence=True)))
 NOBODY = jnp.int32(-2)
 
 
@@ -136,7 +136,7 @@ def ours(function, room, rays, viewer=NOBODY):
 @pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_kernel_matches_c_mujoco(kind):
-    kernel = quick_jit(KERNELS[int(KINDS[kind])])
+    kernel = quick_jit(RAY_KERNELS[int(KINDS[kind])])
     met = missed = 0
     for seed in range(4):
         room = make_room(seed, (kind,), each=3, padding=0)
@@ -205,22 +205,22 @@ def test_many_rooms_are_one_compilation():
 )
 def test_rays_along_the_faces_of_a_box(origin, direction, distance):
     size = jnp.full(3, 0.5)
-    kernel = KERNELS[int(Geom.mjGEOM_BOX)]
+    kernel = RAY_KERNELS[int(Geom.mjGEOM_BOX)]
     assert kernel(jnp.array(origin, float), jnp.array(direction, float), size) == pytest.approx(distance)
 
 
 def test_unknown_type_is_refused_by_type_and_name():
     types = [Geom.mjGEOM_BOX, Geom.mjGEOM_SDF, Geom.mjGEOM_ARROW, Geom.mjGEOM_SDF]
     with pytest.raises(UnsupportedGeomError) as caught:
-        check_types(types, ["crate", "statue", "hill", "bust"])
+        check_ray_kinds(types, ["crate", "statue", "hill", "bust"])
     message = str(caught.value)
     for word in ("mjGEOM_SDF", "mjGEOM_ARROW", "statue", "hill", "bust"):
         assert word in message
     assert "crate" not in message
-    check_types([*KINDS.values(), Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD], [*KINDS, "stone", "hill"])
+    check_ray_kinds([*KINDS.values(), Geom.mjGEOM_MESH, Geom.mjGEOM_HFIELD], [*KINDS, "stone", "hill"])
 
 
 def test_a_scene_with_such_a_geom_is_refused(monkeypatch):
-    monkeypatch.delitem(KERNELS, int(Geom.mjGEOM_SPHERE))
+    monkeypatch.delitem(RAY_KERNELS, int(Geom.mjGEOM_SPHERE))
     with pytest.raises(UnsupportedGeomError, match=r"mjGEOM_SPHERE.*r0/CameraPanTilt_Link1"):
         build_scene("yellow", ["P2AT"])

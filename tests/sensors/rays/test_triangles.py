@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, rays_at, stones
-from usarmjx.models.build.pieces import TRIANGLE_KIND, fitted, pieces_of
+from usarmjx.models.build.pieces import TRIANGLE_KIND, fitted, ray_primitives_of
 from usarmjx.models.spec.robot import HeightField, Mesh, Shape
-from usarmjx.sensors.rays.kernels import KERNELS
-from usarmjx.sensors.rays.raycast import Gaze, cast
-from usarmjx.sensors.rays.targets import gather
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
+from usarmjx.sensors.rays.targets import make_geoms
 from usarmjx.sim.scene import build_scene
 
 RAY_ATOL = 1e-4  # m: float32 over a few metres, and what a range sensor may be off
@@ -26,20 +26,20 @@ quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level":
 
 @quick_jit
 def see(*rays):
-    return cast(*rays)
+    return cast_rays(*rays)
 
 
 @quick_jit
 def see_angle(*rays):
-    return cast(*rays, gaze=Gaze(incidence=True))
+    return cast_rays(*rays, query=RayQuery(incidence=True))
 
 
 def seen(place, owner=-1):
     """What rays see of a land; all of it belongs to `owner`."""
-    pieces = pieces_of(place.model, np.arange(place.model.ngeom))
-    pos, mat = pieces.placed(place.data.geom_xpos, place.data.geom_xmat.reshape(-1, 3, 3))
+    pieces = ray_primitives_of(place.model, np.arange(place.model.ngeom))
+    pos, mat = pieces.world_poses(place.data.geom_xpos, place.data.geom_xmat.reshape(-1, 3, 3))
     arrays = (jnp.asarray(part, jnp.float32) for part in (pos, mat, pieces.size))
-    return gather(pieces.kind, *arrays, jnp.full(len(pieces.kind), owner))
+    return make_geoms(pieces.kind, *arrays, jnp.full(len(pieces.kind), owner))
 
 
 def meets(place, rays):
@@ -118,7 +118,7 @@ def test_one_triangle(start, way, distance):
     pos, mat, size = fitted(np.array([[[0, 0, 0], [1, 0, 0], [0, 0.5, 0]]], float))
     np.testing.assert_allclose(mat[0], np.eye(3), atol=1e-12)
     np.testing.assert_allclose((pos[0], size[0]), [(0, 0, 0), (1, 0, 0.5)], atol=1e-12)
-    kernel = KERNELS[TRIANGLE_KIND]
+    kernel = RAY_KERNELS[TRIANGLE_KIND]
     assert kernel(jnp.array(start, float), jnp.array(way, float), jnp.asarray(size[0])) == pytest.approx(
         distance
     )
@@ -133,7 +133,7 @@ def test_triangles_without_an_area_are_left_out():
 def test_padding_is_never_met():
     """Blank rows of a size of zero, as a served world keeps them, where the ray would pass."""
     none = jnp.zeros(3)
-    assert KERNELS[TRIANGLE_KIND](jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]), none) == np.inf
+    assert RAY_KERNELS[TRIANGLE_KIND](jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]), none) == np.inf
 
 
 def test_the_viewers_own_triangles_are_passed():
@@ -154,8 +154,8 @@ def test_a_scene_shows_its_meshes_and_terrain():
         Shape(kind="hfield", size=(5.0, 5.0, 0.2), heights=HeightField(heights=level)),
     )
     scene = build_scene(land(*shapes), [])
-    look = scene.fixed_look
-    geoms = gather(
+    look = scene.fixed_geoms
+    geoms = make_geoms(
         look.kind, look.pos, look.mat, look.size, np.full(len(look.kind), -1), look.material.tolist()
     )
     down = jnp.tile(jnp.array([0.0, 0.0, -1.0]), (3, 1))

@@ -9,11 +9,11 @@ import pytest
 from tests.server.test_adapter import F2, House, heard, numbers, pick
 from tests.server.watchers import MOLE, camera, classes, gallery, watcher
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.pictures.views import view_of
+from usarmjx.server.pictures.views import client_view
 from usarmjx.server.protocol.multi_view import MultiView
-from usarmjx.server.protocol.viewports import Ties
+from usarmjx.server.protocol.viewports import ViewBindings
 from usarmjx.server.worlds.host import Robot
-from usarmjx.sim.control import idle
+from usarmjx.sim.control import idle_command
 
 SIZE = (320, 240)
 
@@ -157,7 +157,7 @@ def seen(house, address="10.0.0.2", port=1):
     """Robot, camera and place of what it sees."""
     return [
         (shot.robot.name, shot.camera, left, top, shot.width, shot.height)
-        for shot, left, top in view_of(house.world, address, port, SIZE).tiles
+        for shot, left, top in client_view(house.world, address, port, SIZE).tiles
     ]
 
 
@@ -166,7 +166,7 @@ QUARTERS = [("R1", 0, 0, 0, 160, 120), ("R1", 1, 160, 0, 160, 120), ("R1", 2, 0,
 
 def test_without_a_robot_there_is_nothing_to_see(house):
     assert seen(house) == []
-    assert (view_of(house.world, "10.0.0.2", 1, SIZE).compose({}) == 0).all()
+    assert (client_view(house.world, "10.0.0.2", 1, SIZE).compose({}) == 0).all()
 
 
 def test_untied_clients_see_the_viewports_of_the_first_robot_with_a_camera(house):
@@ -252,12 +252,14 @@ def test_multi_view_shows_the_first_camera_of_every_robot_and_sta_says_where(hou
 def test_a_stereo_camera_fills_its_tile_with_both_eyes(house):
     """Manual 3.2.6.2: an even width, a pixel less if need be; which eye is where is the camera's matter."""
     fields = {"IsStereo": True, "StereoSpacing": (("Y", 0.05),)}
-    owl = Robot(0, "Owl", suite_of(watcher("Owl", camera("Camera", **fields))), idle(MOLE), 0.0, view=1)
+    owl = Robot(
+        0, "Owl", suite_of(watcher("Owl", camera("Camera", **fields))), idle_command(MOLE), 0.0, tile=1
+    )
     shared = MultiView(camera_num=2, wide_mode=2, camera_x_res=101, camera_y_res=75)
-    world = SimpleNamespace(robots={0: owl}, ties=Ties(), multi_view=shared)
-    ((shot, left, top),) = view_of(world, "10.0.0.2", 1, (202, 75)).tiles
+    world = SimpleNamespace(robots={0: owl}, ties=ViewBindings(), multi_view=shared)
+    ((shot, left, top),) = client_view(world, "10.0.0.2", 1, (202, 75)).tiles
     assert (shot.width, shot.height, left, top) == (100, 75, 101, 0)
-    assert len(owl.cameras[shot.camera].eyes) == 2
+    assert len(owl.cameras[shot.camera].eye_offsets) == 2
 
 
 def test_without_multi_view_the_view_is_minus_one(house):
@@ -273,7 +275,7 @@ def drive(house, client, seconds, speed=2.0):
     house.say(client, f"DRIVE {{Left {speed}}} {{Right {speed}}}")
     for _ in range(round(seconds / house.world.period)):
         house.run(1)
-        client.leave_trace()
+        client.add_trace_point()
 
 
 def test_a_robot_leaves_points_where_it_has_been(house):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni, untiled
+from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, untiled
 from usarmjx.cameras.mounts import cameras_of
-from usarmjx.cameras.picture import viewpoint
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.cameras.picture import camera_viewpoint
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sensors.sketch import Sketch
-from usarmjx.server.pictures.dots import RADIUS, paint
+from usarmjx.sensors.sketch import OverlayLines
+from usarmjx.server.pictures.dots import BALL_RADIUS, draw_sketch
 
 WIDTH, HEIGHT = 160, 120
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -26,16 +26,16 @@ def ahead(away, left=0.0, up=0.0):
 
 def eye(robot="P2AT", fov=1.0, angles=(0.0, 0.0, 0.0)):
     turn = mat_from_angles(*(np.array(angle) for angle in angles))
-    bodies = Bodies(pos=np.zeros((99, 3)), mat=np.zeros((99, 3, 3)))
-    return viewpoint(cameras_of(ROBOTS.get(robot))[0], bodies, 0, fov).replace(pos=PLACE, mat=turn)
+    bodies = BodyPoses(pos=np.zeros((99, 3)), mat=np.zeros((99, 3, 3)))
+    return camera_viewpoint(cameras_of(ROBOTS.get(robot))[0], bodies, 0, fov).replace(pos=PLACE, mat=turn)
 
 
 def painted(eye, places, colors=(RED,), depth=np.inf):
     """The picture of balls in front of a black wall at a depth [m]."""
     rgb = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     places, shown = np.array(places, float), np.ones(len(places), bool)
-    balls = Sketch(start=places, end=places, rgb=np.array(colors), shown=shown)
-    paint(rgb, np.full((HEIGHT, WIDTH), depth), eye, balls)
+    balls = OverlayLines(start=places, end=places, rgb=np.array(colors), shown=shown)
+    draw_sketch(rgb, np.full((HEIGHT, WIDTH), depth), eye, balls)
     return rgb
 
 
@@ -53,7 +53,7 @@ def test_a_pinhole_shows_a_ball_where_it_is_and_as_large_as_it_is(angles, away, 
     found = picture[..., 0] == 255
     expected = [HEIGHT / 2 - focal * up / away, WIDTH / 2 - focal * left / away]
     np.testing.assert_allclose(middle(found), expected, atol=0.5)  # pixels are whole
-    area = math.pi * (focal * RADIUS / away) ** 2
+    area = math.pi * (focal * BALL_RADIUS / away) ** 2
     assert found.sum() == pytest.approx(area, rel=0.2), "a disc of about 60 or 240 pixels"
     assert not picture[..., 1:].any()
 
@@ -86,9 +86,11 @@ def test_a_far_ball_is_at_least_a_pixel_and_one_at_the_edge_is_cut():
 @pytest.mark.parametrize(("row", "column"), [(60, 100), (30, 60), (80, 70), (60, 130)])
 def test_a_mirror_shows_a_ball_where_its_ray_goes(row, column):
     """The ball is put where the renderer's own ray of a pixel passes."""
-    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default, angles=(0.1, -1.5, 0.7))
+    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default_fov, angles=(0.1, -1.5, 0.7))
     assert here.lens == "omni"
-    along = np.asarray(untiled(omni(WIDTH, HEIGHT, np.float32(1.0)).along, WIDTH, HEIGHT))[row, column]
+    along = np.asarray(untiled(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT))[
+        row, column
+    ]
     ball = PLACE + here.mat @ (np.array([MIRROR_DISTANCE, 0.0, 0.0]) + 0.8 * along)
     picture = painted(here, [ball])
     # The disc is drawn round; where the mirror squeezes it along the radius it is off by a part of a pixel.
@@ -99,13 +101,13 @@ def test_a_mirror_shows_a_ball_where_its_ray_goes(row, column):
 def lined(eye, start, end, depth=np.inf):
     """The picture of a red line in front of a black wall at a depth [m]: where it is red."""
     rgb = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    line = Sketch(
+    line = OverlayLines(
         start=np.array([start], float),
         end=np.array([end], float),
         rgb=np.array([RED]),
         shown=np.ones(1, bool),
     )
-    paint(rgb, np.broadcast_to(np.asarray(depth, float), (HEIGHT, WIDTH)), eye, line)
+    draw_sketch(rgb, np.broadcast_to(np.asarray(depth, float), (HEIGHT, WIDTH)), eye, line)
     assert not rgb[..., 1:].any()
     return rgb[..., 0] == 255
 
@@ -158,8 +160,8 @@ def test_a_line_ends_behind_what_is_nearer():
 
 def test_a_mirror_bends_a_line():
     """The ends are where the renderer's own rays of two pixels pass; what is painted sees the line."""
-    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default, angles=(0.1, -1.5, 0.7))
-    along = np.asarray(untiled(omni(WIDTH, HEIGHT, np.float32(1.0)).along, WIDTH, HEIGHT), float)
+    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default_fov, angles=(0.1, -1.5, 0.7))
+    along = np.asarray(untiled(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT), float)
     focus = PLACE + here.mat @ (MIRROR_DISTANCE, 0.0, 0.0)
     start, end = (focus + here.mat @ (1.5 * along[pixel]) for pixel in ((30, 60), (35, 110)))
     found = lined(here, start, end)
@@ -173,5 +175,5 @@ def test_a_mirror_bends_a_line():
 
 
 def test_nothing_is_drawn_outside_of_the_mirror():
-    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default)
+    here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default_fov)
     assert not painted(here, [ahead(3.0, 0.1, 0.0)]).any(), "behind the mirror"

@@ -310,7 +310,7 @@ def test_a_flood_of_acknowledgements_and_junk(painted, painter):
     viewer = painted.viewer()
     for _ in range(5):
         viewer.next()
-    for guest in painted.service._guests:  # whoever does not read has no more than one picture waiting
+    for guest in painted.service._connections:  # whoever does not read has no more than one picture waiting
         assert guest.writer.transport.get_write_buffer_size() <= 9 + 3 * WIDTH * HEIGHT
         assert len(guest.session._pending) < 17
 
@@ -320,8 +320,8 @@ def test_who_does_not_read_is_dropped(world, painter, monkeypatch):
     with on_show(world, size=(640, 480)) as show:
         robot = show.robot("Cyclops", "R1")
         deaf = show.viewer(room=4096, text=b"OK")
-        wait_until(lambda: show.service._guests, "the client to come in")
-        wait_until(lambda: not show.service._guests, "it to be dropped")
+        wait_until(lambda: show.service._clients, "the client to come in")
+        wait_until(lambda: not show.service._clients, "it to be dropped")
         robot.sta_times(2)
         assert not deaf.silent(1.0)
 
@@ -344,7 +344,7 @@ def test_who_leaves_in_the_middle_of_everything(painted):
         rude.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         rude.close()
     painted.viewer().picture()
-    wait_until(lambda: len(painted.service._guests) == 1, "the others to be gone")
+    wait_until(lambda: len(painted.service._connections) == 1, "the others to be gone")
 
 
 def test_the_most_silent_client_yields_when_all_places_are_taken(world, painter):

@@ -15,9 +15,16 @@ from websockets.sync.client import connect
 
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.watchers import DISTANCE, EYE, SIDE, classes, gallery, shows
-from usarmjx.cameras.paint import ROBOT
+from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.cli.app import app
-from usarmjx.server.pictures.spectator import ABOVE, BEHIND, LOOK_DOWN, STEEPEST, STRIDE, Spectator
+from usarmjx.server.pictures.spectator import (
+    CHASE_ABOVE,
+    CHASE_BEHIND,
+    LOOK_DOWN,
+    MAX_MOVE,
+    STEEPEST,
+    Spectator,
+)
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.protocol.multi_view import MultiView
 
@@ -52,11 +59,11 @@ def world_class(name):
 
 def picture(spectator):
     """What a spectator sees."""
-    from usarmjx.server.pictures.views import expose
+    from usarmjx.server.pictures.views import snapshot
 
     view = spectator.view()
     shots = [shot for shot, _, _ in view.tiles]
-    return view.compose(dict(zip(shots, expose(spectator.world, shots)(), strict=True)))
+    return view.compose(dict(zip(shots, snapshot(spectator.world, shots)(), strict=True)))
 
 
 def test_the_left_button_goes_from_robot_to_robot_and_the_right_one_lets_go(world, robots):
@@ -64,16 +71,16 @@ def test_the_left_button_goes_from_robot_to_robot_and_the_right_one_lets_go(worl
     assert watcher.caption() == "free view"
     names = []
     for _ in range(4):
-        watcher.told({"click": "left"})
+        watcher.handle_message({"click": "left"})
         names.append(watcher.robot.name)
     assert names == ["R0", "R1", "R2", "R0"]
     assert watcher.caption() == "R0, Lookout"
-    watcher.told({"click": "right"})
+    watcher.handle_message({"click": "right"})
     assert watcher.caption() == "free view"
-    watcher.told({"click": "left"})
+    watcher.handle_message({"click": "left"})
     world.remove(robots[0])
     assert watcher.caption() == "free view", "who is looked at has gone"
-    watcher.told({"click": "left"})
+    watcher.handle_message({"click": "left"})
     assert watcher.robot is robots[1]
 
 
@@ -81,7 +88,7 @@ def test_after_the_last_robot_comes_the_multi_view(world, robots, monkeypatch):
     monkeypatch.setattr(world, "multi_view", MultiView(camera_num=4))
     watcher, seen = Spectator(world, SIZE), []
     for _ in range(5):
-        watcher.told({"click": "left"})
+        watcher.handle_message({"click": "left"})
         seen.append(watcher.caption())
     assert seen == ["R0, Lookout", "R1, Cyclops", "R2, Mole: over it", "MultiView", "R0, Lookout"]
 
@@ -89,7 +96,7 @@ def test_after_the_last_robot_comes_the_multi_view(world, robots, monkeypatch):
 def test_an_attached_view_is_that_of_the_robots_cameras(world, robots):
     """A robot with several cameras starts with four viewports (manual 9.4): ahead, right, behind, none."""
     watcher = Spectator(world, SIZE)
-    watcher.told({"click": "left"})
+    watcher.handle_message({"click": "left"})
     seen = picture(watcher)
     half = SIZE[1] // 2, SIZE[0] // 2
     quarters = seen[: half[0], : half[1]], seen[: half[0], half[1] :], seen[half[0] :, : half[1]]
@@ -104,24 +111,24 @@ def test_an_attached_view_is_that_of_the_robots_cameras(world, robots):
 def test_c_shows_a_robot_from_behind_and_above(world, robots, number):
     watcher, robot = Spectator(world, SIZE), robots[number]
     for _ in range(number + 1):
-        watcher.told({"click": "left"})
+        watcher.handle_message({"click": "left"})
     if robot.cameras:
-        watcher.told({"key": "C"})
+        watcher.handle_message({"key": "C"})
     assert watcher.caption().endswith(": over it")
-    eye = watcher.view().tiles[0][0].eye
+    eye = watcher.view().tiles[0][0].viewpoint
     yaw, length = 0.5 * number, max(robot.spec.dimensions[:2])
-    behind, above = (at + share * length for at, share in (BEHIND, ABOVE))
+    behind, above = (at + share * length for at, share in (CHASE_BEHIND, CHASE_ABOVE))
     at = world.state(robot).pos
     expected = at + np.array([-behind * math.cos(yaw), -behind * math.sin(yaw), above])
     np.testing.assert_allclose(eye.pos, expected, atol=1e-4)
     ahead = [math.cos(yaw) * math.cos(LOOK_DOWN), math.sin(yaw) * math.cos(LOOK_DOWN), -math.sin(LOOK_DOWN)]
     np.testing.assert_allclose(eye.mat[:, 0], ahead, atol=1e-4)
-    taken = world.expose([watcher.view().tiles[0][0]])()[0]
-    row, column = np.nonzero(taken.segmentation == ROBOT + robot.slot)
+    taken = world.snapshot([watcher.view().tiles[0][0]])()[0]
+    row, column = np.nonzero(taken.segmentation == ROBOT_LABEL + robot.slot)
     assert len(row) > 100
     assert abs(column.mean() - SIZE[0] / 2) < SIZE[0] / 8, "it is in the middle"
     if robot.cameras:
-        watcher.told({"key": "c"})
+        watcher.handle_message({"key": "c"})
         assert not watcher.caption().endswith("over it")
 
 
@@ -129,17 +136,17 @@ def test_the_free_view_is_moved_and_turned(world):
     """From in front of the red target, whose height in the picture follows from the field of view."""
     watcher = Spectator(world, SIZE)
     watcher.pos, watcher.yaw, watcher.pitch = np.array([0.0, 0.0, EYE]), math.pi / 2, 0.0
-    watcher.told({"turn": [-math.pi / 2, 0.0]})
+    watcher.handle_message({"turn": [-math.pi / 2, 0.0]})
     before = shows(picture(watcher), "red")
     assert shows(picture(watcher), "green") == 0
     pixels = SIZE[0] / 2 / math.tan(math.radians(37.5))  # of 1 m in a distance of 1 m
     assert before == pytest.approx((SIDE / DISTANCE * pixels) ** 2, rel=0.15)
-    watcher.told({"move": [1.0, 0.0, 0.0]})
+    watcher.handle_message({"move": [1.0, 0.0, 0.0]})
     np.testing.assert_allclose(watcher.pos, [1.0, 0.0, EYE], atol=1e-6)
     assert shows(picture(watcher), "red") == pytest.approx(
         before * (DISTANCE / (DISTANCE - 1)) ** 2, rel=0.15
     )
-    watcher.told({"move": [0.0, 2.0, 1.0], "turn": [0.0, 9.0]})
+    watcher.handle_message({"move": [0.0, 2.0, 1.0], "turn": [0.0, 9.0]})
     np.testing.assert_allclose(watcher.pos, [1.0, 2.0, EYE + 1.0], atol=1e-6)
     assert watcher.pitch == STEEPEST
 
@@ -151,7 +158,7 @@ def test_the_free_view_is_moved_and_turned(world):
 def test_what_is_not_understood_changes_nothing(world, message):
     watcher = Spectator(world, SIZE)
     before = (*watcher.pos, watcher.yaw, watcher.pitch)
-    watcher.told(message)
+    watcher.handle_message(message)
     assert (*watcher.pos, watcher.yaw, watcher.pitch) == before
 
 
@@ -159,8 +166,8 @@ def test_nobody_moves_far_at_once(world):
     watcher = Spectator(world, SIZE)
     start = watcher.pos.copy()
     watcher.pitch = 0.0
-    watcher.told({"move": [1e9, 0.0, 0.0]})
-    assert np.linalg.norm(watcher.pos - start) == pytest.approx(STRIDE)
+    watcher.handle_message({"move": [1e9, 0.0, 0.0]})
+    assert np.linalg.norm(watcher.pos - start) == pytest.approx(MAX_MOVE)
 
 
 # On sockets

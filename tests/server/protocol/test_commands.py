@@ -6,8 +6,8 @@ from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.commands import (
     COMMANDS,
     DRIVE_KEYS,
-    Drive,
     DriveJoint,
+    DriveRobot,
     DriveWheels,
     GetConf,
     GetGeo,
@@ -26,11 +26,11 @@ from usarmjx.server.protocol.commands import (
     WheelCommand,
     parse_command,
 )
-from usarmjx.server.protocol.grammar import parse
+from usarmjx.server.protocol.grammar import parse_message
 
 
 def skid(left, right, **switches):
-    return Drive((("Left", left), ("Right", right)), **switches)
+    return DriveRobot((("Left", left), ("Right", right)), **switches)
 
 
 UNDERSTOOD = [
@@ -43,33 +43,37 @@ UNDERSTOOD = [
     pytest.param("GETSTARTPOSES", GetStartPoses(), id="manual 5.3.3 GETSTARTPOSES"),
     pytest.param("DRIVE {Left 1.0} {Right 1.0}", skid(1.0, 1.0), id="manual 9.4 forward"),
     pytest.param("DRIVE {Left -1.0} {Right 1.0}", skid(-1.0, 1.0), id="manual 9.4 turn left"),
-    pytest.param("DRIVE {Light true}", Drive(light=True), id="manual 9.4 light"),
-    pytest.param("DRIVE {Flip true}", Drive(flip=True), id="manual 9.4 flip"),
-    pytest.param("DRIVE {Speed -1.0}", Drive((("Speed", -1.0),)), id="manual 9.4 Ackermann backward"),
+    pytest.param("DRIVE {Light true}", DriveRobot(light=True), id="manual 9.4 light"),
+    pytest.param("DRIVE {Flip true}", DriveRobot(flip=True), id="manual 9.4 flip"),
+    pytest.param("DRIVE {Speed -1.0}", DriveRobot((("Speed", -1.0),)), id="manual 9.4 Ackermann backward"),
     pytest.param(
         "DRIVE {Speed 1.0} {FrontSteer -0.523599}",
-        Drive((("Speed", 1.0), ("FrontSteer", -0.523599))),
+        DriveRobot((("Speed", 1.0), ("FrontSteer", -0.523599))),
         id="manual 9.4 Ackermann right",
     ),
     pytest.param(
         "DRIVE {Propeller 1.0} {Rudder 0.523599}",
-        Drive((("Propeller", 1.0), ("Rudder", 0.523599))),
+        DriveRobot((("Propeller", 1.0), ("Rudder", 0.523599))),
         id="manual 9.4 underwater right",
     ),
     pytest.param(
-        "DRIVE {AltitudeVelocity 1}", Drive((("AltitudeVelocity", 1.0),)), id="manual 9.4 aerial up"
+        "DRIVE {AltitudeVelocity 1}", DriveRobot((("AltitudeVelocity", 1.0),)), id="manual 9.4 aerial up"
     ),
     pytest.param(
-        "DRIVE {RotationalVelocity 0.1}", Drive((("RotationalVelocity", 0.1),)), id="manual 9.4 aerial turn"
+        "DRIVE {RotationalVelocity 0.1}",
+        DriveRobot((("RotationalVelocity", 0.1),)),
+        id="manual 9.4 aerial turn",
     ),
     pytest.param(
-        "DRIVE {LinearVelocity -3}", Drive((("LinearVelocity", -3.0),)), id="manual 9.4 aerial backward"
+        "DRIVE {LinearVelocity -3}", DriveRobot((("LinearVelocity", -3.0),)), id="manual 9.4 aerial backward"
     ),
-    pytest.param("DRIVE { XZAngle 0.5}", Drive((("XZAngle", 0.5),)), id="manual 12.21.3 bars"),
+    pytest.param("DRIVE { XZAngle 0.5}", DriveRobot((("XZAngle", 0.5),)), id="manual 12.21.3 bars"),
     pytest.param(
-        "DRIVE { ThrustPropeller 1}", Drive((("ThrustPropeller", 1.0),)), id="manual 12.21.3 thrust"
+        "DRIVE { ThrustPropeller 1}", DriveRobot((("ThrustPropeller", 1.0),)), id="manual 12.21.3 thrust"
     ),
-    pytest.param("DRIVE { TailPropeller -0.3}", Drive((("TailPropeller", -0.3),)), id="manual 12.21.3 turn"),
+    pytest.param(
+        "DRIVE { TailPropeller -0.3}", DriveRobot((("TailPropeller", -0.3),)), id="manual 12.21.3 turn"
+    ),
     pytest.param(
         "DRIVE {WheelNumber 0} {WheelSpeed 3.14} {WheelSteer 0.75} {WheelNumber 1} {WheelSpeed -3.14}"
         " {WheelSteer 0.75}",
@@ -142,7 +146,7 @@ UNDERSTOOD = [
         id="MOAST's Classname and Start",
     ),
     pytest.param("GETCONF {Type RFID}", GetConf("RFID"), id="MOAST asks for what is not there"),
-    pytest.param("DRIVE {RIGHT 1.0}{LEFT 2.0}", Drive((("Right", 1.0), ("Left", 2.0))), id="USARGazebo"),
+    pytest.param("DRIVE {RIGHT 1.0}{LEFT 2.0}", DriveRobot((("Right", 1.0), ("Left", 2.0))), id="USARGazebo"),
     pytest.param(
         "INIT {ClassName USARBot.P2AT} {Location 4.5, 1.9, 1.8} {Rotation 0.00, 0.00, 1.57",
         Init("P2AT", "", (4.5, 1.9, 1.8), (0.0, 0.0, 1.57)),
@@ -185,7 +189,7 @@ UNDERSTOOD = [
         id="the AUT toolbox's Order 0.5",
     ),
     # Partial and odd forms that still have one sense.
-    pytest.param("DRIVE {Left 1.0}", Drive((("Left", 1.0),)), id="left only"),
+    pytest.param("DRIVE {Left 1.0}", DriveRobot((("Left", 1.0),)), id="left only"),
     pytest.param("DRIVE {Left 0} {Right 0}", skid(0.0, 0.0), id="stop"),
     pytest.param("DRIVE {Left fast} {Right 1}", skid(0.0, 1.0), id="garbage is 0"),
     pytest.param("INIT {ClassName P2AT}", Init("P2AT"), id="class without USARBot"),
@@ -207,12 +211,12 @@ UNDERSTOOD = [
     ),
     pytest.param(
         "DRIVE {Speed 10} {FrontSteer 50} {RearSteer -50} {Normalized true} {Light false} {Flip true}",
-        Drive((("Speed", 10.0), ("FrontSteer", 50.0), ("RearSteer", -50.0)), True, False, True),
+        DriveRobot((("Speed", 10.0), ("FrontSteer", 50.0), ("RearSteer", -50.0)), True, False, True),
         id="Ackermann with every switch",
     ),
     pytest.param(
         "DRIVE {sternplane 1} {RUDDER 2}",
-        Drive((("SternPlane", 1.0), ("Rudder", 2.0))),
+        DriveRobot((("SternPlane", 1.0), ("Rudder", 2.0))),
         id="keys in any case, in the message's order",
     ),
     pytest.param(
@@ -222,13 +226,13 @@ UNDERSTOOD = [
     ),
     pytest.param(
         "DRIVE {Speed 1} {Left 2}",
-        Drive((("Speed", 1.0), ("Left", 2.0))),
+        DriveRobot((("Speed", 1.0), ("Left", 2.0))),
         id="keys of two forms: the robot knows its own",
     ),
     pytest.param(
-        "DRIVE {Name Arm} {Value 3} {Speed 1}", Drive((("Speed", 1.0),)), id="a drive key beats a joint"
+        "DRIVE {Name Arm} {Value 3} {Speed 1}", DriveRobot((("Speed", 1.0),)), id="a drive key beats a joint"
     ),
-    pytest.param("DRIVE {Light 0} {Left}", Drive(light=False), id="an empty value, but a light"),
+    pytest.param("DRIVE {Light 0} {Left}", DriveRobot(light=False), id="an empty value, but a light"),
     pytest.param(
         "DRIVE {WheelSteer 1} {WHEELNUMBER 2} {WheelNumber 0} {WheelSpeed 5} {Normalized 1} {Flip 1}",
         DriveWheels((WheelCommand(2, None, 1.0), WheelCommand(0, 5.0, None)), True, None, True),
@@ -365,12 +369,12 @@ IGNORED = [
 
 @pytest.mark.parametrize(("line", "command"), UNDERSTOOD)
 def test_understood(line, command):
-    assert parse_command(parse(line)) == command
+    assert parse_command(parse_message(line)) == command
 
 
 @pytest.mark.parametrize(("line", "reason"), IGNORED)
 def test_ignored_with_a_reason(line, reason):
-    answer = parse_command(parse(line))
+    answer = parse_command(parse_message(line))
     assert isinstance(answer, Ignored)
     assert reason in answer.reason
 
@@ -400,13 +404,13 @@ def test_ignored_with_a_reason(line, reason):
 )
 def test_numbers_that_are_not_finite_are_refused(line, number):
     with pytest.raises(PeerError, match="not a finite number"):
-        parse_command(parse(line.replace("@", number)))
+        parse_command(parse_message(line.replace("@", number)))
 
 
 @pytest.mark.parametrize("key", DRIVE_KEYS)
 def test_every_drive_key_is_known_in_any_case(key):
     for spelling in (key, key.lower(), key.upper()):
-        assert parse_command(parse(f"DRIVE {{{spelling} -0.5}}")) == Drive(((key, -0.5),))
+        assert parse_command(parse_message(f"DRIVE {{{spelling} -0.5}}")) == DriveRobot(((key, -0.5),))
 
 
 def test_the_drive_keys_are_those_of_the_manual():
@@ -434,7 +438,7 @@ def test_the_drive_keys_are_those_of_the_manual():
 def test_every_opcode_of_a_joint_by_name_and_by_number(opcode, order):
     for spelling in (opcode, opcode.upper(), str(order)):
         line = f"SET {{Type Joint}} {{Name Arm}} {{Opcode {spelling}}} {{Params -1}}"
-        assert parse_command(parse(line)) == SetJoint("Arm", order, -1.0, None)
+        assert parse_command(parse_message(line)) == SetJoint("Arm", order, -1.0, None)
 
 
 def test_the_registry_lists_what_a_client_can_ask():

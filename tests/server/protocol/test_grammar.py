@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.protocol.grammar import (
     Message,
+    check_word,
     clip,
-    format,
-    parse,
-    raw,
-    raw_list,
+    format_message,
+    four_decimals,
+    four_decimals_list,
+    parse_message,
     to_bool,
     to_float,
     to_int,
     to_vector,
-    truncated,
-    truncated_list,
-    word,
+    two_decimals,
+    two_decimals_list,
 )
 
 KINDS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True)
@@ -36,25 +36,25 @@ MESSAGES = st.builds(
 
 @given(MESSAGES)
 def test_format_then_parse_is_the_same_message(message):
-    assert parse(format(message)) == message
+    assert parse_message(format_message(message)) == message
 
 
 @given(st.text(st.characters(max_codepoint=255), max_size=80))
 def test_any_line_parses_or_is_the_peers_fault(line):
     try:
-        message = parse(line)
+        message = parse_message(line)
     except PeerError:
         return
-    assert parse(format(message)) == message
+    assert parse_message(format_message(message)) == message
 
 
 @given(st.text(st.sampled_from("AB {}1,.-"), max_size=30))
 def test_any_braces_parse_or_are_the_peers_fault(line):
     try:
-        message = parse("X" + line)
+        message = parse_message("X" + line)
     except PeerError:
         return
-    assert parse(format(message)) == message
+    assert parse_message(format_message(message)) == message
 
 
 LEFT_RIGHT = (("Left", "1.0"), ("Right", "-1.0"))
@@ -76,16 +76,16 @@ LEFT_RIGHT = (("Left", "1.0"), ("Right", "-1.0"))
     ],
 )
 def test_sloppy_lines_mean_the_same(line):
-    assert parse(line) == Message("DRIVE", LEFT_RIGHT)
+    assert parse_message(line) == Message("DRIVE", LEFT_RIGHT)
 
 
 def test_a_head_alone_is_a_message():
-    assert parse("GETSTARTPOSES") == Message("GETSTARTPOSES", ())
-    assert format(Message("GETSTARTPOSES")) == "GETSTARTPOSES"
+    assert parse_message("GETSTARTPOSES") == Message("GETSTARTPOSES", ())
+    assert format_message(Message("GETSTARTPOSES")) == "GETSTARTPOSES"
 
 
 def test_a_head_may_touch_its_first_brace():
-    assert parse("Com1{A b}") == Message("COM1", (("A", "b"),))
+    assert parse_message("Com1{A b}") == Message("COM1", (("A", "b"),))
 
 
 @pytest.mark.parametrize(
@@ -105,11 +105,11 @@ def test_a_head_may_touch_its_first_brace():
 )
 def test_lines_without_sense_say_why(line, reason):
     with pytest.raises(PeerError, match=reason):
-        parse(line)
+        parse_message(line)
 
 
 def test_get_ignores_case_and_takes_the_first():
-    message = parse("MISPKG {name Arm} {Link 1} {link 2}")
+    message = parse_message("MISPKG {name Arm} {Link 1} {link 2}")
     assert message.get("NAME") == "Arm"
     assert message.get("Link") == "1"
     assert message.all("LINK") == ("1", "2")
@@ -132,7 +132,7 @@ def test_get_ignores_case_and_takes_the_first():
 )
 def test_what_the_grammar_cannot_carry_is_our_fault(message):
     with pytest.raises(UsageError):
-        format(message)
+        format_message(message)
 
 
 @pytest.mark.parametrize(
@@ -248,19 +248,19 @@ def float32(value):
     ],
 )
 def test_four_decimals_are_cut_not_rounded(value, text):
-    assert truncated(value) == text
+    assert four_decimals(value) == text
 
 
 @given(st.integers(-(10**9), 10**9))
 def test_a_number_of_four_decimals_is_printed_as_itself(ten_thousandths):
     expected = Decimal(ten_thousandths).scaleb(-4)
-    assert Decimal(truncated(ten_thousandths / 10_000)) == expected
+    assert Decimal(four_decimals(ten_thousandths / 10_000)) == expected
 
 
 @given(st.integers(-320_000, 320_000))
 def test_a_float32_of_four_decimals_is_printed_as_itself_up_to_32(ten_thousandths):
     expected = Decimal(ten_thousandths).scaleb(-4)
-    assert Decimal(truncated(float32(ten_thousandths / 10_000))) == expected
+    assert Decimal(four_decimals(float32(ten_thousandths / 10_000))) == expected
 
 
 @given(st.floats(-1e6, 1e6))
@@ -268,7 +268,7 @@ def test_cutting_agrees_with_decimal_arithmetic_beyond_the_margin(value):
     exact = Decimal(value)
     cut = exact.quantize(Decimal("0.0001"), rounding=ROUND_DOWN)
     if abs(exact - cut) < Decimal("0.0000989"):  # else it may count as the next one
-        assert Decimal(truncated(value)) == cut
+        assert Decimal(four_decimals(value)) == cut
 
 
 @pytest.mark.parametrize(
@@ -282,10 +282,10 @@ def test_cutting_agrees_with_decimal_arithmetic_beyond_the_margin(value):
     ],
 )
 def test_two_decimals_are_rounded_as_captured(value, text):
-    assert raw(value) == text
+    assert two_decimals(value) == text
 
 
-@pytest.mark.parametrize("write", [truncated, raw])
+@pytest.mark.parametrize("write", [four_decimals, two_decimals])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_cannot_be_reported(write, value):
     with pytest.raises(UsageError, match="cannot be reported"):
@@ -293,16 +293,16 @@ def test_what_is_not_finite_cannot_be_reported(write, value):
 
 
 def test_lists_have_commas_only():
-    assert truncated_list([1.0, -2.5]) == "1.0000,-2.5000"
-    assert raw_list([1.0, -2.5]) == "1.00,-2.50"
-    assert truncated_list([]) == ""
+    assert four_decimals_list([1.0, -2.5]) == "1.0000,-2.5000"
+    assert two_decimals_list([1.0, -2.5]) == "1.00,-2.50"
+    assert four_decimals_list([]) == ""
 
 
 @pytest.mark.parametrize("text", ["", "two words", "tab\there"])
 def test_a_name_inside_a_segment_is_one_word(text):
-    assert word("F1") == "F1"
+    assert check_word("F1") == "F1"
     with pytest.raises(UsageError, match="one word"):
-        word(text)
+        check_word(text)
 
 
 def test_text_for_the_log_is_short_and_on_one_line():

@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.images import FORMATS, GRACE, ImageSession, format_number, frame, parse_size
+from usarmjx.server.protocol.images import (
+    FIRST_FRAME_DELAY,
+    FORMATS,
+    ImageSession,
+    encode_frame,
+    format_number,
+    parse_size,
+)
 
 PIXELS = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
 PERIOD = 0.1
@@ -19,12 +26,12 @@ PERIOD = 0.1
 def test_a_raw_frame_byte_by_byte():
     """Manual 14.5.3: type, length of the data, width, height, then RGB from left to right, from the top."""
     head = b"\x00" + b"\x00\x00\x00\x16" + b"\x00\x03" + b"\x00\x02"  # 22 = 4 + 3 * 2 * 3
-    assert frame(0, PIXELS) == head + bytes(range(18))
+    assert encode_frame(0, PIXELS) == head + bytes(range(18))
 
 
 def test_a_picture_without_a_pixel_row_end_in_a_word_is_not_padded():
     """Hook.dll padded rows to 4 bytes (manual 14.5.2); the image server's description has no such thing."""
-    assert len(frame(0, np.zeros((5, 1, 3), np.uint8))) == 5 + 4 + 15
+    assert len(encode_frame(0, np.zeros((5, 1, 3), np.uint8))) == 5 + 4 + 15
 
 
 def scene():
@@ -43,7 +50,7 @@ BOUNDS = {1: 1.0, 2: 99 * 0.5 / 12**0.5, 3: 99 / 12**0.5, 4: 198 / 12**0.5, 5: 4
 
 @pytest.mark.parametrize("number", BOUNDS)
 def test_a_jpeg_frame_decodes_to_nearly_the_picture(number):
-    data = frame(number, scene())
+    data = encode_frame(number, scene())
     kind, length = struct.unpack(">BI", data[:5])
     assert (kind, length) == (number, len(data) - 5)
     decoded = Image.open(io.BytesIO(data[5:]))
@@ -54,7 +61,7 @@ def test_a_jpeg_frame_decodes_to_nearly_the_picture(number):
 
 
 def test_better_qualities_are_larger_and_truer():
-    frames = [frame(number, scene()) for number in range(6)]
+    frames = [encode_frame(number, scene()) for number in range(6)]
     errors = [
         np.abs(np.asarray(Image.open(io.BytesIO(data[5:])), float) - scene()).mean() for data in frames[1:]
     ]
@@ -89,8 +96,8 @@ def test_the_first_picture_comes_unasked():
     """Manual 14.5.3, step 1."""
     here = session(5.0)
     assert not here.wants(5.0)
-    assert here.wants(5.0 + GRACE)
-    here.sent(5.0 + GRACE)
+    assert here.wants(5.0 + FIRST_FRAME_DELAY)
+    here.sent(5.0 + FIRST_FRAME_DELAY)
     assert not here.wants(1000.0), "step 2: it waits for the acknowledgement"
 
 

@@ -11,7 +11,7 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol import descriptions as d
 from usarmjx.server.protocol import reports as r
-from usarmjx.server.protocol.grammar import format, parse
+from usarmjx.server.protocol.grammar import format_message, parse_message
 
 ZERO = (0.0, 0.0, 0.0)
 MANUAL_SCAN = (
@@ -73,7 +73,9 @@ CAPTURED = [
         id="captured Sonar",
     ),
     pytest.param(
-        r.sen_scanner("RangeScanner", 5608.85, r.Scan("Scanner1", math.radians(1), math.pi, [11.3059, 20.0])),
+        r.sen_scanner(
+            "RangeScanner", 5608.85, r.RangeScan("Scanner1", math.radians(1), math.pi, [11.3059, 20.0])
+        ),
         "SEN {Time 5608.85} {Type RangeScanner} {Name Scanner1} {Resolution 0.0174} {FOV 3.1415}"
         " {Range 11.3059,20.0000}",
         id="captured RangeScanner",
@@ -284,7 +286,7 @@ MANUAL = [
         r.sen_scanner(
             "RangeScanner",
             None,
-            r.Scan(
+            r.RangeScan(
                 "Scanner1",
                 math.radians(1),
                 math.pi,
@@ -503,8 +505,8 @@ MANUAL = [
 
 @pytest.mark.parametrize(("message", "line"), CAPTURED)
 def test_captured_lines(message, line):
-    assert format(message) == line
-    assert parse(line) == message
+    assert format_message(message) == line
+    assert parse_message(line) == message
 
 
 @pytest.mark.parametrize(("message", "printed", "corrections"), MANUAL)
@@ -513,8 +515,8 @@ def test_manual_lines(message, printed, corrections):
     for wrong, right in corrections.items():
         assert wrong in line
         line = line.replace(wrong, right)
-    assert format(message) == line
-    assert parse(line) == message
+    assert format_message(message) == line
+    assert parse_message(line) == message
 
 
 # The angles that manual 9.3 lists for each kind; it prints an example for the first kind only.
@@ -539,7 +541,7 @@ def test_a_status_line_has_the_angles_of_its_kind(kind, angles):
         rudder=-0.4363,
         joints=(("FRFlipper", 1.5),),
     )
-    assert format(r.sta(kind, status)) == (
+    assert format_message(r.sta(kind, status)) == (
         f"STA {{Type {kind}}} {{Time 62.01}} {angles}{{FRFlipper 1.5000}}"
         " {LightToggle True} {LightIntensity 100} {Battery 3564} {View -1}"
     )
@@ -558,7 +560,7 @@ def test_a_steered_ground_vehicle_tells_its_limits():
     message = d.conf_robot(
         d.RobotConfiguration("GroundVehicle", "Hummer", "AckermanSteered", 3000.0, **limits)
     )
-    assert format(message) == (
+    assert format_message(message) == (
         "CONF {Type GroundVehicle} {Name Hummer} {SteeringType AckermanSteered} {Mass 3000.0000}"
         " {MaxSpeed 100.0000} {MaxTorque 60.0000} {MaxFrontSteer 0.7000} {MaxRearSteer 0.3500}"
     )
@@ -586,7 +588,7 @@ def test_an_unknown_kind_of_vehicle_is_our_fault(report):
 
 def test_all_effecters_and_operations_come_in_one_line():
     roller, gripper = [("Animate", 6.0, -6.0), ("NOP", 0.0, 0.0)], [("Animate", math.pi / 2, 0.0)]
-    assert format(d.conf_effecters([("Roller", roller), ("Gripper", gripper), ("Inert", [])])) == (
+    assert format_message(d.conf_effecters([("Roller", roller), ("Gripper", gripper), ("Inert", [])])) == (
         "CONF {Type Effecter} {Name Roller} {Opcode Animate} {MaxVal 6.0000} {MinVal -6.0000}"
         " {Opcode NOP} {MaxVal 0.0000} {MinVal 0.0000}"
         " {Name Gripper} {Opcode Animate} {MaxVal 1.5707} {MinVal 0.0000} {Name Inert}"
@@ -598,14 +600,14 @@ def test_all_packages_come_in_one_line():
     message = d.geo_mispkg([("Arm", [geometry]), ("PanTilt", [geometry, geometry])])
     assert message.all("Name") == ("Arm", "PanTilt")
     assert [key for key, _ in message.segments].count("ParentLink") == 3
-    assert format(d.conf_mispkg([("Arm", []), ("PanTilt", [])])) == (
+    assert format_message(d.conf_mispkg([("Arm", []), ("PanTilt", [])])) == (
         "CONF {Type MisPkg} {Name Arm} {Name PanTilt}"
     )
 
 
 def test_a_scanner_line_fits_the_2048_characters_that_old_clients_hold():
-    scan = r.Scan("Scanner1", math.radians(1), math.pi, [20.0] * 181)
-    assert len(format(r.sen_scanner("RangeScanner", 99999.99, scan))) + 2 <= 2048
+    scan = r.RangeScan("Scanner1", math.radians(1), math.pi, [20.0] * 181)
+    assert len(format_message(r.sen_scanner("RangeScanner", 99999.99, scan))) + 2 <= 2048
 
 
 @pytest.mark.parametrize(
@@ -621,7 +623,8 @@ def test_a_scanner_line_fits_the_2048_characters_that_old_clients_hold():
 def test_gps_degrees_and_minutes(latitude, longitude, place):
     message = r.sen_gps(12.5, "G", (latitude, longitude), 12)
     assert (
-        format(message) == f"SEN {{Time 12.5000}} {{Type GPS}} {{Name G}} {place} {{Fix 1}} {{Satellites 12}}"
+        format_message(message)
+        == f"SEN {{Time 12.5000}} {{Type GPS}} {{Name G}} {place} {{Fix 1}} {{Satellites 12}}"
     )
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.commands import (
     Command,
-    Drive,
     DriveJoint,
+    DriveRobot,
     DriveWheels,
     GetConf,
     GetGeo,
@@ -36,8 +36,8 @@ from usarmjx.server.protocol.session import (
     MAX_WAITING,
     SEND_LIMIT,
     TRANSITIONS,
-    Phase,
     RobotSession,
+    SessionPhase,
 )
 
 GREETING = nfo_greeting("DM-Test")
@@ -45,7 +45,7 @@ INIT_LINE = b"INIT {ClassName USARBot.P2AT} {Name R1}\r\n"
 LINES = {
     Init("P2AT", "R1"): INIT_LINE,
     GetStartPoses(): b"GETSTARTPOSES\r\n",
-    Drive((("Left", 1.0), ("Right", 1.0))): b"DRIVE {Left 1} {Right 1}\r\n",
+    DriveRobot((("Left", 1.0), ("Right", 1.0))): b"DRIVE {Left 1} {Right 1}\r\n",
     DriveWheels((WheelCommand(0, 1.0, None),)): b"DRIVE {WheelNumber 0} {WheelSpeed 1}\r\n",
     DriveJoint("Arm", 1, 0.5): b"DRIVE {Name Arm} {Order 1} {Value 0.5}\r\n",
     MultiDrive((("FRFlipper", -1.0),)): b"MULTIDRIVE {FRFlipper -1}\r\n",
@@ -62,7 +62,7 @@ LINES = {
 
 
 def left(speed):
-    return Drive((("Left", speed),))
+    return DriveRobot((("Left", speed),))
 
 
 def talk(session, chunks, accepts=lambda init: True):
@@ -78,9 +78,9 @@ def talk(session, chunks, accepts=lambda init: True):
 
 def session_in(phase):
     session = RobotSession(GREETING)
-    if phase is Phase.ACTIVE:
+    if phase is SessionPhase.ACTIVE:
         talk(session, [INIT_LINE])
-    if phase is Phase.CLOSED:
+    if phase is SessionPhase.CLOSED:
         session.close()
     assert session.phase is phase
     return session
@@ -88,24 +88,24 @@ def session_in(phase):
 
 def test_the_server_speaks_first():
     session = RobotSession(GREETING)
-    assert session.phase is Phase.GREETED
+    assert session.phase is SessionPhase.GREETED
     assert session.data_to_send() == (b"NFO {Gametype BotDeathMatch} {Level DM-Test} {TimeLimit 0}\r\n")
     assert session.data_to_send() == b""
 
 
 # Which commands count in which phase, written out a second time on purpose.
 LEGAL = {
-    Phase.GREETED: {Init, GetStartPoses, SetView},
-    Phase.ACTIVE: {
+    SessionPhase.GREETED: {Init, GetStartPoses, SetView},
+    SessionPhase.ACTIVE: {
         *(GetStartPoses, GetGeo, GetConf),
-        *(Drive, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
+        *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
         *(SetFov, SetViewports, SetView, Trace),
     },
-    Phase.CLOSED: set(),
+    SessionPhase.CLOSED: set(),
 }
 
 
-@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("phase", SessionPhase)
 @pytest.mark.parametrize("command", LINES, ids=lambda command: type(command).__name__)
 def test_every_command_in_every_phase(phase, command):
     session = session_in(phase)
@@ -116,14 +116,14 @@ def test_every_command_in_every_phase(phase, command):
     else:
         assert heard == []
         assert [type(command).__name__ in fault for fault in faults] == (
-            [] if phase is Phase.CLOSED else [True]
+            [] if phase is SessionPhase.CLOSED else [True]
         )
-    joined = phase is Phase.GREETED and isinstance(command, Init)
-    assert session.phase is (Phase.ACTIVE if joined else phase)
+    joined = phase is SessionPhase.GREETED and isinstance(command, Init)
+    assert session.phase is (SessionPhase.ACTIVE if joined else phase)
 
 
 def test_the_table_covers_every_phase():
-    assert set(TRANSITIONS) == set(Phase)
+    assert set(TRANSITIONS) == set(SessionPhase)
 
 
 def test_every_command_has_its_line_here():
@@ -140,7 +140,7 @@ def test_a_refused_init_sends_nothing_and_may_be_tried_again():
         accepts=lambda init: init.class_name == "P2AT",
     )
     assert heard == [Init("Nonsense"), Init("P2AT", "R1"), left(2.0)]
-    assert session.phase is Phase.ACTIVE
+    assert session.phase is SessionPhase.ACTIVE
     assert session.data_to_send() == b""
     refused, too_early = session.take_faults()
     assert "INIT" in refused
@@ -150,24 +150,24 @@ def test_a_refused_init_sends_nothing_and_may_be_tried_again():
 def test_the_phase_stays_until_the_init_is_answered():
     session = RobotSession(GREETING)
     assert session.receive_data(INIT_LINE + b"DRIVE {Left 1}\r\n") == [Init("P2AT", "R1")]
-    assert session.phase is Phase.GREETED
+    assert session.phase is SessionPhase.GREETED
     assert session.awaits_answer
     assert session.receive_data(b"DRIVE {Left 2}\r\n") == []
     assert session.answer_init(True) == [left(1.0), left(2.0)]
-    assert session.phase is Phase.ACTIVE
+    assert session.phase is SessionPhase.ACTIVE
     assert not session.awaits_answer
 
 
 def test_an_answer_without_a_question_changes_nothing():
     session = RobotSession(GREETING)
     assert session.answer_init(True) == []
-    assert session.phase is Phase.GREETED
+    assert session.phase is SessionPhase.GREETED
 
 
 def test_a_second_init_is_ignored_and_the_robot_stays():
-    session = session_in(Phase.ACTIVE)
+    session = session_in(SessionPhase.ACTIVE)
     assert talk(session, [b"INIT {ClassName USARBot.Zerg}\r\nDRIVE {Left 1}\r\n"]) == [left(1.0)]
-    assert session.phase is Phase.ACTIVE
+    assert session.phase is SessionPhase.ACTIVE
     assert session.take_faults() == ["Init is ignored when active"]
 
 
@@ -196,11 +196,11 @@ def test_a_bad_line_never_loses_the_good_one_after_it():
         good = b"DRIVE {Left %d}\n" % number
         assert session.receive_data(line + b"\r\n" + good) == [left(float(number))]
         assert len(session.take_faults()) == 1, line
-    assert session.phase is Phase.ACTIVE
+    assert session.phase is SessionPhase.ACTIVE
 
 
 def test_a_number_that_is_not_finite_gives_no_command_at_all():
-    session = session_in(Phase.ACTIVE)
+    session = session_in(SessionPhase.ACTIVE)
     assert session.receive_data(b"DRIVE {Left inf} {Right 1} {Light true}\r\n") == []
     (fault,) = session.take_faults()
     assert "'inf' is not a finite number" in fault
@@ -231,7 +231,7 @@ def test_pyro_ends_lines_the_other_way_round_and_forgets_a_brace():
         b"PAUSE {TIME 10}\n\rDRIVE {Left 1} {Right 1}\n\r"
     )
     init = Init("P2DX", "", (4.5, 1.9, 1.8), (0.0, 0.0, 0.0))
-    assert talk(session, [data]) == [init, Drive((("Left", 1.0), ("Right", 1.0)))]
+    assert talk(session, [data]) == [init, DriveRobot((("Left", 1.0), ("Right", 1.0)))]
 
 
 def test_a_last_line_without_an_end_counts_when_the_peer_stops_sending():
@@ -249,7 +249,7 @@ SCRIPT = (
 HEARD = [
     GetStartPoses(),
     Init("P2AT", "R1"),
-    Drive((("Left", 1.0), ("Right", 1.0))),
+    DriveRobot((("Left", 1.0), ("Right", 1.0))),
     MisPkg("Arm", (LinkCommand(1, 0.5),)),
     GetGeo("Sonar"),
     GetConf("Sonar"),
@@ -288,7 +288,7 @@ def test_messages_are_sent_in_order_with_their_ends():
 
 
 def test_text_of_a_client_is_echoed_in_the_bytes_it_came_in():
-    session = session_in(Phase.ACTIVE)
+    session = session_in(SessionPhase.ACTIVE)
     session.data_to_send()
     (command,) = session.receive_data(b"GETGEO {Type S\xf6nar}\r\n")
     assert isinstance(command, GetGeo)
@@ -327,4 +327,4 @@ def test_a_closed_session_is_silent_and_deaf():
     assert session.data_to_send() == b""
     assert session.receive_data(b"GETSTARTPOSES\r\n") == []
     assert session.receive_eof() == []
-    assert session.phase is Phase.CLOSED
+    assert session.phase is SessionPhase.CLOSED

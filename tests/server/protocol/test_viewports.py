@@ -8,8 +8,8 @@ import pytest
 from usarmjx.base.errors import PeerError, SpecError
 from usarmjx.server.protocol.commands import TRACE_COLORS, Trace
 from usarmjx.server.protocol.multi_view import MultiView, read_multi_view
-from usarmjx.server.protocol.traces import APART, COLORS, LIMIT, PACE, Traces, Trail
-from usarmjx.server.protocol.viewports import Ties, Viewports
+from usarmjx.server.protocol.traces import COLORS, MAX_POINTS, MIN_DISTANCE, MIN_INTERVAL, RobotTrace, Traces
+from usarmjx.server.protocol.viewports import ViewBindings, Viewports
 
 TALON = ["A", "B", "C", "D"]
 
@@ -59,18 +59,18 @@ def test_where_viewports_are():
 
 
 def test_ties():
-    ties = Ties(limit=2)
-    assert ties.of("10.0.0.2", 5) is None
-    ties.tie("10.0.0.2", "R1", "Camera")
-    ties.tie("10.0.0.2:5", "R2", "")
-    assert ties.of("10.0.0.2", 4) == ("R1", "Camera")
-    assert ties.of("10.0.0.2", 5) == ("R2", "")
-    ties.tie("10.0.0.2", "R3", "Camera")
+    ties = ViewBindings(limit=2)
+    assert ties.get("10.0.0.2", 5) is None
+    ties.bind("10.0.0.2", "R1", "Camera")
+    ties.bind("10.0.0.2:5", "R2", "")
+    assert ties.get("10.0.0.2", 4) == ("R1", "Camera")
+    assert ties.get("10.0.0.2", 5) == ("R2", "")
+    ties.bind("10.0.0.2", "R3", "Camera")
     with pytest.raises(PeerError, match="2 views are tied already"):
-        ties.tie("10.0.0.3", "R1", "Camera")
-    ties.release("10.0.0.2")
-    ties.release("10.0.0.2")
-    assert ties.of("10.0.0.2", 4) is None
+        ties.bind("10.0.0.3", "R1", "Camera")
+    ties.unbind("10.0.0.2")
+    ties.unbind("10.0.0.2")
+    assert ties.get("10.0.0.2", 4) is None
 
 
 # MultiView, manual 3.2.6.3
@@ -148,11 +148,11 @@ def test_a_wrong_multi_view_is_refused_by_name(tmp_path, line, says):
 
 def walk(told, speed, seconds, step=0.02):
     """The points that a robot leaves which goes along x."""
-    traces, trail = Traces(), Trail(told)
+    traces, trail = Traces(), RobotTrace(told)
     for count in range(round(seconds / step)):
         time = count * step
         if trail.due(time):
-            traces.drop(trail, (speed * time, 0.0, 0.1), time)
+            traces.add_point(trail, (speed * time, 0.0, 0.1), time)
     return traces
 
 
@@ -166,8 +166,8 @@ def test_points_are_an_interval_apart():
 def test_points_are_7_unreal_units_apart_however_slow_the_robot():
     places = walk(Trace(True), speed=0.01, seconds=20.0).sketch().start
     # A point comes at the first look, every 0.1 s, when it is far enough: at most a look's way further.
-    assert (np.diff(places[:, 0]) > APART - 1e-6).all()
-    assert (np.diff(places[:, 0]) <= APART + 0.01 * (PACE + 0.02) + 1e-6).all()
+    assert (np.diff(places[:, 0]) > MIN_DISTANCE - 1e-6).all()
+    assert (np.diff(places[:, 0]) <= MIN_DISTANCE + 0.01 * (MIN_INTERVAL + 0.02) + 1e-6).all()
     assert len(walk(Trace(True), speed=0.0, seconds=5.0).points) == 1
 
 
@@ -176,12 +176,12 @@ def test_off_leaves_nothing():
 
 
 def test_a_long_way_keeps_its_ends_and_never_more_than_the_limit():
-    traces, trail = Traces(), Trail(Trace(True))
+    traces, trail = Traces(), RobotTrace(Trace(True))
     for count in range(5000):
-        traces.drop(trail, (float(count), 0.0, 0.0), float(count))
-        assert len(traces.points) <= LIMIT
+        traces.add_point(trail, (float(count), 0.0, 0.0), float(count))
+        assert len(traces.points) <= MAX_POINTS
     places = traces.sketch().start
-    assert traces.every == 16, "5000 points are more than 8 * 512, fewer than 16 * 512"
+    assert traces.stride == 16, "5000 points are more than 8 * 512, fewer than 16 * 512"
     assert places[0, 0] == 0
     assert (np.diff(places[:, 0]) == 16).all()
     assert places[-1, 0] > 4999 - 16

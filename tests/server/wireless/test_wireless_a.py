@@ -13,10 +13,17 @@ from hypothesis import strategies as st
 from tests.server.airs import FakeAir
 from usarmjx.base.errors import PeerError
 from usarmjx.server.wireless import comserver, data_link, dialect_a
-from usarmjx.server.wireless.comserver import ComServer, Dial, End, Refusal, Register
-from usarmjx.server.wireless.data_link import MOST, LinkParser
-from usarmjx.server.wireless.data_link import Phase as Part
-from usarmjx.server.wireless.dialect_a import LIMIT, TRANSITIONS, VERBS, ControlSession, Phase, parse_request
+from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, Refusal, Register
+from usarmjx.server.wireless.data_link import MAX_PAYLOAD, DataLinkParser
+from usarmjx.server.wireless.data_link import DataLinkPhase as Part
+from usarmjx.server.wireless.dialect_a import (
+    MAX_MESSAGE_SIZE,
+    TRANSITIONS,
+    VERBS,
+    DialectAPhase,
+    DialectASession,
+    parse_request,
+)
 
 HERE, THERE = "127.0.0.1", "10.0.0.2"
 
@@ -30,7 +37,7 @@ class Party:
         self.sessions = {}
 
     def session(self, caller=HERE):
-        return self.sessions.setdefault(caller, ControlSession(self.server, caller))
+        return self.sessions.setdefault(caller, DialectASession(self.server, caller))
 
     def ask(self, text, caller=HERE):
         """The reply to messages that dial nobody."""
@@ -86,7 +93,7 @@ def test_opening_dials_both_robots_and_uses_up_the_listening():
     party = registered()
     party.ask("LISTEN R2 4002;")
     dial = party.dial("OPEN R1 4001 R2 4002;")
-    assert dial == Dial(End("R1", HERE, 4001), End("R2", HERE, 4002))
+    assert dial == EndpointPair(Endpoint("R1", HERE, 4001), Endpoint("R2", HERE, 4002))
     assert party.answer(True) == "OK;"
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: R2 not listening on port 4002;"
 
@@ -131,7 +138,7 @@ def test_messages_behind_an_opening_wait_for_it():
     party.ask("LISTEN R2 4002;LISTEN R2 4003;")
     assert party.dial("OPEN R1 1 R2 4002;GETSS R1 R2;OPEN R1 2 R2 4003;GETSS R2 R1;").first.port == 1
     session = party.session()
-    assert session.phase is Phase.DIALLING
+    assert session.phase is DialectAPhase.DIALLING
     second = session.answer_open(True)
     assert (second.first.port, session.data_to_send()) == (2, b"OK;OK:-60.00;")
     assert session.answer_open(False) is None
@@ -205,9 +212,9 @@ def test_a_message_that_is_too_long_is_refused_once_and_skipped():
     party = registered(powers={("R1", "R2"): -50.0})
     session = party.session()
     for _ in range(100):
-        assert session.receive_data(b"x" * LIMIT) is None
+        assert session.receive_data(b"x" * MAX_MESSAGE_SIZE) is None
         assert session.data_to_send() == b""
-        assert len(session._pending) <= LIMIT
+        assert len(session._pending) <= MAX_MESSAGE_SIZE
     assert party.ask(";GETSS R1 R2;") == "Fail: Incorrect Message;OK:-50.00;"
 
 
@@ -225,7 +232,7 @@ def test_an_allowed_address_may_be_registered_by_anybody():
     party = Party(allowed=[THERE])
     assert party.ask(f"REGISTER R1 {THERE};LISTEN R1 4001;") == "OK;OK;"
     assert party.ask(f"REGISTER R2 {HERE};") == "OK;"
-    assert party.dial("OPEN R2 4002 R1 4001;").second == End("R1", THERE, 4001)
+    assert party.dial("OPEN R2 4002 R1 4001;").second == Endpoint("R1", THERE, 4001)
 
 
 @pytest.mark.parametrize(
@@ -258,12 +265,12 @@ def test_a_stranger_cannot_have_a_port_dialled_that_was_not_offered():
 
 def test_links_per_robot_are_bounded():
     party = registered()
-    for port in range(1, comserver.MOST_LINKS + 2):
+    for port in range(1, comserver.MAX_LINKS_PER_ROBOT + 2):
         party.ask(f"LISTEN R2 {port};")
-        if port <= comserver.MOST_LINKS:
+        if port <= comserver.MAX_LINKS_PER_ROBOT:
             dial = party.dial(f"OPEN R1 9 R2 {port};")
             assert party.answer(True) == "OK;"
-    last = comserver.MOST_LINKS + 1
+    last = comserver.MAX_LINKS_PER_ROBOT + 1
     assert party.ask(f"OPEN R1 9 R2 {last};") == "Fail: Could not establish connection;"
     party.server.closed(dial)
     assert party.dial(f"OPEN R1 9 R2 {last};") is not None
@@ -282,26 +289,26 @@ def test_links_of_all_robots_together_are_bounded(monkeypatch):
 
 def test_ports_per_robot_are_bounded():
     party = registered()
-    replies = [party.ask(f"LISTEN R1 {port};") for port in range(1, comserver.MOST_PORTS + 2)]
+    replies = [party.ask(f"LISTEN R1 {port};") for port in range(1, comserver.MAX_LISTEN_PORTS + 2)]
     assert set(replies[:-1]) == {"OK;"}
     assert replies[-1].startswith("Fail: Robot with name R1 already listening at ")
 
 
 def test_registrations_without_a_robot_make_room():
     party = registered()
-    for i in range(3 * comserver.MOST_STATIONS):
+    for i in range(3 * comserver.MAX_REGISTRATIONS):
         assert party.ask(f"REGISTER Junk{i} {HERE};") == "OK;"
-    assert len(party.server._stations) == comserver.MOST_STATIONS
+    assert len(party.server._stations) == comserver.MAX_REGISTRATIONS
     assert party.ask("LISTEN R1 4000;LISTEN R2 4000;") == "OK;OK;", "robots in the world keep theirs"
 
 
 def test_a_name_is_free_for_another_address_once_its_robot_has_left():
     party = registered()
-    party.server.watch()
+    party.server.poll_presence()
     taken = "Fail: Robot with name R1 already registered;"
     assert party.ask(f"REGISTER R1 {THERE};", THERE) == taken
     party.air.robots = ["R2"]
-    party.server.watch()
+    party.server.poll_presence()
     assert party.ask("LISTEN R1 4000;") == "OK;", "its own controller may come back"
     assert party.ask(f"REGISTER R1 {THERE};", THERE) == "OK;"
     assert party.ask("LISTEN R1 4000;") == "Fail: Server does not accept third party requests;"
@@ -329,7 +336,7 @@ def test_every_request_has_a_transition():
 
 DIALOGUE = (
     f"REGISTER R1 {HERE};REGISTER R2 {HERE};\r\nLISTEN R2 4002;nonsense;OPEN R1 4001 R2 4002;"
-    f"GETSS R1 R2;{'x' * (LIMIT + 5)};LISTEN R1 1;"
+    f"GETSS R1 R2;{'x' * (MAX_MESSAGE_SIZE + 5)};LISTEN R1 1;"
 ).encode()
 
 
@@ -372,17 +379,17 @@ def framed(messages, trailer=b";"):
 
 
 def test_a_send_arrives_bare():
-    assert LinkParser().receive_data(b"SEND 5 hello;SEND 0 ;SEND 3 a;b;") == [b"hello", b"", b"a;b"]
+    assert DataLinkParser().receive_data(b"SEND 5 hello;SEND 0 ;SEND 3 a;b;") == [b"hello", b"", b"a;b"]
 
 
 def test_a_message_counts_when_its_trailer_is_there():
-    parser = LinkParser()
+    parser = DataLinkParser()
     assert parser.receive_data(b"SEND 5 hello") == []
     assert parser.receive_data(b"!SEND") == [b"hello"], "any byte does as a trailer"
 
 
 def test_close_ends_the_link_and_what_follows_is_dropped():
-    parser = LinkParser()
+    parser = DataLinkParser()
     assert parser.receive_data(b"SEND 1 a;CLOSE;SEND 1 b;") == [b"a"]
     assert parser.phase is Part.CLOSED
     assert parser.receive_data(b"SEND 1 c;") == []
@@ -390,29 +397,35 @@ def test_close_ends_the_link_and_what_follows_is_dropped():
 
 @pytest.mark.parametrize("word", [b"send 1 a;", b"close;", b"HELLO WORLD;", b"SEND\t1 a;", b"SENDX 4 abcd;"])
 def test_other_words_are_skipped_up_to_the_semicolon(word):
-    assert LinkParser().receive_data(word + b"SEND 1 b;") == [b"b"]
+    assert DataLinkParser().receive_data(word + b"SEND 1 b;") == [b"b"]
 
 
 @pytest.mark.parametrize("length", [b"-1", b"x", b"", b"1x", b"0x10", b"1.5"])
 def test_a_length_that_is_none_is_skipped_up_to_the_semicolon(length):
-    assert LinkParser().receive_data(b"SEND " + length + b" abc;SEND 1 b;") == [b"b"]
+    assert DataLinkParser().receive_data(b"SEND " + length + b" abc;SEND 1 b;") == [b"b"]
 
 
 def test_line_ends_between_messages_are_dropped():
-    assert LinkParser().receive_data(b"\r\nSEND 1 a;\r\n\nSEND 2 \r\n;\rSEND 1 c;") == [b"a", b"\r\n", b"c"]
+    assert DataLinkParser().receive_data(b"\r\nSEND 1 a;\r\n\nSEND 2 \r\n;\rSEND 1 c;") == [
+        b"a",
+        b"\r\n",
+        b"c",
+    ]
 
 
-@pytest.mark.parametrize("length", [str(MOST + 1).encode(), b"1000000000000", b"1" * 5000, b"0" * 5000])
+@pytest.mark.parametrize(
+    "length", [str(MAX_PAYLOAD + 1).encode(), b"1000000000000", b"1" * 5000, b"0" * 5000]
+)
 def test_an_announcement_beyond_the_limit_is_refused_at_once(length):
     """10^12 bytes are never waited for, and nothing is set aside for them."""
-    parser = LinkParser()
-    with pytest.raises(PeerError, match=f"more than {MOST} bytes"):
+    parser = DataLinkParser()
+    with pytest.raises(PeerError, match=f"more than {MAX_PAYLOAD} bytes"):
         parser.receive_data(b"SEND " + length + b" x")
 
 
 def test_the_longest_message_passes():
-    message = bytes(range(256)) * (MOST // 256)
-    parser, out = LinkParser(), []
+    message = bytes(range(256)) * (MAX_PAYLOAD // 256)
+    parser, out = DataLinkParser(), []
     data = framed([message])
     for start in range(0, len(data), 60_000):
         out += parser.receive_data(data[start : start + 60_000])
@@ -426,7 +439,7 @@ def test_the_longest_message_passes():
 )
 def test_messages_survive_any_chunking(messages, places, trailer):
     data = framed(messages, trailer) + b"CLOSE;"
-    parser, out = LinkParser(), []
+    parser, out = DataLinkParser(), []
     for chunk in cut(data, places):
         out += parser.receive_data(chunk)
     assert out == messages
@@ -436,7 +449,7 @@ def test_messages_survive_any_chunking(messages, places, trailer):
 @given(st.binary(max_size=300), st.lists(st.integers(0, 10_000), max_size=10))
 def test_chunking_makes_no_difference_to_junk_either(data, places):
     def read(chunks):
-        parser, out = LinkParser(most=50), []
+        parser, out = DataLinkParser(most=50), []
         try:
             for chunk in chunks:
                 out += parser.receive_data(chunk)
@@ -459,4 +472,4 @@ def test_the_framing_table_is_closed():
     table = data_link.TRANSITIONS
     assert set().union(*table.values()) <= set(table)
     assert [phase for phase, following in table.items() if not following] == [Part.CLOSED]
-    assert dialect_a.Phase is Phase
+    assert dialect_a.DialectAPhase is DialectAPhase

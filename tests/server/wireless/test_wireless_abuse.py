@@ -18,8 +18,8 @@ from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer
 from tests.server.radios import client, crowded, drain, on_air, spread, wait_until
 from usarmjx.server.wireless import sockets
-from usarmjx.server.wireless.data_link import MOST
-from usarmjx.server.wireless.sockets import BACKLOG
+from usarmjx.server.wireless.data_link import MAX_PAYLOAD
+from usarmjx.server.wireless.sockets import MAX_WRITE_BUFFER
 
 
 @pytest.fixture(scope="module")
@@ -92,15 +92,15 @@ def pour(peer, data, times):
 def backlog(service):
     """What waits in the server for peers to read it [bytes]."""
     writers = [side.writer for link in service._links._links for side in link.sides]
-    writers += [end for pipes in service._pipes._pipes.values() for pipe in pipes for end in pipe.ends]
-    writers += [guest.writer for guest in service._guests]
+    writers += [end for pipes in service._pipes._connections.values() for pipe in pipes for end in pipe.ends]
+    writers += [guest.writer for guest in service._connections]
     return max(writer.transport.get_write_buffer_size() for writer in writers)
 
 
 # Data links
 
 
-@pytest.mark.parametrize("size", [str(MOST + 1).encode(), b"1000000000000", b"9" * 100_000])
+@pytest.mark.parametrize("size", [str(MAX_PAYLOAD + 1).encode(), b"1000000000000", b"9" * 100_000])
 def test_an_announcement_of_a_million_million_bytes_ends_the_link(radio, control, size):
     near, far = radio.link_a(control, "Base0", "Base1")
     near._socket.sendall(b"SEND 2 ok;SEND ")
@@ -133,7 +133,7 @@ def test_who_never_reads_holds_up_its_sender_only_and_is_dropped(radio, control,
 
     near, _ = connect()
     assert not pour(near._socket, message, 2000), "the sender has to wait"
-    assert backlog(radio.service) <= BACKLOG + sockets.BULK + MOST
+    assert backlog(radio.service) <= MAX_WRITE_BUFFER + sockets.DATA_READ_SIZE + MAX_PAYLOAD
     monkeypatch.setattr(sockets, "STALL", 0.2)
     near, _ = connect()
     wait_until(lambda: pour(near._socket, message, 2000), "the link to be dropped")
@@ -177,7 +177,7 @@ def test_who_asks_and_never_reads_waits_for_his_answers_and_is_dropped(radio, co
         deadline = time.monotonic() + PATIENCE
         while not pour(deaf, question, 50):
             assert time.monotonic() < deadline
-            assert backlog(radio.service) <= BACKLOG + 4 * sockets.BULK
+            assert backlog(radio.service) <= MAX_WRITE_BUFFER + 4 * sockets.DATA_READ_SIZE
         deaf.close()
 
 
@@ -313,7 +313,7 @@ def test_peers_that_come_and_go_at_once(radio, control):
         for end in (Peer.close, Peer.reset):
             for _ in range(20):
                 end(Peer(port))
-    wait_until(lambda: len(radio.service._guests) == 1, "only the controller's connection to be left")
+    wait_until(lambda: len(radio.service._connections) == 1, "only the controller's connection to be left")
 
 
 # In the long run
@@ -346,8 +346,8 @@ def churn(radio, control, base, ugly):
             near._socket.sendall(b"SEND 1000000000000 ")
             there._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     wait_until(lambda: len(radio.service._links._links) == 1, "the link to go")
-    wait_until(lambda: not radio.service._pipes._pipes, "the pipe to go")
-    wait_until(lambda: len(radio.service._pipes._talks) == 1, "the caller to go")
+    wait_until(lambda: not radio.service._pipes._connections, "the pipe to go")
+    wait_until(lambda: len(radio.service._pipes._handlers) == 1, "the caller to go")
     wait_until(lambda: not radio.service._pipes._ports, "its number to be given back")
 
 

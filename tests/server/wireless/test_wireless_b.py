@@ -11,9 +11,15 @@ from hypothesis import strategies as st
 
 from tests.server.airs import FakeAir
 from usarmjx.server.wireless import switchboard
-from usarmjx.server.wireless.dialect_b import OTHERWISE, TRANSITIONS, ControlSession, Phase, parse_strict
+from usarmjx.server.wireless.dialect_b import (
+    TRANSITIONS,
+    WRONG_PHASE_REASONS,
+    DialectBPhase,
+    DialectBSession,
+    parse_strict,
+)
 from usarmjx.server.wireless.positions import PositionSession
-from usarmjx.server.wireless.switchboard import GRACE, Route, Switchboard
+from usarmjx.server.wireless.switchboard import JOIN_TIMEOUT, Route, Switchboard
 
 HERE, THERE = "127.0.0.1", "10.0.0.2"
 
@@ -28,7 +34,7 @@ class Party:
         self.board = Switchboard(self.air, lambda route: next(numbers, None), lambda: self.time)
 
     def session(self, address=HERE):
-        return ControlSession(self.board, address)
+        return DialectBSession(self.board, address)
 
     def joined(self, name, ports="3333", address=HERE):
         session = self.session(address)
@@ -80,7 +86,7 @@ def test_init_can_fail_and_be_tried_again(line, reason):
     party.joined("R1")
     session = party.session()
     assert ask(session, line) == error(reason)
-    assert session.phase is Phase.NEW
+    assert session.phase is DialectBPhase.NEW
     assert ask(session, "INIT {Robot R2} {Port 1}") == "INITREPLY {Status OK}"
 
 
@@ -192,7 +198,7 @@ def test_no_port_left():
 
 def test_numbers_per_robot_are_bounded():
     party = Party()
-    ports = [str(port) for port in range(1, switchboard.MOST_NUMBERS + 2)]
+    ports = [str(port) for port in range(1, switchboard.MAX_PORTS_PER_ROBOT + 2)]
     one, _ = party.joined("R1"), party.joined("R2", ",".join(ports))
     replies = [ask(one, f"DNS {{Robot R2}} {{Port {port}}}") for port in ports]
     assert all(reply.startswith("DNSREPLY") for reply in replies[:-1])
@@ -208,7 +214,7 @@ def test_numbers_and_pipes_of_all_robots_together_are_bounded(monkeypatch):
         assert ask(session, line).startswith("DNSREPLY")
     assert ask(one, "DNS {Robot R2} {Port 2}") == error("Could.Not.Allocate.Port")
     assert party.board.may_call(Route("R1", "R2", 1), HERE)
-    party.board.connected(Route("R2", "R1", 1), 50000)
+    party.board.add_connection(Route("R2", "R1", 1), 50000)
     assert not party.board.may_call(Route("R1", "R2", 1), HERE)
 
 
@@ -220,10 +226,10 @@ def test_who_calls_is_told_to_the_one_who_is_called():
     one, two = party.joined("R1"), party.joined("R2")
     unknown = "REVERSEDNSREPLY {Port 51234} {Error UnknownOrIllegalPort}"
     assert ask(two, "REVERSEDNS {Port 51234}") == unknown
-    party.board.connected(Route("R1", "R2", 3333), 51234)
+    party.board.add_connection(Route("R1", "R2", 3333), 51234)
     assert ask(two, "REVERSEDNS {Port 51234}") == "REVERSEDNSREPLY {Port 51234} {Robot R1}"
     assert ask(one, "REVERSEDNS {Port 51234}") == unknown, "not its call"
-    party.board.ended(51234)
+    party.board.remove_connections(51234)
     assert ask(two, "REVERSEDNS {Port 51234}") == unknown
     for line in ("REVERSEDNS {Port x}", "REVERSEDNS", "REVERSEDNS {Port -1}"):
         assert ask(two, line) == error("Port.Must.Be.Integer")
@@ -251,14 +257,14 @@ def test_a_number_stays_closed_without_a_signal_and_follows_it():
     one, _, route = open_route(party)
     assert party.board.take_opened() == []
     assert not party.board.is_open(route)
-    assert not party.board.look().opened
+    assert not party.board.poll().opened
     party.air.powers["R1", "R2"] = -93.0
     assert not party.board.is_open(route), "until somebody looks"
-    assert party.board.look().opened == (route,)
-    assert not party.board.look().opened, "told once"
+    assert party.board.poll().opened == (route,)
+    assert not party.board.poll().opened, "told once"
     party.air.powers["R1", "R2"] = -93.01
-    assert party.board.look().closed == (route,)
-    assert not party.board.look().closed
+    assert party.board.poll().closed == (route,)
+    assert not party.board.poll().closed
     party.air.powers["R1", "R2"] = -90.0
     assert ask(one, "DNS {Robot R2}") == "DNSREPLY {Robot R2} {Port 40000}"
     assert party.board.take_opened() == [route], "asking is looking"
@@ -268,7 +274,7 @@ def test_a_number_that_could_not_be_opened_is_tried_again():
     party = Party()
     _, _, route = open_route(party)
     party.board.failed(route)
-    assert party.board.look().opened == (route,)
+    assert party.board.poll().opened == (route,)
 
 
 def test_only_the_caller_may_call_and_only_with_a_signal():
@@ -284,11 +290,11 @@ def test_only_the_caller_may_call_and_only_with_a_signal():
 def test_pipes_per_robot_are_bounded():
     party = Party()
     _, _, route = open_route(party)
-    for port in range(switchboard.MOST_PIPES):
+    for port in range(switchboard.MAX_CONNECTIONS_PER_ROBOT):
         assert party.board.may_call(route, HERE)
-        party.board.connected(route, port)
+        party.board.add_connection(route, port)
     assert not party.board.may_call(route, HERE)
-    party.board.ended(0)
+    party.board.remove_connections(0)
     assert party.board.may_call(route, HERE)
 
 
@@ -296,12 +302,12 @@ def test_pipes_per_robot_are_bounded():
 def test_a_robot_that_ends_takes_part_no_longer(end):
     party = Party()
     _, _, route = open_route(party)
-    party.board.look()
+    party.board.poll()
     if end == "left":
         party.air.robots.remove("R2")
     else:
         party.air.empty.add("R2")
-    changes = party.board.look()
+    changes = party.board.poll()
     assert (changes.gone, changes.closed) == (("R2",), (route,))
 
 
@@ -309,17 +315,17 @@ def test_a_robot_may_come_late():
     party = Party("R1")
     party.joined("R1")
     party.joined("R2")
-    party.time = GRACE
-    assert party.board.look().gone == ()
-    party.time = GRACE + 0.1
-    assert party.board.look().gone == ("R2",)
+    party.time = JOIN_TIMEOUT
+    assert party.board.poll().gone == ()
+    party.time = JOIN_TIMEOUT + 0.1
+    assert party.board.poll().gone == ("R2",)
 
 
 def test_a_robot_is_found_in_the_world_in_any_case():
     party = Party("r1", "R2")
     open_route(party)
-    party.time = 2 * GRACE
-    assert party.board.look().gone == ()
+    party.time = 2 * JOIN_TIMEOUT
+    assert party.board.poll().gone == ()
 
 
 def test_who_leaves_gives_up_his_numbers_and_those_that_lead_to_him_close():
@@ -328,18 +334,18 @@ def test_who_leaves_gives_up_his_numbers_and_those_that_lead_to_him_close():
     ask(two, "DNS {Robot R1}")
     back = Route("R2", "R1", 3333)
     assert party.board.leave("R2") == ([back], [route])
-    assert not party.board.look().opened
+    assert not party.board.poll().opened
     assert ask(one, "DNS {Robot R2}") == "DNSREPLY {Robot R2} {Port -1} {Error NoSuchRobot}"
     party.joined("R2", "1")
-    assert not party.board.look().opened, "it does not listen there any more"
+    assert not party.board.poll().opened, "it does not listen there any more"
     party.board.leave("R2")
     party.joined("R2", "3333")
-    assert party.board.look().opened == (route,), "the same number again"
+    assert party.board.poll().opened == (route,), "the same number again"
     assert ask(one, "DNS {Robot R2}") == "DNSREPLY {Robot R2} {Port 40000}"
 
 
 def test_the_tables_cover_every_phase():
-    assert set(TRANSITIONS) == set(OTHERWISE) == set(Phase)
+    assert set(TRANSITIONS) == set(WRONG_PHASE_REASONS) == set(DialectBPhase)
 
 
 # Chunking

@@ -21,7 +21,7 @@ from tests.server.radios import REACH, SHORT, client, crowded, drain, on_air, sp
 from usarmjx.cli.app import app
 from usarmjx.comms.antenna import antenna_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.wireless.sockets import listener, log
+from usarmjx.server.wireless.sockets import bound_socket, log
 
 LINES = (
     r"usarmjx: listening on 127\.0\.0\.1:\d+\n"
@@ -68,7 +68,7 @@ def test_the_ports_are_announced(world, capfd):
 @pytest.mark.parametrize("option", ["--wss-port", "--wss2-port", "--position-port"])
 def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch, option):
     monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
-    with listener("127.0.0.1", 0) as taken:
+    with bound_socket("127.0.0.1", 0) as taken:
         taken.listen()
         number = taken.getsockname()[1]
         others = {"--port", "--wss-port", "--wss2-port", "--position-port"} - {option}

@@ -5,12 +5,12 @@ import pytest
 
 from tests.arenas import FLAT
 from usarmjx.base.errors import UsageError
-from usarmjx.cameras.paint import ROBOT
+from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.batch_world import ClaimedWorld
-from usarmjx.server.worlds.host import Shot, Vista
+from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.host import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import PARKING_HEIGHT, Entry, build_scene
+from usarmjx.sim.scene import PARKING_HEIGHT, RosterEntry, build_scene
 
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
 STAND = 0.26  # m: a P2AT's origin above the floor (manual 5.3.6)
@@ -20,13 +20,13 @@ LEVEL = (0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def batch():
-    scene = build_scene(FLAT, [Entry(robot="P2AT", parked=True)] * 2)
+    scene = build_scene(FLAT, [RosterEntry(robot="P2AT", parked=True)] * 2)
     return Batch(scene, 3, engine="c", seed=4)
 
 
 @pytest.fixture(scope="module")
 def compiled(batch):
-    return ClaimedWorld(batch, SERVED)
+    return BatchWorld(batch, SERVED)
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def world(compiled, batch):
 
 def places(world, batch):
     """Positions of all robots (worlds, robots, 3)."""
-    return np.asarray(batch.physics(world._state).qpos)[:, batch.scene.teams[0].root_qpos[:, :3]]
+    return np.asarray(batch.physics(world._state).qpos)[:, batch.scene.groups[0].root_qposadr[:, :3]]
 
 
 def run(world, steps):
@@ -50,7 +50,7 @@ def run(world, steps):
 
 def reading(world, robot, kind):
     """The robot's next reading of a sensor."""
-    place = robot.suite.place(kind)
+    place = robot.suite.index(kind)
     robot.pending.clear()
     for _ in range(60):
         world.step()
@@ -63,7 +63,7 @@ def reading(world, robot, kind):
 def drive(world, robot, left, right):
     target = robot.command.target.copy()
     target[[0, 2]], target[[1, 3]] = left, right
-    world.tell(robot, robot.command.replace(target=target))
+    world.set_command(robot, robot.command.replace(target=target))
 
 
 def test_parked_robots_stay_where_they_wait_to_the_bit(world, batch):
@@ -161,11 +161,11 @@ def test_orders_reach_the_sensors_memory(world):
     run(world, 50)
     drive(world, robot, 0.0, 0.0)
     run(world, 50)
-    odometry = robot.suite.place("Odometry")
+    odometry = robot.suite.index("Odometry")
     assert reading(world, robot, "Odometry")[0] > 0.2
-    assert world.order(robot, odometry, "RESET", ())
+    assert world.operate_sensor(robot, odometry, "RESET", ())
     assert abs(reading(world, robot, "Odometry")[0]) < 0.02
-    assert not world.order(robot, odometry, "SCAN", ())
+    assert not world.operate_sensor(robot, odometry, "SCAN", ())
 
 
 def test_a_world_that_goes_bad_loses_its_robots_and_time_goes_on(world, batch, caplog):
@@ -173,10 +173,10 @@ def test_a_world_that_goes_bad_loses_its_robots_and_time_goes_on(world, batch, c
     before = world.time
     qpos = np.array(batch.physics(world._state).qpos)
     pinned, no_dof = np.zeros(qpos.shape, bool), np.zeros((3, batch.scene.model.nv), bool)
-    at = batch.scene.teams[0].root_qpos[robot.slot, 0]
+    at = batch.scene.groups[0].root_qposadr[robot.slot, 0]
     pinned[SERVED, at], qpos[SERVED, at] = True, np.nan
     world._state = world._state.replace(
-        physics=batch.engine.place(world._state.physics, pinned, no_dof, qpos)
+        physics=batch.engine.set_qpos(world._state.physics, pinned, no_dof, qpos)
     )
     world.step()
     assert not world.robots
@@ -189,7 +189,7 @@ def test_a_world_that_goes_bad_loses_its_robots_and_time_goes_on(world, batch, c
 @pytest.mark.parametrize("instance", [-1, 3])
 def test_an_instance_out_of_range_is_an_error(batch, instance):
     with pytest.raises(UsageError, match=f"instance {instance} is not among worlds 0 to 2"):
-        ClaimedWorld(batch, instance)
+        BatchWorld(batch, instance)
 
 
 def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
@@ -200,20 +200,28 @@ def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
     counts = []
     for fov in (1.0, 0.5):
         assert world.zoom(seer, 0, fov)
-        (picture,) = world.expose([Shot(seer, 0, 96, 72)])()
+        (picture,) = world.snapshot([CameraRequest(seer, 0, 96, 72)])()
         assert picture.rgb.shape == (72, 96, 3)
-        counts.append((picture.segmentation == ROBOT + other.slot).sum())
+        counts.append((picture.segmentation == ROBOT_LABEL + other.slot).sum())
     assert counts[0] > 50
     # It is about 10 and 20 pixels wide: its rim is a fifth of it.
     assert counts[1] / counts[0] == pytest.approx((np.tan(0.5) / np.tan(0.25)) ** 2, rel=0.2)
-    take = world.expose([Shot(seer, 0, 96, 72)])
+    take = world.snapshot([CameraRequest(seer, 0, 96, 72)])
     world.remove(other)
     run(world, 1)
-    assert (take()[0].segmentation == ROBOT + other.slot).sum() == counts[1], "the moment it was held still"
-    same = Vista(world.viewpoint(Shot(seer, 0, 96, 72)), 96, 72)  # a spectator from where the camera is
-    np.testing.assert_array_equal(*(world.expose([one])()[0].rgb for one in (same, Shot(seer, 0, 96, 72))))
+    assert (take()[0].segmentation == ROBOT_LABEL + other.slot).sum() == counts[1], (
+        "the moment it was held still"
+    )
+    same = ViewpointRequest(
+        world.viewpoint(CameraRequest(seer, 0, 96, 72)), 96, 72
+    )  # a spectator from where the camera is
+    np.testing.assert_array_equal(
+        *(world.snapshot([one])()[0].rgb for one in (same, CameraRequest(seer, 0, 96, 72)))
+    )
     world.remove(seer)
     again = world.spawn(P2AT, "R3", (0.0, 0.0, STAND), LEVEL)
-    team, place = world._batch.scene.team_of(again.slot)
+    team, place = world._batch.scene.group_of(again.slot)
     assert again.slot == seer.slot
-    assert world._state.worlds.teams[team].fov[SERVED, place, 0] == pytest.approx(again.cameras[0].default)
+    assert world._state.worlds.groups[team].fov[SERVED, place, 0] == pytest.approx(
+        again.cameras[0].default_fov
+    )

@@ -11,15 +11,15 @@ from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.policy_world import DrivenWorld
+from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import Task, Verdict
+from usarmjx.train.envs.task import StepResult, Task
 
 P2AT = ROBOTS.get("P2AT")
 LEVEL = (0.0, 0.0, 0.0)
 SHARE = 0.4
-SPEED = SHARE * P2AT.drive.full["Left"] * P2AT.wheel_radius
+SPEED = SHARE * P2AT.drive.full_scale["Left"] * P2AT.wheel_radius
 STEPS = 5
 """Actions until the task begins anew."""
 
@@ -39,7 +39,7 @@ class Roll(Task):
         return (view.sensor(0, "GroundTruth"),)
 
     def judge(self, view, memory):
-        return Verdict(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
+        return StepResult(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,10 @@ def compiled():
         episode_steps=STEPS,
     )
     policy = Policy(
-        start=lambda worlds: jnp.zeros(worlds),
+        initial_carry=lambda worlds: jnp.zeros(worlds),
         act=lambda memory, obs, key: (memory + 1, (jnp.full((*obs[0].shape[:2], 2), SHARE),)),
     )
-    return DrivenWorld(Env(task, 2, engine="c", seed=3), policy)
+    return PolicyWorld(Env(task, 2, engine="c", seed=3), policy)
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def run(world, seconds):
 def places(world):
     """Positions of all robots (worlds, robots, 2)."""
     qpos = np.asarray(world._batch.physics(world._state).qpos)
-    return qpos[:, world._batch.scene.teams[0].root_qpos[:, :2]]
+    return qpos[:, world._batch.scene.groups[0].root_qposadr[:, :2]]
 
 
 def went(world, seconds):

@@ -10,14 +10,14 @@ from tests.train.toy import ToyEnv
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.goal import BugMemory, toward
-from usarmjx.train.baselines.roam import about
+from usarmjx.train.baselines.goal import BugCarry, bug_action
+from usarmjx.train.baselines.roam import roam_action
 from usarmjx.train.baselines.steering import driver
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.evaluation.evaluate import evaluate, interval, rollout
+from usarmjx.train.evaluation.evaluate import evaluate_episodes, interval, run_episodes
 
 SONAR = ("Sonar",)
-AHEAD = BugMemory(side=jnp.zeros(()), best=jnp.zeros(()))
+AHEAD = BugCarry(side=jnp.zeros(()), best=jnp.zeros(()))
 
 
 def seen(angle, distance=5.0, **near):
@@ -43,14 +43,14 @@ def test_drivers_turn_left_for_a_positive_turn():
 
 def test_it_goes_straight_turns_to_the_goal_and_around_what_is_ahead():
     robot = ROBOTS.get("P2AT")
-    memory, straight = toward(robot, SONAR, AHEAD, seen(0.0))
+    memory, straight = bug_action(robot, SONAR, AHEAD, seen(0.0))
     assert float(straight[0]) == pytest.approx(float(straight[1]), abs=0.1)
     assert float(straight.min()) > 0.8
     assert float(memory.side) == 0.0
-    _, left = toward(robot, SONAR, AHEAD, seen(1.5))
+    _, left = bug_action(robot, SONAR, AHEAD, seen(1.5))
     assert float(left[1]) > 0 > float(left[0])
     wall = {f"F{i}": 0.2 for i in range(2, 8)}
-    along, turned = toward(robot, SONAR, AHEAD, seen(0.0, **wall))
+    along, turned = bug_action(robot, SONAR, AHEAD, seen(0.0, **wall))
     assert float(along.side) != 0.0, "it follows the wall"
     assert float(jnp.abs(turned[1] - turned[0])) > 0.3, "it turns away"
 
@@ -58,25 +58,25 @@ def test_it_goes_straight_turns_to_the_goal_and_around_what_is_ahead():
 def test_it_wanders_off_walls_and_turns_where_the_way_ends():
     robot, drives = ROBOTS.get("P2AT"), jnp.zeros(())
     free = seen(0.0)[4:]
-    _, straight = about(robot, SONAR, drives, free)
+    _, straight = roam_action(robot, SONAR, drives, free)
     np.testing.assert_allclose(straight, 1.0, atol=0.01)
-    _, off = about(robot, SONAR, drives, free.at[0].set(0.3 / 5))  # something 0.3 m to the left of F1
+    _, off = roam_action(robot, SONAR, drives, free.at[0].set(0.3 / 5))  # something 0.3 m to the left of F1
     assert float(off[0]) > float(off[1]) + 0.1, "it turns to the right"
     ended = jnp.full(16, 0.2 / 5).at[7:9].set(0.5)  # open to the right only: F8 and R1
-    turning, spot = about(robot, SONAR, drives, ended)
+    turning, spot = roam_action(robot, SONAR, drives, ended)
     assert float(turning) == -1.0
     assert float(spot[0]) > 0 > float(spot[1])
     # It goes on turning that way until the way is free for longer than where it began to.
     barely = free.at[3:5].set(0.3 / 5)
-    assert float(about(robot, SONAR, jnp.float32(1.0), barely)[0]) == 1.0
-    assert float(about(robot, SONAR, drives, barely)[0]) == 0.0
+    assert float(roam_action(robot, SONAR, jnp.float32(1.0), barely)[0]) == 1.0
+    assert float(roam_action(robot, SONAR, drives, barely)[0]) == 0.0
 
 
 def test_the_baseline_reaches_its_goals_on_an_empty_floor():
     """11 m at 0.7 m/s take 80 of the 150 steps, half a turn on the spot 10."""
     settings = {**LIGHT, "repeat": 4, "pose": "GroundTruth", "episode_steps": 150}
     env = usarmjx.make("drive-to-goal", worlds=16, engine="c", **settings)
-    came = rollout(env, BASELINES.get("drive-to-goal")(env), 32)
+    came = run_episodes(env, BASELINES.get("drive-to-goal")(env), 32)
     assert came.bad == 0
     assert len(came.scores) == 32
     assert came.scores.mean() >= 0.95
@@ -103,7 +103,7 @@ def test_a_mean_comes_with_its_interval():
 
 def push(share):
     return Policy(
-        start=lambda worlds: jnp.zeros(worlds),
+        initial_carry=lambda worlds: jnp.zeros(worlds),
         act=lambda memory, obs, key: (memory + 1, (jnp.full((*obs[0].shape[:2], 2), share),)),
     )
 
@@ -122,7 +122,7 @@ def way(number):
 def test_short_episodes_count_no_more_often_than_long_ones():
     """Worlds 10 and 11 are done after one or two steps, the others after six."""
     env = ToyEnv(worlds=12, team=1, mixed=False)
-    came = rollout(env, push(PUSH), 12)
+    came = run_episodes(env, push(PUSH), 12)
     expected = [way(number) for number in range(12)]
     assert sorted(came.lengths) == sorted(steps for _, steps in expected)
     np.testing.assert_allclose(sorted(came.scores), sorted(score for score, _ in expected), rtol=1e-5)
@@ -131,14 +131,14 @@ def test_short_episodes_count_no_more_often_than_long_ones():
 
 def test_several_seeds_give_a_row_each_and_the_interval_of_their_means():
     env = ToyEnv(worlds=2, team=1, mixed=False)
-    result = evaluate(env, push(PUSH), 2, seeds=(0, 1, 2))
+    result = evaluate_episodes(env, push(PUSH), 2, seeds=(0, 1, 2))
     means = [np.mean([way(seed)[0], way(seed + 1)[0]]) for seed in range(3)]
-    np.testing.assert_allclose([row.mean for row in result.rows], means, rtol=1e-5)
-    assert [run.seed for run in result.seeds] == [0, 1, 2]
+    np.testing.assert_allclose([row.mean for row in result.seed_scores], means, rtol=1e-5)
+    assert [run.seed for run in result.episodes] == [0, 1, 2]
     expected = interval(np.array(means))
     assert result.score.mean == pytest.approx(expected.mean, rel=1e-5)
     assert result.score.high == pytest.approx(expected.high, rel=1e-4)
     with pytest.raises(UsageError, match="at least one seed"):
-        evaluate(env, push(PUSH), 2, seeds=())
+        evaluate_episodes(env, push(PUSH), 2, seeds=())
     with pytest.raises(UsageError, match="0 episodes"):
-        rollout(env, push(PUSH), 0)
+        run_episodes(env, push(PUSH), 0)

@@ -10,14 +10,14 @@ import pytest
 import usarmjx
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.mail import Letters, MailSettings
+from usarmjx.comms.mail import MessageSettings, OutgoingMessages
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import Mount
-from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.recipe import Generated, equipped, open_floor
-from usarmjx.train.envs.task import Task, Verdict
+from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors
+from usarmjx.train.envs.task import StepResult, Task
 
 LIGHT = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
 """A P2AT on an empty floor needs no finer steps to be tested with."""
@@ -65,7 +65,7 @@ def same(one, other, worlds):
 
 def worldly(state):
     """Everything of a state that belongs to single worlds."""
-    return state.replace(level=None, batch=state.batch.replace(library=None))
+    return state.replace(level=None, batch=state.batch.replace(arenas=None))
 
 
 def spoil(env, state, world):
@@ -76,7 +76,7 @@ def spoil(env, state, world):
     else:
         everything = physics.everything.copy()
         everything[world, 1 + env.scene.model.nq] = np.nan
-        physics = physics._replace(everything=everything)
+        physics = physics._replace(integration=everything)
     return state.replace(batch=state.batch.replace(physics=physics))
 
 
@@ -154,7 +154,7 @@ def test_a_world_whose_physics_breaks_is_bad_and_restarts_as_one(begun):
     assert int(hurt.batch.worlds.step[1]) == 0
     assert all(bool(jnp.isfinite(seen).all()) for seen in (*hurt.obs, *hurt.final_obs, hurt.privileged))
     # Its memory is that of the new episode: the distance from the new goal.
-    robot = env.batch.physics(hurt.batch).qpos[1, env.scene.teams[0].root_qpos[0, :2]]
+    robot = env.batch.physics(hurt.batch).qpos[1, env.scene.groups[0].root_qposadr[0, :2]]
     expected = jnp.linalg.norm(hurt.memory.goal[1] - robot)
     np.testing.assert_allclose(hurt.memory.distance[1], expected, rtol=1e-6)
     same(worldly(hurt), worldly(usual), np.array([0, 2]))
@@ -163,8 +163,8 @@ def test_a_world_whose_physics_breaks_is_bad_and_restarts_as_one(begun):
 def test_full_contact_buffers_are_bad_too(begun):
     """Judged by the count that the batch keeps: the parts that `step` is made of are called as it does."""
     env, state, _ = begun
-    worlds, before = state.batch.worlds, state.batch.worlds.status
-    full = worlds.replace(status=before.replace(overflow=before.overflow.at[2].add(1)))
+    worlds, before = state.batch.worlds, state.batch.worlds.faults
+    full = worlds.replace(faults=before.replace(overflow=before.overflow.at[2].add(1)))
     _, after = env._finish(state.replace(batch=None), full, env.batch.physics(state.batch), before)
     np.testing.assert_array_equal(after.bad, [False, False, True])
     np.testing.assert_array_equal(after.done, [False, False, True])
@@ -213,14 +213,14 @@ def test_a_step_can_be_scanned_where_the_engine_is_traced(begun):
 
 
 def test_levels_choose_among_generated_arenas():
-    arena = Generated(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
+    arena = GeneratedArenas(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
     env = goal_env(4, arena=arena)
-    sites, easy = env.scene.arenas.sites.pos, [0, 1, 0, 1]
+    sites, easy = env.scene.arenas.states.pos, [0, 1, 0, 1]
     state = env.reset(level=0.0)
-    np.testing.assert_array_equal(state.batch.worlds.site.pos, sites[easy])
+    np.testing.assert_array_equal(state.batch.worlds.arena_state.pos, sites[easy])
     for level, places in ((0.9, easy), (1.0, range(4)), (0.0, easy)):
         state = env.at_level(state, level)
-        np.testing.assert_array_equal(state.batch.library.pos, sites[np.array(places)])
+        np.testing.assert_array_equal(state.batch.arenas.pos, sites[np.array(places)])
         assert float(state.level) == pytest.approx(level)
     assert env._library._cache_size() == 1, "nothing is compiled again"
 
@@ -238,15 +238,15 @@ def test_overrides_and_names_that_do_not_exist_are_refused():
 
 def test_robots_have_only_the_sensors_that_are_asked_for():
     env = usarmjx.make("drive-to-goal", engine="c")
-    assert [s.kind for s in env.scene.teams[0].suite.sensors] == ["Sonar", "INS"]
+    assert [s.kind for s in env.scene.groups[0].suite.sensors] == ["Sonar", "INS"]
     ring = Mount(kind="Sonar", name="Up", direction=(0.0, 1.57, 0.0))
-    (given,) = equipped(["P2AT"], ("ins", ring))
+    (given,) = with_sensors(["P2AT"], ("ins", ring))
     assert [mount.name for mount in given.sensors] == ["INS", "Up"]
-    assert equipped(["P2AT"], None) == [ROBOTS.get("P2AT")]
+    assert with_sensors(["P2AT"], None) == [ROBOTS.get("P2AT")]
     with pytest.raises(
         UnknownNameError, match=r"none of the robots has a sensor gps; they have: GroundTruth"
     ):
-        equipped(["P2AT"], ("GPS",))
+        with_sensors(["P2AT"], ("GPS",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +257,7 @@ class Whisper(Task):
     repeat: int = 1
     shuffle: bool = False
     radio: RadioSettings = field(default_factory=RadioSettings)
-    mail: MailSettings = field(default_factory=lambda: MailSettings(numbers=1))
+    mail: MessageSettings = field(default_factory=lambda: MessageSettings(numbers=1))
 
     @property
     def robots(self):
@@ -272,9 +272,9 @@ class Whisper(Task):
     def act(self, view, memory, actions):
         everyone = jnp.ones((3, 3), bool)
         payload = jnp.concatenate([actions[0], jnp.zeros((1, 1))])
-        letters = Letters(to=everyone, payload=payload, length=jnp.full(3, 4))
-        pan = Move(team=0, targets={"CameraPanTilt_Link1": 0.1 * actions[0][:, 0]})
-        return Orders(moves=(pan,), letters=letters)
+        letters = OutgoingMessages(receivers=everyone, payload=payload, size_bytes=jnp.full(3, 4))
+        pan = JointAction(group=0, targets={"CameraPanTilt_Link1": 0.1 * actions[0][:, 0]})
+        return Actions(joint_actions=(pan,), messages=letters)
 
     def observe(self, view, memory):
         box = view.mail
@@ -282,9 +282,9 @@ class Whisper(Task):
         return (jnp.stack([said, box.count, view.links.in_range.sum(-1)], -1)[:2],)
 
     def judge(self, view, memory):
-        pan = view.scene.teams[0].plan.joint("CameraPanTilt_Link1")
-        target = view.world.teams[0].command.target[:, pan]
-        return Verdict(memory, (target,), memory > 1, target.sum(), {})
+        pan = view.scene.groups[0].plan.joint_index("CameraPanTilt_Link1")
+        target = view.world.groups[0].command.target[:, pan]
+        return StepResult(memory, (target,), memory > 1, target.sum(), {})
 
 
 def test_a_task_of_ones_own_sends_letters_and_moves_joints():

@@ -7,11 +7,19 @@ import pytest
 
 from tests.train.rooms import room
 from usarmjx.base.errors import UsageError
-from usarmjx.comms.attenuation import RadioSettings, reach, received_power
+from usarmjx.comms.attenuation import RadioSettings, link_range, received_power
 from usarmjx.train.evaluation.evaluate import Interval
-from usarmjx.train.evaluation.radio_matters import Row, few_arenas, holds, main, measure, table, variants
+from usarmjx.train.evaluation.radio_matters import (
+    VariantResult,
+    check_results,
+    few_arenas,
+    main,
+    measure,
+    table,
+    variants,
+)
 from usarmjx.train.make import make_task
-from usarmjx.train.tasks.team_parts import PERFECT, WALLED
+from usarmjx.train.tasks.team_parts import PERFECT_RADIO, WALLED_RADIO
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))
 TEAMS = {"explore": {"count": 3}, "relay-chain": {"count": 2}, "victim-search": {"wheeled": ("P2AT",) * 2}}
@@ -37,10 +45,10 @@ def test_variants_differ_in_their_radio_and_in_who_writes_to_whom(name):
     task = small(name)
     found = variants(task)
     assert found["real"] == task
-    assert found["perfect"] == replace(task, radio=PERFECT)
+    assert found["perfect"] == replace(task, radio=PERFECT_RADIO)
     assert found["none"] == replace(task, talk=found["none"].talk)
     scene = task.scene()
-    assert scene.robots == 3
+    assert scene.num_robots == 3
     written = [int(found[which].recipients(scene).sum()) for which in ("perfect", "real", "none")]
     assert written == [PAIRS, *LETTERS[name]]
 
@@ -57,22 +65,22 @@ def test_each_world_has_an_arena_of_its_own_of_all_levels_alike():
 
 def test_the_tasks_radio_is_stopped_by_walls_that_the_manuals_is_not():
     """By the manual's formula (3.2.4), 10^((pdo - walls WAF - cutoff) / 10 n)."""
-    metres = [reach(WALLED, walls) for walls in range(3)]
+    metres = [link_range(WALLED_RADIO, walls) for walls in range(3)]
     np.testing.assert_allclose(metres, [10 ** (9 / 20), 10 ** (3 / 20), 10 ** (-3 / 20)])
     cell = 1.2  # of the buildings, whose inner walls count twice
-    assert metres[2] < cell < reach(RadioSettings(), 5)
+    assert metres[2] < cell < link_range(RadioSettings(), 5)
     for name in TEAMS:
-        assert make_task(name).radio == WALLED
+        assert make_task(name).radio == WALLED_RADIO
 
 
 def test_a_perfect_radio_is_heard_behind_all_walls_of_all_arenas():
-    assert (received_power(PERFECT, np.float32(1e5), np.arange(1000)) >= PERFECT.cutoff).all()
+    assert (received_power(PERFECT_RADIO, np.float32(1e5), np.arange(1000)) >= PERFECT_RADIO.cutoff).all()
 
 
 def row(name, mean, half, unlinked=0.5):
     """A row with a score of mean +- half."""
     score = Interval(mean=mean, low=mean - half, high=mean + half)
-    return Row(name=name, score=score, seeds=(mean,), metrics={"unlinked": unlinked})
+    return VariantResult(name=name, score=score, seeds=(mean,), metrics={"unlinked": unlinked})
 
 
 @pytest.mark.parametrize(
@@ -88,7 +96,7 @@ def row(name, mean, half, unlinked=0.5):
 )
 def test_the_check_asks_for_a_tenth_and_intervals_apart_and_lost_links(perfect, real, none, expected):
     rows = [row("perfect", *perfect), row("real", *real), row("none", *none)]
-    assert tuple(holds(rows).values()) == expected
+    assert tuple(check_results(rows).values()) == expected
 
 
 def test_the_table_names_score_interval_and_metrics():

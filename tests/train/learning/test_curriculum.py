@@ -12,14 +12,14 @@ import usarmjx
 from tests.train.envs.test_env import LIGHT
 from tests.train.runs import checksums, lines
 from usarmjx.base.errors import UsageError
-from usarmjx.train.envs.recipe import Generated
+from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings
 
-ARENAS = Generated(kind="maze", count=1, levels=(0.0, 0.5, 1.0), size=(3, 3))
+ARENAS = GeneratedArenas(kind="maze", count=1, levels=(0.0, 0.5, 1.0), size=(3, 3))
 """One easy, one in the middle, one hard."""
 STEPS = 4
 """Actions of an episode and of a rollout: each world meets another arena in every iteration."""
@@ -47,7 +47,7 @@ def trained(env, tmp_path_factory):
 
 def numbers(env, sites):
     """Which of the environment's arenas these are, by where their solids are."""
-    every = np.asarray(env.scene.arenas.sites.pos)
+    every = np.asarray(env.scene.arenas.states.pos)
     return [next(n for n, one in enumerate(every) if np.array_equal(one, pos)) for pos in np.asarray(sites)]
 
 
@@ -71,20 +71,20 @@ def test_arenas_of_a_library_get_harder():
     ],
 )
 def test_those_in_play_fill_a_library_evenly(level, expected):
-    assert_array_equal(Generated(count=2, levels=(0.2, 0.6, 0.8)).in_play(level), expected)
+    assert_array_equal(GeneratedArenas(count=2, levels=(0.2, 0.6, 0.8)).arena_indices(level), expected)
 
 
 def test_arenas_get_harder_during_a_run(env, trained):
     """In each iteration worlds meet only arenas that are no harder than its level, and in the end all."""
     assert [line["level"] for line in lines(trained)] == pytest.approx(LEVELS)
-    _, template = Trainer(env, CONFIG, Team()).start()
+    _, template = Trainer(env, CONFIG, ProcessGroup()).start()
     met = []
     for path, level in zip(Checkpoints(trained).all(), LEVELS, strict=True):
-        state = read_part(path, "worlds", template).env
+        state = read_part(path, "worlds", template).env_state
         assert float(state.level) == pytest.approx(level)
         allowed = {n for n, one in enumerate(ARENAS.levels) if one <= level}
-        assert set(numbers(env, state.batch.library.pos)) == allowed
-        met.append(set(numbers(env, state.batch.worlds.site.pos)))
+        assert set(numbers(env, state.batch.arenas.pos)) == allowed
+        met.append(set(numbers(env, state.batch.worlds.arena_state.pos)))
         assert met[-1] <= allowed
     assert met[:2] == [{0}, {0}]
     assert set.union(*met[3:]) == {0, 1, 2}

@@ -14,10 +14,10 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import DEVIATION, imitation_loss
+from usarmjx.train.learning.imitation import TEACHER_STD, imitation_loss
 from usarmjx.train.learning.train_state import policy_params
 from usarmjx.train.learning.trainer import Trainer
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=32, rollout=16, minibatches=2, layers=(32,), critic_layers=(8,), learning_rate=3e-3)
 ROUND = CONFIG.worlds * CONFIG.rollout * 3
@@ -32,7 +32,7 @@ def straight(env):
         del key
         return steps + 1, tuple(jnp.clip(2.0 * one, -0.8, 0.8) for one in obs)
 
-    return Policy(start=lambda worlds: jnp.zeros(worlds, jnp.int32), act=act)
+    return Policy(initial_carry=lambda worlds: jnp.zeros(worlds, jnp.int32), act=act)
 
 
 @pytest.fixture(autouse=True)
@@ -42,13 +42,13 @@ def teacher(monkeypatch):
 
 
 def trainer_of(**settings):
-    return Trainer(DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), Team())
+    return Trainer(DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
 
 
 @pytest.mark.oracle
 def test_the_loss_is_half_the_squares_of_what_is_off():
     kind = NormalTanhDistribution(2, min_std=0.0)
-    scale = np.log(np.expm1(np.array([DEVIATION, DEVIATION + 0.2])))  # the inverse of softplus
+    scale = np.log(np.expm1(np.array([TEACHER_STD, TEACHER_STD + 0.2])))  # the inverse of softplus
     logits = jnp.array([*np.arctanh([0.5, -0.3]), *scale])
     assert_allclose(imitation_loss(kind, logits, jnp.array([0.5, -0.3])), 0.5 * 0.2**2, rtol=1e-4)
     # What a teacher asks for beyond what a robot can do counts as all it can do.
@@ -63,17 +63,19 @@ def test_a_learner_does_what_it_was_shown():
         learner, worlds, known = trainer.iterate(learner, worlds, iteration)
         off.append(float(known["loss/imitation"]))
     assert off[-1] < 0.05 * off[0]
-    obs = worlds.env.obs
-    done, _ = trainer.networks.policy.act(policy_params(learner), obs, worlds.policy, deterministic=True)
+    obs = worlds.env_state.obs
+    done, _ = trainer.networks.policy.act(
+        policy_params(learner), obs, worlds.policy_carry, deterministic=True
+    )
     _, shown = straight(None).act(0, obs, None)
     for mine, his in zip(done, shown, strict=True):
         assert np.sqrt(np.mean((mine - his) ** 2)) < 0.15  # of 0.8, the teacher's fastest
-    weights = learner.weights.policy
+    weights = learner.params.policy
     for iteration in range(20, 25):  # PPO from here on: the policy goes on changing, and stays finite
         learner, worlds, known = trainer.iterate(learner, worlds, iteration)
     assert np.isfinite(float(known["loss/policy"]))
     assert not np.array_equal(
-        weights[0]["params"]["head"]["bias"], learner.weights.policy[0]["params"]["head"]["bias"]
+        weights[0]["params"]["head"]["bias"], learner.params.policy[0]["params"]["head"]["bias"]
     )
 
 
@@ -84,9 +86,9 @@ def test_a_teacher_begins_anew_with_each_episode():
     since = np.zeros(CONFIG.worlds, int)
     for done in np.asarray(steps.done):
         since = np.where(done, 0, since + 1)
-    assert_array_equal(worlds.teacher, since)
+    assert_array_equal(worlds.teacher_carry, since)
     assert since.min() < CONFIG.rollout  # some episodes did end
-    for shown, obs in zip(steps.shown, steps.obs, strict=True):
+    for shown, obs in zip(steps.teacher_action, steps.obs, strict=True):
         assert_allclose(shown, np.clip(2.0 * np.asarray(obs), -0.8, 0.8), rtol=1e-6)
 
 
@@ -97,12 +99,12 @@ def test_after_the_lessons_only_ppo_counts():
     learner = learner.replace(iteration=learner.iteration + 1)
     _, steps, bounds, sums = alone.rollout.collect(learner, worlds, jax.random.key(0))
     _, same, _, _ = with_teacher.rollout.collect(learner, with_teacher.start()[1], jax.random.key(0))
-    assert not any(np.asarray(shown).any() for shown in same.shown)
+    assert not any(np.asarray(shown).any() for shown in same.teacher_action)
     experience = bounds, {name: one[None] for name, one in sums.items()}
-    expected, _ = alone._improve(learner, (steps, *experience))
-    found, known = with_teacher._improve(learner, (same, *experience))
+    expected, _ = alone._update(learner, (steps, *experience))
+    found, known = with_teacher._update(learner, (same, *experience))
     assert "loss/imitation" in known
-    for a, b in zip(jax.tree.leaves(expected.weights), jax.tree.leaves(found.weights), strict=True):
+    for a, b in zip(jax.tree.leaves(expected.params), jax.tree.leaves(found.params), strict=True):
         assert_allclose(a, b, rtol=1e-6, atol=1e-7)
 
 

@@ -4,10 +4,10 @@ import pytest
 
 import usarmjx
 from usarmjx.models.build.compose import Physics
-from usarmjx.train.evaluation.evaluate import evaluate
+from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import task_config
-from usarmjx.train.learning.train_state import make_learner, make_networks, policy_params
+from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.learning.trainer import train
 
 SEED, OTHER = 0, 1000
@@ -25,8 +25,8 @@ def env():
 
 def success(env, policy, episodes):
     """Share of the episodes, with other goals than those trained on, in which the robot arrives."""
-    found = evaluate(env, policy, episodes, seeds=(OTHER,))
-    assert sum(run.bad for run in found.seeds) == 0
+    found = evaluate_episodes(env, policy, episodes, seeds=(OTHER,))
+    assert sum(run.bad for run in found.episodes) == 0
     return found.score.mean
 
 
@@ -37,9 +37,9 @@ def test_a_pioneer_learns_to_drive_to_its_goals(env, tmp_path):
     """
     config = task_config("drive-to-goal", steps=STEPS, worlds=32, seed=SEED)
     networks = make_networks(env.groups, env.privileged_size, config)
-    ignorant = policy_params(make_learner(networks, config))
-    assert success(env, networks.policy.actor(ignorant), episodes=32) < 0.2
+    ignorant = policy_params(make_train_state(networks, config))
+    assert success(env, networks.policy.as_policy(ignorant), episodes=32) < 0.2
     done = train(env, config, tmp_path / "run", progress=False)
     assert done.agent_steps == STEPS
     policy, params, _ = load_policy(tmp_path / "run", "last")
-    assert success(env, policy.actor(params), episodes=64) > 0.8
+    assert success(env, policy.as_policy(params), episodes=64) > 0.8

@@ -11,16 +11,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
-from usarmjx.train.learning.train_state import judge
+from usarmjx.train.learning.train_state import critic_values
 from usarmjx.train.learning.trainer import Trainer
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, epochs=2, layers=(8,), critic_layers=(8,), memory=4)
 
 
 @pytest.fixture(scope="module")
 def trainer():
-    return Trainer(DriveToy(16, rotten=True), CONFIG, Team())
+    return Trainer(DriveToy(16, rotten=True), CONFIG, ProcessGroup())
 
 
 @pytest.fixture(scope="module")
@@ -60,19 +60,19 @@ def test_log_probabilities_far_apart_leave_everything_finite():
 
 def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
     learner, *experience = collected
-    new, known = trainer._improve(learner, tuple(experience))
+    new, known = trainer._update(learner, tuple(experience))
     assert all(np.isfinite(leaf).all() for leaf in leaves((new, known)))
     assert known["loss/skipped"] == 0
     # The mean of the probabilities' ratio starts at 1: what was stored is what the networks say again.
     assert known["loss/divergence"] < 0.2
-    for before, after in zip(leaves(learner.weights), leaves(new.weights), strict=True):
+    for before, after in zip(leaves(learner.params), leaves(new.params), strict=True):
         assert (before != after).any()
 
 
 def test_bad_transitions_teach_nothing(trainer, collected):
     """What they hold may be anything: the update is the same, bit for bit."""
     learner, steps, bounds, sums = collected
-    expected, _ = trainer._improve(learner, (steps, bounds, sums))
+    expected, _ = trainer._update(learner, (steps, bounds, sums))
 
     def spoil(bad, leaf):
         mask = bad.reshape(*bad.shape, *[1] * (leaf.ndim - 2))
@@ -83,7 +83,7 @@ def test_bad_transitions_teach_nothing(trainer, collected):
     spoilt = steps.replace(
         **{name: tuple(spoil(steps.bad, one) for one in getattr(steps, name)) for name in names}
     )
-    found, _ = trainer._improve(learner, (spoilt, bounds, sums))
+    found, _ = trainer._update(learner, (spoilt, bounds, sums))
     for one, other in zip(leaves(expected), leaves(found), strict=True):
         assert_array_equal(one, other)
 
@@ -91,8 +91,8 @@ def test_bad_transitions_teach_nothing(trainer, collected):
 def test_good_transitions_teach(trainer, collected):
     """The other way round, so that the test above can fail."""
     learner, steps, bounds, sums = collected
-    expected, _ = trainer._improve(learner, (steps, bounds, sums))
-    found, _ = trainer._improve(
+    expected, _ = trainer._update(learner, (steps, bounds, sums))
+    found, _ = trainer._update(
         learner, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), bounds, sums)
     )
     assert any((one != other).any() for one, other in zip(leaves(expected), leaves(found), strict=True))
@@ -101,9 +101,11 @@ def test_good_transitions_teach(trainer, collected):
 def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, collected):
     """And the statistics stay finite."""
     learner, steps, bounds, sums = collected
-    new, _ = trainer._improve(learner, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
+    new, _ = trainer._update(learner, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
     for one, other in zip(
-        leaves((learner.weights, learner.obs)), leaves((new.weights, new.obs)), strict=True
+        leaves((learner.params, learner.obs_statistics)),
+        leaves((new.params, new.obs_statistics)),
+        strict=True,
     ):
         assert_array_equal(one, other)
 
@@ -111,21 +113,23 @@ def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, c
 def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
     learner, steps, bounds, sums = collected
     broken = steps.replace(reward=tuple(r.at[0, 0].set(jnp.inf) for r in steps.reward))
-    new, known = trainer._improve(learner, (broken, bounds, sums))
+    new, known = trainer._update(learner, (broken, bounds, sums))
     assert known["loss/skipped"] == 1
-    for one, other in zip(leaves(learner.weights), leaves(new.weights), strict=True):
+    for one, other in zip(leaves(learner.params), leaves(new.params), strict=True):
         assert_array_equal(one, other)
 
 
 def test_critics_see_more_than_policies(trainer, collected):
     """And both are of a class: another critic, another policy for each."""
     learner, steps, bounds, _ = collected
-    seen, fresh = (steps.obs, steps.privileged), steps.fresh
-    values, _ = judge(trainer.networks, learner, seen, bounds.critic, fresh)
-    others, _ = judge(trainer.networks, learner, (steps.obs, steps.privileged + 1), bounds.critic, fresh)
+    seen, fresh = (steps.obs, steps.privileged), steps.is_first
+    values, _ = critic_values(trainer.networks, learner, seen, bounds.critic_carry, fresh)
+    others, _ = critic_values(
+        trainer.networks, learner, (steps.obs, steps.privileged + 1), bounds.critic_carry, fresh
+    )
     for value, other in zip(values, others, strict=True):
         assert (value != other).all()
-    for networks, inputs in ((learner.weights.policy, set()), (learner.weights.critic, {"shared"})):
+    for networks, inputs in ((learner.params.policy, set()), (learner.params.critic, {"shared"})):
         one, other = (weights["params"] for weights in networks)
         assert {name for name in one if name == "shared"} == inputs
         assert (np.asarray(one["layer_0"]["kernel"]) != np.asarray(other["layer_0"]["kernel"])).any()
@@ -135,13 +139,13 @@ def test_critics_see_more_than_policies(trainer, collected):
 def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collected):
     """Of all steps that are not bad, by NumPy in double precision."""
     learner, steps, bounds, sums = collected
-    new, _ = trainer._improve(learner, (steps, bounds, sums))
+    new, _ = trainer._update(learner, (steps, bounds, sums))
     good = ~np.asarray(steps.bad)
-    for found, seen in zip(new.obs, steps.obs, strict=True):
+    for found, seen in zip(new.obs_statistics, steps.obs, strict=True):
         rows = np.asarray(seen, np.float64)[good].reshape(-1, seen.shape[-1])
         assert_allclose(found.mean, rows.mean(0), atol=1e-5)
         assert_allclose(found.std, rows.std(0), atol=1e-5)
-    assert int(new.obs[0].running.count) == good.sum() * 2
+    assert int(new.obs_statistics[0].running.count) == good.sum() * 2
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])

@@ -19,7 +19,7 @@ from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_par
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
 from usarmjx.train.make import make
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 
 
 def wait_for_lines(folder, count, process):
@@ -70,7 +70,7 @@ def test_the_latest_checkpoints_and_the_best_are_kept(reference):
 def test_a_run_that_is_over_is_over(copy):
     """Resuming it changes nothing."""
     before = lines(copy)
-    assert run(copy, resume=True).last["iteration"] == 10
+    assert run(copy, resume=True).last_metrics["iteration"] == 10
     assert lines(copy) == before
 
 
@@ -111,7 +111,7 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
     path = Checkpoints(reference).find("last")
     for worlds, config in ((32, replace(CONFIG, layers=(16, 32))), (16, replace(CONFIG, worlds=16))):
         part = "learner" if worlds == 32 else "worlds"
-        learner, collector = Trainer(DriveToy(worlds), config, Team()).start()
+        learner, collector = Trainer(DriveToy(worlds), config, ProcessGroup()).start()
         with pytest.raises(UsageError, match=r"of another run: it holds .* expected"):
             read_part(path, part, learner if part == "learner" else collector)
 
@@ -179,7 +179,7 @@ def test_numbers_of_64_bits_and_random_keys_come_back(tmp_path):
         "nothing": np.zeros((3, 0)),
         "number": jax.numpy.float32(1 / 3),
     }
-    _write(tmp_path, "part", tree, Team())
+    _write(tmp_path, "part", tree, ProcessGroup())
     found = read_part(tmp_path, "part", tree)
     for name, value in tree.items():
         assert isinstance(found[name], jax.Array) == isinstance(value, jax.Array)

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy, team
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.train_state import make_learner, make_networks, policy_params
+from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.learning.trainer import Trainer
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=(8,), shared=True)
 
@@ -21,7 +21,7 @@ CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=
 @pytest.fixture(scope="module")
 def learned():
     """Networks, and weights before and after an update in which both classes acted."""
-    trainer = Trainer(DriveToy(CONFIG.worlds), CONFIG, Team())
+    trainer = Trainer(DriveToy(CONFIG.worlds), CONFIG, ProcessGroup())
     learner, worlds = trainer.start()
     after, _, _ = trainer.iterate(learner, worlds, 0)
     return trainer.networks, learner, after
@@ -29,14 +29,14 @@ def learned():
 
 def test_an_update_changes_one_policy_and_what_tells_the_classes_apart(learned):
     _, before, after = learned
-    assert len(after.weights.policy) == 1
-    assert len(after.weights.critic) == len(after.weights.classes) == 2
-    for old, new in zip(jax.tree.leaves(before.weights), jax.tree.leaves(after.weights), strict=True):
+    assert len(after.params.policy) == 1
+    assert len(after.params.critic) == len(after.params.group_bias) == 2
+    for old, new in zip(jax.tree.leaves(before.params), jax.tree.leaves(after.params), strict=True):
         assert not np.array_equal(old, new)
     a, b = (policy["params"] for policy in policy_params(after).weights)
     assert_array_equal(a["layer_0"]["kernel"], b["layer_0"]["kernel"])
     assert_array_equal(a["head"]["kernel"], b["head"]["kernel"])
-    apart = after.weights.classes[0] - after.weights.classes[1]
+    apart = after.params.group_bias[0] - after.params.group_bias[1]
     assert_allclose(a["layer_0"]["bias"] - b["layer_0"]["bias"], apart, atol=1e-6)
     assert np.abs(apart).max() > 1e-4
 
@@ -44,7 +44,7 @@ def test_an_update_changes_one_policy_and_what_tells_the_classes_apart(learned):
 def test_at_first_all_classes_do_the_same_with_what_they_see(learned):
     networks, before, after = learned
     obs = jnp.array([[[0.3, -0.2]]])
-    seen, carry = (obs, obs), networks.policy.start(1)[1]
+    seen, carry = (obs, obs), networks.policy.initial_carry(1)[1]
     for learner, alike in ((before, True), (after, False)):
         params = policy_params(learner)
         params = params.replace(mean=params.mean[:1] * 2, std=params.std[:1] * 2)  # both normalised alike
@@ -57,4 +57,4 @@ def test_classes_that_see_or_do_different_numbers_are_refused_by_name():
     with pytest.raises(UsageError, match="A sees 3 and does 2, B sees 3 and does 1"):
         make_networks(groups, 0, CONFIG)
     alone = dataclasses.replace(CONFIG, shared=False)
-    assert len(make_learner(make_networks(groups, 0, alone), alone).weights.policy) == 2
+    assert len(make_train_state(make_networks(groups, 0, alone), alone).params.policy) == 2

@@ -14,7 +14,7 @@ from tests.train.toys import DriveToy, EndlessToy, MemoryToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
-from usarmjx.train.processes.group import Team
+from usarmjx.train.processes.group import ProcessGroup
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
@@ -83,7 +83,7 @@ def both():
     config = Config(worlds=4, minibatches=2, rollout=4, layers=(4,), critic_layers=(4,), memory=3)
     try:
         for traceable in (True, False):
-            trainer = Trainer(DriveToy(4, traceable=traceable), config, Team())
+            trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
             learner, worlds = trainer.start()
             first, counts = trainer.rollout.collect(learner, worlds, trainer._key), []
             for iteration in range(3):
@@ -149,26 +149,26 @@ def test_a_time_limit_is_no_end(tmp_path):
         steps=60_000, worlds=16, rollout=16, discount=0.8, learning_rate=3e-3, schedule="constant",
         layers=(8,), critic_layers=(8,), entropy=0.0,
     )  # fmt: skip
-    trainer = Trainer(EndlessToy(16), config, Team())
+    trainer = Trainer(EndlessToy(16), config, ProcessGroup())
     learner, worlds = trainer.start()
     for iteration in range(60):
         learner, worlds, _ = trainer.iterate(learner, worlds, iteration)
     _, steps, _, _ = trainer.rollout.collect(learner, worlds, jax.random.key(0))
     assert np.asarray(steps.truncated).any()
     assert_allclose(steps.value[0], 5.0, rtol=0.03)
-    assert_allclose(np.asarray(steps.bootstrap[0])[np.asarray(steps.truncated)], 5.0, rtol=0.03)
+    assert_allclose(np.asarray(steps.bootstrap_value[0])[np.asarray(steps.truncated)], 5.0, rtol=0.03)
 
 
 def test_first_episodes_begin_at_random_times():
     """So that not all time-outs come at once; the same for a world in whichever process."""
     config = Config(worlds=32, layers=(4,), critic_layers=(4,))
-    _, worlds = Trainer(DriveToy(32), config, Team()).start()
-    lengths = np.asarray(worlds.env.length)
+    _, worlds = Trainer(DriveToy(32), config, ProcessGroup()).start()
+    lengths = np.asarray(worlds.env_state.length)
     assert lengths.min() < 5
     assert 19 < lengths.max() < DriveToy.episode_steps
 
 
 def test_worlds_that_do_not_fit_are_refused(tmp_path):
     with pytest.raises(UsageError, match="16 worlds; 32 worlds of 1 processes need 32"):
-        Trainer(DriveToy(16), CONFIG, Team())
+        Trainer(DriveToy(16), CONFIG, ProcessGroup())
     assert not (tmp_path / "run").exists()

@@ -8,44 +8,44 @@ import numpy as np
 import pytest
 
 from usarmjx.comms.links import no_links
-from usarmjx.comms.mail import MailSettings, deliver, empty, no_mail
+from usarmjx.comms.mail import MessageSettings, clear_inboxes, deliver, empty_inboxes
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping.knowledge import (
-    BESIDE,
-    HEADER,
-    Scan,
-    ignorance,
-    letters,
-    listen,
-    moved,
+    HEADER_SIZE,
+    VISITED_RADIUS,
+    GroupScan,
+    compose_messages,
+    initial_belief,
     sectors,
-    see,
-    touch_base,
+    update_base_contact,
+    update_from_mail,
+    update_from_scan,
+    update_pose,
 )
 from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, MapGrid
-from usarmjx.train.mapping.planning import AHEAD, Minds, plan
-from usarmjx.train.mapping.wavefront import FAR
+from usarmjx.train.mapping.planning import WAYPOINT_SQUARES, PlannerSettings, plan_paths
+from usarmjx.train.mapping.wavefront import UNREACHABLE
 
 GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(13, 9))
 ROBOTS, BASE, PERIOD = 4, 0, 0.2
-SETTINGS = MailSettings(numbers=HEADER + GRID.numbers, capacity=ROBOTS - 1, budget=10_000)
+SETTINGS = MessageSettings(numbers=HEADER_SIZE + GRID.packed_size, capacity=ROBOTS - 1, bytes_per_step=10_000)
 EVERYONE = ~np.eye(ROBOTS, dtype=bool)
-read = jax.jit(listen, static_argnums=(0, 3))
+read = jax.jit(update_from_mail, static_argnums=(0, 3))
 
 
 def team(poses=None):
     poses = np.zeros((ROBOTS, 3), np.float32) if poses is None else np.array(poses, np.float32)
-    return ignorance(GRID, jnp.asarray(poses))
+    return initial_belief(GRID, jnp.asarray(poses))
 
 
 @jax.jit
 def exchange(mind, linked, time):
     """One step of mail over links that hold."""
-    links = no_links(ROBOTS).replace(in_range=linked, chance=linked.astype(jnp.float32))
-    boxes = empty(no_mail(SETTINGS, ROBOTS))
+    links = no_links(ROBOTS).replace(in_range=linked, delivery_probability=linked.astype(jnp.float32))
+    boxes = clear_inboxes(empty_inboxes(SETTINGS, ROBOTS))
     moment = (jnp.int32(0), time)
-    mail = deliver(SETTINGS, boxes, letters(mind, EVERYONE), links, moment, jax.random.key(0))
-    return listen(GRID, mind, mail, PERIOD)
+    mail = deliver(SETTINGS, boxes, compose_messages(mind, EVERYONE), links, moment, jax.random.key(0))
+    return update_from_mail(GRID, mind, mail, PERIOD)
 
 
 def drawn(*squares):
@@ -61,7 +61,7 @@ def test_news_travel_by_one_link_a_step_and_marks_with_them():
     for i in range(ROBOTS - 1):
         chain[i, i + 1] = chain[i + 1, i] = True
     mind = team()
-    mind = mind.replace(evidence=drawn((3, 5, 4, -1), (3, 6, 4, 2)), marked=mind.marked.at[3, 7, 7].set(True))
+    mind = mind.replace(evidence=drawn((3, 5, 4, -1), (3, 6, 4, 2)), marks=mind.marks.at[3, 7, 7].set(True))
     for step in range(1, ROBOTS):
         mind = exchange(mind, chain, PERIOD * step)
         squares = np.asarray(mind.squares)
@@ -69,7 +69,7 @@ def test_news_travel_by_one_link_a_step_and_marks_with_them():
         assert knows == [robot >= ROBOTS - 1 - step for robot in range(ROBOTS)]
     assert (squares[:, 6, 4] == WALL).all()
     assert (squares[:, 7, 7] == MARK).all()
-    assert (squares == UNKNOWN).sum() == ROBOTS * (GRID.squares - 3)
+    assert (squares == UNKNOWN).sum() == ROBOTS * (GRID.square_count - 3)
 
 
 def test_what_a_robot_sees_itself_goes_before_what_it_is_told():
@@ -85,10 +85,10 @@ def test_robots_hear_where_the_others_are_and_when_they_said_so():
     mind = team(poses)
     mind = mind.replace(pose=mind.pose + 1.0, goal=mind.goal + 2.0)
     mind = exchange(mind, linked, 5.0)
-    np.testing.assert_allclose(mind.mates[1, 2], [1.2, 1.4, 1.6, 2.2, 2.4, 0.0], atol=1e-6)
-    np.testing.assert_allclose(mind.mates[1, 3, :3], poses[3], atol=1e-6)  # where it started
-    assert mind.heard[1, 2] == mind.heard[2, 1] == 5.0
-    assert mind.heard[1, 3] == mind.heard[0, 1] == 0.0
+    np.testing.assert_allclose(mind.mate_headers[1, 2], [1.2, 1.4, 1.6, 2.2, 2.4, 0.0], atol=1e-6)
+    np.testing.assert_allclose(mind.mate_headers[1, 3, :3], poses[3], atol=1e-6)  # where it started
+    assert mind.heard_time[1, 2] == mind.heard_time[2, 1] == 5.0
+    assert mind.heard_time[1, 3] == mind.heard_time[0, 1] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -105,11 +105,11 @@ def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
             if draw.random() < 0.25:
                 linked[i, j] = linked[j, i] = ~linked[i, j]
         linked[3, BASE] = linked[BASE, 3] = False  # only over others
-        mind = touch_base(mind, jnp.asarray(linked), BASE, jnp.float32(time))
+        mind = update_base_contact(mind, jnp.asarray(linked), BASE, jnp.float32(time))
         mind = exchange(mind, jnp.asarray(linked), jnp.float32(time))
         told = [newest[[*np.flatnonzero(row), k]].max(0) for k, row in enumerate(linked)]
         newest = np.array(told)
-        believed = np.asarray(mind.contact)
+        believed = np.asarray(mind.base_contact_time)
         assert (believed <= newest[BASE] + 1e-4).all()
         claims += believed[3] > 0
     assert claims > 30  # it learned of contact, too
@@ -118,20 +118,22 @@ def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
 def test_the_base_is_in_touch_with_itself_and_with_those_it_has_a_link_to():
     linked = np.zeros((ROBOTS, ROBOTS), bool)
     linked[BASE, 2] = linked[2, BASE] = True
-    assert touch_base(team(), jnp.asarray(linked), BASE, jnp.float32(7.0)).contact.tolist() == [7, 0, 7, 0]
+    assert update_base_contact(
+        team(), jnp.asarray(linked), BASE, jnp.float32(7.0)
+    ).base_contact_time.tolist() == [7, 0, 7, 0]
 
 
 def test_another_robot_is_not_drawn_as_a_wall_if_it_said_where_it_is():
     settings = ScannerSettings(scan_fov=1.0, resolution=0.05, max_range=3.0)
     poses = [(0.6, 1.2, 0.0), (2.1, 1.2, 0.0), (9.0, 9.0, 0.0), (9.0, 9.0, 0.0)]
     ranges = np.full((1, settings.beams), 1.2, np.float32)  # the near side of robot 1
-    scan = Scan(np.array([0]), settings, jnp.array(poses[:1]), jnp.asarray(ranges), jnp.ones(1, bool))
-    heard, silent = team(poses), team(poses).replace(heard=jnp.full((ROBOTS, ROBOTS), -9.0))
+    scan = GroupScan(np.array([0]), settings, jnp.array(poses[:1]), jnp.asarray(ranges), jnp.ones(1, bool))
+    heard, silent = team(poses), team(poses).replace(heard_time=jnp.full((ROBOTS, ROBOTS), -9.0))
     at = (0, *GRID.index(np.array([1.8, 1.2])).tolist())
-    assert see(GRID, heard, scan, jnp.float32(0.2)).squares[at] == UNKNOWN
-    assert see(GRID, silent, scan, jnp.float32(0.2)).squares[at] == WALL
+    assert update_from_scan(GRID, heard, scan, jnp.float32(0.2)).squares[at] == UNKNOWN
+    assert update_from_scan(GRID, silent, scan, jnp.float32(0.2)).squares[at] == WALL
     stale = scan.__class__(**{**vars(scan), "fresh": jnp.zeros(1, bool)})
-    assert (see(GRID, silent, stale, jnp.float32(0.2)).squares == UNKNOWN).all()
+    assert (update_from_scan(GRID, silent, stale, jnp.float32(0.2)).squares == UNKNOWN).all()
 
 
 def test_sectors_hold_the_shortest_beam():
@@ -149,48 +151,50 @@ def hall(*walls):
     return jnp.broadcast_to(jnp.asarray(table), (ROBOTS, *GRID.shape))
 
 
-thought = jax.jit(plan, static_argnums=0)
+thought = jax.jit(plan_paths, static_argnums=0)
 
 
 def test_robots_go_to_the_frontier_and_keep_apart():
     poses = [(0.6, 0.6, 0.0), (0.6, 1.8, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
     mind = team(poses).replace(evidence=hall())
-    mind = plan(GRID, mind, jnp.float32(0.0))
+    mind = plan_paths(GRID, mind, jnp.float32(0.0))
     edge = 8 * GRID.cell
     np.testing.assert_allclose(mind.goal[:2, 0], edge, atol=1e-5)
     assert float(jnp.abs(mind.goal[0, 1] - mind.goal[1, 1])) >= 0.6
-    ahead = np.asarray(mind.next[:2, 0]) - 0.6
-    np.testing.assert_allclose(ahead, AHEAD * GRID.cell, atol=1e-5)
+    ahead = np.asarray(mind.waypoint[:2, 0]) - 0.6
+    np.testing.assert_allclose(ahead, WAYPOINT_SQUARES * GRID.cell, atol=1e-5)
 
 
 def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
     poses = [(1.8, 1.2, 0.0)] * ROBOTS
     table = np.array(hall())
     table[:, :2] = 0  # unknown at both ends: free squares from 0.6 m to 2.4 m
-    mind = team(poses).replace(evidence=jnp.asarray(table), heard=jnp.full((ROBOTS, ROBOTS), -99.0))
+    mind = team(poses).replace(evidence=jnp.asarray(table), heard_time=jnp.full((ROBOTS, ROBOTS), -99.0))
     new = thought(GRID, mind, jnp.float32(0.0))
     np.testing.assert_allclose(new.goal[:, 0], 2.4, atol=1e-5)
-    mind = moved(GRID, mind, mind.pose)
-    near = np.linalg.norm(GRID.middles - np.array([1.8, 1.2]), axis=-1) < BESIDE
-    np.testing.assert_array_equal(mind.been, np.broadcast_to(near, mind.been.shape))
+    mind = update_pose(GRID, mind, mind.pose)
+    near = np.linalg.norm(GRID.centres - np.array([1.8, 1.2]), axis=-1) < VISITED_RADIUS
+    np.testing.assert_array_equal(mind.visited, np.broadcast_to(near, mind.visited.shape))
     been = thought(GRID, mind, jnp.float32(0.0))
-    assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= BESIDE).all()
+    assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= VISITED_RADIUS).all()
 
 
 def test_nobody_has_a_way_where_there_is_no_frontier():
     table = hall().at[:, 9:, :].set(1)
-    mind = plan(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
-    assert (mind.far >= FAR).all()
-    np.testing.assert_allclose(mind.next, mind.pose[:, :2])
+    mind = plan_paths(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
+    assert (mind.path_length >= UNREACHABLE).all()
+    np.testing.assert_allclose(mind.waypoint, mind.pose[:, :2])
 
 
 def test_robots_go_where_they_are_wanted_and_those_that_fly_over_walls():
     poses = [(0.6, 1.2, 0.0), (0.6, 1.2, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
     shut = [(5, j) for j in range(9)]  # a wall across the hall
     mind = team(poses).replace(evidence=hall(*shut))
-    minds = Minds(peers=np.zeros((ROBOTS, ROBOTS), bool), flyers=np.array([False, True, False, False]))
-    wanted = jnp.full((ROBOTS, *GRID.shape), FAR).at[:, 8, 4].set(0.0)
-    mind = plan(GRID, mind, jnp.float32(0.0), minds, wanted)
-    assert mind.far[0] >= FAR
-    np.testing.assert_allclose(mind.far[1], 6.0, atol=1e-4)  # six squares ahead
+    minds = PlannerSettings(
+        peers=np.zeros((ROBOTS, ROBOTS), bool), flyers=np.array([False, True, False, False])
+    )
+    wanted = jnp.full((ROBOTS, *GRID.shape), UNREACHABLE).at[:, 8, 4].set(0.0)
+    mind = plan_paths(GRID, mind, jnp.float32(0.0), minds, wanted)
+    assert mind.path_length[0] >= UNREACHABLE
+    np.testing.assert_allclose(mind.path_length[1], 6.0, atol=1e-4)  # six squares ahead
     np.testing.assert_allclose(mind.goal[1], [2.4, 1.2], atol=1e-5)

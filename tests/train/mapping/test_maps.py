@@ -11,33 +11,41 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.reach import Size
+from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping.maps import (
     FREE,
     MARK,
-    SURE,
+    MAX_EVIDENCE,
     UNKNOWN,
     WALL,
     MapGrid,
-    around,
+    classify_scan,
+    egocentric_map,
+    fuse_maps,
     grid_of,
-    hear,
-    known,
-    look,
+    merge_received,
     pack,
     reachable_squares,
     unpack,
-    weigh,
+    update_evidence,
 )
-from usarmjx.train.mapping.wavefront import AROUND, FAR, descend, distances, frontier, passable, place_of
+from usarmjx.train.mapping.wavefront import (
+    NEIGHBOURS,
+    UNREACHABLE,
+    distances,
+    frontier,
+    passable,
+    shortest_path,
+    square_centre,
+)
 
 GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(13, 9))
 """A room of 3.6 x 2.4 m whose walls run through the middles of the outer squares."""
 ALL_ROUND = ScannerSettings(scan_fov=2 * math.pi, resolution=math.pi / 60, max_range=6.0)
-drawn = jax.jit(look, static_argnums=(0, 1))
+drawn = jax.jit(classify_scan, static_argnums=(0, 1))
 
 
 def scan(pose, settings=ALL_ROUND, width=3.6, depth=2.4):
@@ -66,8 +74,8 @@ def test_what_is_behind_a_scanner_or_beyond_its_range_stays_unknown():
     ahead = ScannerSettings(scan_fov=math.pi, resolution=math.pi / 60, max_range=1.0)
     pose = (0.9, 1.2, 0.0)
     free, wall = drawn(GRID, ahead, np.array(pose, np.float32), scan(pose, ahead))
-    gap = np.linalg.norm(GRID.middles - np.array(pose[:2]), axis=-1)
-    behind, near = GRID.middles[..., 0] < pose[0] - 0.01, gap < 1.5 * GRID.cell
+    gap = np.linalg.norm(GRID.centres - np.array(pose[:2]), axis=-1)
+    behind, near = GRID.centres[..., 0] < pose[0] - 0.01, gap < 1.5 * GRID.cell
     assert not wall.any()  # the nearest wall ahead or beside is 1.2 m away
     assert not free[behind & ~near].any()
     assert not free[gap > 1.0].any()
@@ -77,13 +85,15 @@ def test_what_is_behind_a_scanner_or_beyond_its_range_stays_unknown():
 def test_looks_are_weighed_against_each_other():
     none, yes = np.zeros((1, 1), bool), np.ones((1, 1), bool)
     evidence = np.zeros((1, 1), np.int8)
-    for _ in range(2 * SURE):
-        evidence = weigh(evidence, none, yes)
-    assert evidence[0, 0] == SURE
-    for looks in range(SURE + 1):  # a robot that has gone is forgotten
-        assert known(evidence, none, np.zeros((1, 1), np.uint8))[0, 0] == (WALL if looks < SURE else UNKNOWN)
-        evidence = weigh(evidence, yes, none)
-    assert known(evidence, none, np.full((1, 1), WALL, np.uint8))[0, 0] == FREE
+    for _ in range(2 * MAX_EVIDENCE):
+        evidence = update_evidence(evidence, none, yes)
+    assert evidence[0, 0] == MAX_EVIDENCE
+    for looks in range(MAX_EVIDENCE + 1):  # a robot that has gone is forgotten
+        assert fuse_maps(evidence, none, np.zeros((1, 1), np.uint8))[0, 0] == (
+            WALL if looks < MAX_EVIDENCE else UNKNOWN
+        )
+        evidence = update_evidence(evidence, yes, none)
+    assert fuse_maps(evidence, none, np.full((1, 1), WALL, np.uint8))[0, 0] == FREE
 
 
 def test_hearsay_keeps_marks_and_prefers_what_someone_has_seen_to_be_free():
@@ -97,7 +107,7 @@ def test_hearsay_keeps_marks_and_prefers_what_someone_has_seen_to_be_free():
         (WALL, UNKNOWN): WALL,
     }
     told, news = np.array(list(table), np.uint8).T
-    np.testing.assert_array_equal(hear(told, news), list(table.values()))
+    np.testing.assert_array_equal(merge_received(told, news), list(table.values()))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 4), (5, 7), (41, 33)])
@@ -105,7 +115,7 @@ def test_a_map_survives_a_message(shape):
     squares = np.random.default_rng(0).integers(0, 4, shape).astype(np.uint8)
     message = pack(squares)
     assert message.dtype == jnp.float32
-    assert message.shape == (MapGrid((0.0, 0.0), 1.0, shape).numbers,)
+    assert message.shape == (MapGrid((0.0, 0.0), 1.0, shape).packed_size,)
     np.testing.assert_array_equal(unpack(message, shape), squares)
 
 
@@ -114,17 +124,19 @@ def test_the_map_around_a_robot_turns_with_it():
     grid = MapGrid(low=(0.0, 0.0), cell=1.0, shape=(9, 9))
     for quarter in range(4):
         pose = np.array([4.0, 4.0, quarter * math.pi / 2], np.float32)
-        np.testing.assert_array_equal(around(grid, squares, pose, 9, 1.0), np.rot90(squares, -quarter))
-    aside = around(grid, squares, np.array([0.0, 4.0, 0.0], np.float32), 9, 1.0)
+        np.testing.assert_array_equal(
+            egocentric_map(grid, squares, pose, 9, 1.0), np.rot90(squares, -quarter)
+        )
+    aside = egocentric_map(grid, squares, np.array([0.0, 4.0, 0.0], np.float32), 9, 1.0)
     np.testing.assert_array_equal(aside[4:], squares[:5])
     assert (np.asarray(aside[:4]) == WALL).all()
 
 
 def test_squares_and_places_agree():
-    assert GRID.squares == 117
+    assert GRID.square_count == 117
     index = np.stack(np.meshgrid(*map(np.arange, GRID.shape), indexing="ij"), -1)
-    np.testing.assert_array_equal(GRID.index(GRID.middles), index)
-    np.testing.assert_allclose(place_of(GRID, index), GRID.middles, atol=1e-6)
+    np.testing.assert_array_equal(GRID.index(GRID.centres), index)
+    np.testing.assert_allclose(square_centre(GRID, index), GRID.centres, atol=1e-6)
     assert GRID.index(np.array([-5.0, 99.0])).tolist() == [0, 8]
     with pytest.raises(UsageError, match="above 0"):
         grid_of((), 0.0)
@@ -137,9 +149,9 @@ def test_only_what_a_robot_gets_to_is_reachable():
         name="DM-Two", about="Two rooms.", shapes=(wall,), starts=(start,), extent=((0.0, 3.9), (0.0, 3.0))
     )
     grid = grid_of((arena,))
-    there = reachable_squares(arena, grid, Size(radius=0.3, step=0.05, height=0.3))
+    there = reachable_squares(arena, grid, RobotFootprint(radius=0.3, step=0.05, height=0.3))
     assert grid.shape == (14, 11)
-    x = grid.middles[..., 0]
+    x = grid.centres[..., 0]
     assert there[(x > 0.35) & (x < 1.55)][1:].any()
     # The wall's near face is at 1.95 m, the robot keeps 0.3 m off, squares of the search are 0.05 m.
     assert not there[x > 1.95 - 0.3].any()
@@ -152,22 +164,22 @@ def shortest(start, open_, toll):
     edges = []
     for i in range(rows):
         for j in range(columns):
-            for di, dj in AROUND:
+            for di, dj in NEIGHBOURS:
                 a, b = i + di, j + dj
                 if 0 <= a < rows and 0 <= b < columns and open_[a, b]:
                     edges.append((number[i, j], number[a, b], math.hypot(di, dj) + toll[a, b]))
     source = start.size
-    edges += [(source, number[i, j], start[i, j] + 1.0) for i, j in np.argwhere(start < FAR)]
+    edges += [(source, number[i, j], start[i, j] + 1.0) for i, j in np.argwhere(start < UNREACHABLE)]
     one, two, cost = zip(*edges, strict=True)
     graph = coo_matrix((cost, (one, two)), shape=(source + 1, source + 1))
     far = dijkstra(graph, indices=source)[:source].reshape(start.shape) - 1.0
-    return np.where(np.isfinite(far), far, FAR)
+    return np.where(np.isfinite(far), far, UNREACHABLE)
 
 
 def labyrinth(seed):
     draw = np.random.default_rng(seed)
     open_ = draw.random((17, 12)) > 0.35
-    start = np.where(draw.random(open_.shape) < 0.03, draw.integers(0, 9, open_.shape), FAR)
+    start = np.where(draw.random(open_.shape) < 0.03, draw.integers(0, 9, open_.shape), UNREACHABLE)
     start[3, 4] = 2.0
     toll = np.where(draw.random(open_.shape) < 0.3, 3.0, 0.0)
     return start.astype(np.float32), open_, toll.astype(np.float32)
@@ -187,8 +199,8 @@ def test_distances_are_those_of_dijkstra(seed):
 def test_the_way_downhill_is_as_long_as_the_distance_says(seed):
     start, open_, toll = labyrinth(seed)
     far = np.asarray(distances(start, open_, toll))
-    begin = tuple(np.argwhere((far < FAR) & open_ & (start == FAR))[-1])
-    path = [begin, *map(tuple, np.asarray(descend(far, np.array(begin), 120)))]
+    begin = tuple(np.argwhere((far < UNREACHABLE) & open_ & (start == UNREACHABLE))[-1])
+    path = [begin, *map(tuple, np.asarray(shortest_path(far, np.array(begin), 120)))]
     path = path[: path.index(path[-1]) + 1]
     steps = [math.hypot(a[0] - b[0], a[1] - b[1]) for a, b in itertools.pairwise(path)]
     assert max(steps) < 1.5

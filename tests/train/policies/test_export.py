@@ -12,8 +12,8 @@ from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.record import Origin, make_record
-from usarmjx.train.learning.train_state import make_learner, make_networks, policy_params
+from usarmjx.train.learning.record import EnvArguments, make_record
+from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.policies.export import NumpyPolicy, export_run, save_policy
 
 # Sums of at most 32 products of order 1 in single precision, three layers of them, squashed to +-1.
@@ -25,13 +25,13 @@ def policy_with(memory, tmp_path, half=False):
     config = Config(worlds=4, layers=(32, 16), memory=memory)
     env = DriveToy(4)
     networks = make_networks(env.groups, env.privileged_size, config)
-    params = policy_params(make_learner(networks, config))
+    params = policy_params(make_train_state(networks, config))
     draw = np.random.default_rng(4)
     params = jax.tree.map(lambda leaf: leaf + 0.3 * draw.normal(size=leaf.shape).astype(np.float32), params)
     params = params.replace(std=jax.tree.map(lambda leaf: 0.5 + abs(leaf), params.std))
     file = tmp_path / "policy.npz"
     save_policy(
-        file, networks.policy, params, make_record(env, config, 1, Origin("c", {"radius": "0.5"})), half
+        file, networks.policy, params, make_record(env, config, 1, EnvArguments("c", {"radius": "0.5"})), half
     )
     return networks.policy, params, NumpyPolicy(file)
 
@@ -45,8 +45,8 @@ def test_numpy_acts_as_jax_does(memory, tmp_path):
         jax.jit(lambda obs, carry: policy.act(params, obs, carry, deterministic=True)),
         np.random.default_rng(5),
     )
-    carry = policy.start(3)
-    own = [told.start(0, 3, 2), told.start(1, 3, 1)]
+    carry = policy.initial_carry(3)
+    own = [told.initial_carry(0, 3, 2), told.initial_carry(1, 3, 1)]
     assert [memory.shape for memory in own] == [memory.shape for memory in carry]
     for step in range(10):
         obs = [draw.normal(size=(3, n, 2), scale=2.0).astype(np.float32) for n in (2, 1)]
@@ -127,9 +127,9 @@ print(policy.task, policy.period, arrived)
 def test_the_actor_of_a_run_acts_as_its_policy(reference):
     """As evaluation wants it."""
     policy, params, _ = load_policy(reference)
-    actor, obs = policy.actor(params), DriveToy(3).reset(0).obs
-    _, actions = actor.act(actor.start(3), obs, jax.random.key(0))
-    expected, _ = policy.act(params, obs, policy.start(3), deterministic=True)
+    actor, obs = policy.as_policy(params), DriveToy(3).reset(0).obs
+    _, actions = actor.act(actor.initial_carry(3), obs, jax.random.key(0))
+    expected, _ = policy.act(params, obs, policy.initial_carry(3), deterministic=True)
     for one, other in zip(actions, expected, strict=True):
         assert_array_equal(one, other)
 
@@ -148,4 +148,4 @@ def test_robots_and_observations_that_the_policy_is_not_for_are_refused(tmp_path
     with pytest.raises(UsageError, match="it is for: A, B"):
         told.group("Talon")
     with pytest.raises(UsageError, match="needs"):
-        told.act(0, np.zeros(5), told.start(0))
+        told.act(0, np.zeros(5), told.initial_carry(0))

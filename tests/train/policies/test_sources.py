@@ -15,7 +15,7 @@ from usarmjx.cli.app import app
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.task import TASKS
-from usarmjx.train.evaluation.evaluate import as_record, evaluate, interval
+from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes, interval
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
 from usarmjx.train.policies.export import NumpyPolicy
@@ -33,8 +33,8 @@ def test_a_policy_from_a_file_acts_as_numpy_says(tmp_path):
     file = policy_file(tmp_path / "goal.npz")
     policy, told = find_source(str(file)).policy(env_with(GOAL_GROUP)), NumpyPolicy(file)
     obs = np.random.default_rng(0).uniform(-1, 1, (5, 1, 4)).astype(np.float32)
-    _, (actions,) = policy.act(policy.start(5), (obs,), jax.random.key(0))
-    expected, _ = told.act(0, obs, told.start(0, 5, 1))
+    _, (actions,) = policy.act(policy.initial_carry(5), (obs,), jax.random.key(0))
+    expected, _ = told.act(0, obs, told.initial_carry(0, 5, 1))
     np.testing.assert_allclose(actions, expected, atol=1e-5)  # single precision, three sums of a few terms
     by_hand = np.tanh(1.5 * obs[..., 0] - 2.5 * obs[..., 1])
     np.testing.assert_allclose(actions[..., 0], by_hand, atol=1e-5)
@@ -48,8 +48,8 @@ def test_the_policy_of_a_run_acts_as_its_checkpoint(reference):
         found.policy(env_with(*record.groups)),
         tuple(np.full((3, len(group.agents), group.obs_size), 0.3, np.float32) for group in record.groups),
     )
-    _, actions = driver.act(driver.start(3), obs, jax.random.key(0))
-    expected, _ = policy.act(params, obs, policy.start(3), deterministic=True)
+    _, actions = driver.act(driver.initial_carry(3), obs, jax.random.key(0))
+    expected, _ = policy.act(params, obs, policy.initial_carry(3), deterministic=True)
     for one, other in zip(actions, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -93,7 +93,7 @@ def test_settings_of_the_training_come_back_and_those_that_cannot_are_told():
 
 def still(share):
     return Policy(
-        start=lambda worlds: np.zeros(worlds),
+        initial_carry=lambda worlds: np.zeros(worlds),
         act=lambda memory, obs, key: (memory, (jax.numpy.full((*obs[0].shape[:2], 2), share),)),
     )
 
@@ -104,7 +104,7 @@ def test_each_episode_has_a_row_with_its_world_and_turn():
     World k begins at (k + 1) / 8, a sixteenth farther in the next episode; a seed counts as that many worlds.
     """
     env = ToyEnv(worlds=2, team=1, mixed=False)
-    record = as_record(evaluate(env, still(0.0), 4, seeds=(0, 3)))
+    record = as_record(evaluate_episodes(env, still(0.0), 4, seeds=(0, 3)))
     rows = {(row["seed"], row["world"], row["episode"]): row for row in record["episodes"]}
     assert sorted(rows) == [(seed, world, turn) for seed in (0, 3) for world in (0, 1) for turn in (0, 1)]
     for (seed, world, turn), row in rows.items():
@@ -117,7 +117,7 @@ def test_each_episode_has_a_row_with_its_world_and_turn():
 
 def test_an_interval_of_which_nothing_is_known_is_null():
     env = ToyEnv(worlds=1, team=1, mixed=False)
-    record = as_record(evaluate(env, still(0.0), 1))
+    record = as_record(evaluate_episodes(env, still(0.0), 1))
     assert record["score"]["low"] is None
     assert record["score"]["high"] is None
 

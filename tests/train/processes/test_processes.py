@@ -12,7 +12,7 @@ from tests.train.runs import CONFIG, PATIENCE, PROGRAM, lines, started
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.processes.launch import Place, check_parent, place_of, spawn
+from usarmjx.train.processes.launch import ProcessInfo, check_parent, process_info, spawn
 
 SPAWN = """
 import sys
@@ -91,25 +91,25 @@ def test_numbers_of_processes_that_the_worlds_cannot_be_shared_out_to_are_refuse
     [
         ({}, None),
         ({"SLURM_NTASKS": "1", "SLURM_PROCID": "0"}, None),
-        ({"SLURM_NTASKS": "4", "SLURM_PROCID": "3", "SLURM_LOCALID": "1"}, Place(4, 3, 1)),
-        ({"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": "1"}, Place(2, 1, 1)),
+        ({"SLURM_NTASKS": "4", "SLURM_PROCID": "3", "SLURM_LOCALID": "1"}, ProcessInfo(4, 3, 1)),
+        ({"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": "1"}, ProcessInfo(2, 1, 1)),
         (
             {"WORLD_SIZE": "8", "RANK": "5", "LOCAL_RANK": "1", "MASTER_ADDR": "h", "MASTER_PORT": "9"},
-            Place(8, 5, 1, "h:9"),
+            ProcessInfo(8, 5, 1, "h:9"),
         ),
         (
             {"USARMJX_PROCESSES": "2", "USARMJX_PROCESS": "0", "USARMJX_COORDINATOR": "127.0.0.1:1"},
-            Place(2, 0, 0, "127.0.0.1:1"),
+            ProcessInfo(2, 0, 0, "127.0.0.1:1"),
         ),
     ],
 )
 def test_launchers_are_understood(environment, place):
-    assert place_of(environment) == place
+    assert process_info(environment) == place
 
 
 def test_torchrun_without_an_address_is_refused():
     with pytest.raises(UsageError, match="MASTER_ADDR"):
-        place_of({"WORLD_SIZE": "2", "RANK": "0"})
+        process_info({"WORLD_SIZE": "2", "RANK": "0"})
 
 
 def test_a_process_that_fails_ends_the_others_and_its_exit_code_is_returned():

@@ -10,9 +10,9 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import first_episode
-from usarmjx.train.envs.task import View
-from usarmjx.train.scenes.clearance import FREE, Boxes, apart, clearance, hull_of
+from usarmjx.sim.world import init_world
+from usarmjx.train.envs.task import TaskView
+from usarmjx.train.scenes.clearance import NO_OBSTACLE, Boxes, bounding_box_of, box_distance, clearance
 
 STARTS = tuple(StartPose(tag=f"S{i}", at=(x, 0.0, 0.188)) for i, x in enumerate((0.0, 5.0)))
 HALF_LENGTH, HALF_WIDTH = 0.276, 0.2484
@@ -35,14 +35,14 @@ def view_of(*shapes, poses=((0.0, 0.0, 0.26, 0.0),), parked=False):
     """P2ATs at x, y, z and yaw among solids."""
     arena = ArenaSpec(name="here", shapes=shapes, starts=STARTS, extent=((-9, 9), (-9, 9)), floor=0.0)
     scene = build_scene(arena, ["P2AT"] * len(poses))
-    world, qpos = first_episode(scene, jax.random.key(0), np.int32(0))
-    for address, (x, y, z, yaw) in zip(scene.teams[0].root_qpos, poses, strict=True):
+    world, qpos = init_world(scene, jax.random.key(0), np.int32(0))
+    for address, (x, y, z, yaw) in zip(scene.groups[0].root_qposadr, poses, strict=True):
         qpos = qpos.at[address].set(np.array([x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]))
     if parked:
-        team = world.teams[0]
-        world = world.replace(teams=(team.replace(active=team.active.at[1].set(False)),))
+        team = world.groups[0]
+        world = world.replace(groups=(team.replace(active=team.active.at[1].set(False)),))
     physics = PhysicsState(qpos=qpos, qvel=np.zeros(scene.model.nv), act=np.zeros(scene.model.na))
-    return View(world=world, physics=physics, readings=(), scene=scene)
+    return TaskView(world=world, physics=physics, readings=(), scene=scene)
 
 
 @pytest.mark.oracle
@@ -53,7 +53,7 @@ def test_rectangles_are_as_far_apart_as_the_demonstration_says():
         pose, half = draw.uniform((-1, -1, -3), (1, 1, 3)), (0.3, 0.2)
         corners = np.column_stack([rows[:, :2] - rows[:, 2:4], rows[:, :2] + rows[:, 2:4]])
         hull = boxes((*pose[:2], *half, pose[2]))
-        assert float(apart(hull, boxes(rows)).min()) == pytest.approx(
+        assert float(box_distance(hull, boxes(rows)).min()) == pytest.approx(
             demo_clearance(pose, half, corners), abs=1e-5
         )
 
@@ -61,13 +61,13 @@ def test_rectangles_are_as_far_apart_as_the_demonstration_says():
 def test_turned_rectangles_meet_corner_to_face_and_cross_without_corners():
     square = boxes((0, 0, 0.5, 0.5, 0))
     beside = boxes([(1 + np.sqrt(0.5), 0, 0.5, 0.5, np.pi / 4), (0.6, 0.2, 2.0, 0.01, np.pi / 2)])
-    np.testing.assert_allclose(apart(square, beside), [0.5, 0.09], atol=1e-6)
+    np.testing.assert_allclose(box_distance(square, beside), [0.5, 0.09], atol=1e-6)
     # A cross: neither has a corner in the other.
-    np.testing.assert_array_equal(apart(square, boxes([(0, 0, 3, 0.1, 0.3)])), [0.0])
+    np.testing.assert_array_equal(box_distance(square, boxes([(0, 0, 3, 0.1, 0.3)])), [0.0])
 
 
 def test_a_hull_is_what_the_robot_reaches_to():
-    low, high = hull_of(ROBOTS.get("P2AT"))
+    low, high = bounding_box_of(ROBOTS.get("P2AT"))
     np.testing.assert_allclose(high[:2], (HALF_LENGTH, HALF_WIDTH), atol=1e-4)
     np.testing.assert_allclose(low, (-HALF_LENGTH, -HALF_WIDTH, -0.26), atol=1e-4)
 
@@ -81,7 +81,7 @@ def test_walls_count_by_what_is_in_the_robots_height():
     board = solid("box", (0.05, 1.0, 0.04), (1.0, 0.0, 0.04))
     roof = solid("box", (2.0, 2.0, 0.05), (0.0, 0.0, 1.0))
     ramp = solid("box", (0.5, 0.5, 0.05), (0.5, 0.0, 0.1), rotation=(0.0, -0.3, 0.0))
-    assert float(clearance(view_of(board, roof, ramp))[0][0]) == FREE
+    assert float(clearance(view_of(board, roof, ramp))[0][0]) == NO_OBSTACLE
     pillar = solid("cylinder", (0.2, 0.5), (0.0, 2.0, 0.5))
     assert float(clearance(view_of(pillar))[0][0]) == pytest.approx(1.8 - HALF_WIDTH, abs=1e-4)
 
@@ -89,4 +89,4 @@ def test_walls_count_by_what_is_in_the_robots_height():
 def test_robots_are_obstacles_to_each_other_unless_parked():
     poses = ((0.0, 0.0, 0.26, 0.0), (1.5, 0.0, 0.26, 0.0))
     np.testing.assert_allclose(clearance(view_of(poses=poses))[0], 1.5 - 2 * HALF_LENGTH, atol=1e-4)
-    assert float(clearance(view_of(poses=poses, parked=True))[0][0]) == FREE
+    assert float(clearance(view_of(poses=poses, parked=True))[0][0]) == NO_OBSTACLE

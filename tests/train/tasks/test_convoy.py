@@ -12,11 +12,11 @@ from tests.train.views import placed, told, view_of
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models.arenas.arda_roads import NETWORK, ORIGIN
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.pursuit import pursue
+from usarmjx.train.baselines.pursuit import pursuit_action
 from usarmjx.train.tasks.convoy import AHEAD, Convoy, ConvoyMemory
-from usarmjx.train.tasks.lane import Way, closed_lane
+from usarmjx.train.tasks.lane import LanePath, closed_lane
 
-SQUARE = Way(points=np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]), width=4.0)
+SQUARE = LanePath(points=np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]), width=4.0)
 STEPS = 80
 TASK = Convoy(count=2, episode_steps=STEPS)
 LENGTH, WIDTH = 4.2779, 1.7883  # manual 12.7.1
@@ -30,13 +30,16 @@ def view():
 
 def on_lane(along, left=0.0):
     """Pose of a car in TASK's lane."""
-    (x, y), yaw = np.asarray(TASK.way.at(np.float32(along))), float(TASK.way.heading(np.float32(along)))
+    (x, y), yaw = (
+        np.asarray(TASK.path.position(np.float32(along))),
+        float(TASK.path.heading(np.float32(along))),
+    )
     return (float(x) - left * math.sin(yaw), float(y) + left * math.cos(yaw), 0.66, 0.0, 0.0, yaw)
 
 
 def test_places_along_a_square():
     np.testing.assert_allclose(
-        SQUARE.at(jnp.array([3.0, 12.0, 39.0, 43.0])), [(3, 0), (10, 2), (0, 1), (3, 0)]
+        SQUARE.position(jnp.array([3.0, 12.0, 39.0, 43.0])), [(3, 0), (10, 2), (0, 1), (3, 0)]
     )
     np.testing.assert_allclose(SQUARE.heading(jnp.array([3.0, 12.0, -1.0])), [0, math.pi / 2, -math.pi / 2])
     along, left = SQUARE.nearest(jnp.array([(3.0, 1.0), (3.0, -2.0), (11.0, 5.0), (1.0, 8.0)]))
@@ -65,15 +68,15 @@ def test_only_lanes_that_close_in_arenas_that_have_a_place():
 def moved(view, along, left=(0.0, 0.0), speed=4.0):
     """Verdict on two cars at such places that came there at some speed; the first one leads."""
     memory = ConvoyMemory(
-        told=jnp.float32(4.0),
+        target_speed=jnp.float32(4.0),
         ahead=jnp.array([-1, 0]),
-        along=jnp.array(along) - PERIOD * speed,
+        arc_length=jnp.array(along) - PERIOD * speed,
         poses=jnp.zeros((2, 6)),
         speeds=jnp.zeros(2),
         score=jnp.float32(50.0),
     )
     here = placed(view, *(on_lane(a, b) for a, b in zip(along, left, strict=True)))
-    return TASK.judge(told(here, INS=np.zeros((2, 6))), memory)
+    return TASK.evaluate(told(here, INS=np.zeros((2, 6))), memory)
 
 
 # Wanted at 4 m/s: 3 m and 1 s, so 7 m.
@@ -108,10 +111,10 @@ def test_running_into_the_car_ahead_or_off_the_road_ends_the_episode(view):
 
 
 def test_progress_goes_on_past_the_end_of_the_lane(view):
-    length = TASK.way.length
+    length = TASK.path.length
     verdict = moved(view, (length + 0.1 + LENGTH + 7.0, length + 0.1))
     np.testing.assert_allclose(verdict.reward[0], 100.0 / STEPS, atol=2e-4)
-    assert float(verdict.memory.along[1]) == pytest.approx(length + 0.1, abs=1e-3)
+    assert float(verdict.memory.arc_length[1]) == pytest.approx(length + 0.1, abs=1e-3)
 
 
 def test_who_follows_whom_is_seen_from_their_places(view):
@@ -125,7 +128,7 @@ def test_a_car_sees_the_lane_by_its_ins_and_not_by_the_truth(view):
     pose = [x, y, z, 0.0, 0.0, yaw + 0.1]
     scans = np.stack([np.full(13, 20.0), np.full(13, 5.0)])
     memory = TASK.start(told(view, INS=np.zeros((2, 6))), jax.random.key(0))
-    memory = memory.replace(told=jnp.float32(5.0), speeds=jnp.array([2.0, 0.0]))
+    memory = memory.replace(target_speed=jnp.float32(5.0), speeds=jnp.array([2.0, 0.0]))
     (seen,) = TASK.observe(told(view, INS=[pose, pose], RangeScanner=scans), memory)
     expected = [0.25, math.sin(0.1), math.cos(0.1), 0.2, 0.5]
     np.testing.assert_allclose(seen[0, :5], expected, atol=1e-4)
@@ -147,17 +150,17 @@ def seen(bend=0.0, gap=20.0, speed=0.5):
 
 def test_pure_pursuit_of_a_circle_steers_the_bicycle_of_that_circle():
     """tan(steer) = wheel base / radius, for a point that is on the circle: 3 m and 0.6 s ahead are 5 m."""
-    straight = pursue(seen(), TASK)
+    straight = pursuit_action(seen(), TASK)
     np.testing.assert_allclose(straight, (0.4, 0.0), atol=1e-6)
     for bend in (1 / 15, -1 / 15):
-        steer = float(pursue(seen(bend, speed=1 / 3), TASK)[1]) * 0.56
+        steer = float(pursuit_action(seen(bend, speed=1 / 3), TASK)[1]) * 0.56
         assert steer == pytest.approx(math.atan(2.55 * bend), rel=1e-3)
 
 
 def test_the_gap_sets_the_speed():
     """A time of 1 s behind what is 3 m nearer, at most a quarter faster than told, 4 m/s."""
     for gap, speed in ((5.0, 2.0), (7.0, 4.0), (15.0, 5.0), (2.0, 0.0), (20.0, 4.0)):
-        assert float(pursue(seen(gap=gap), TASK)[0]) == pytest.approx(speed / 10, abs=1e-6)
+        assert float(pursuit_action(seen(gap=gap), TASK)[0]) == pytest.approx(speed / 10, abs=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import usarmjx
 from tests.train.views import placed, told, view_of
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.hover import inspect
-from usarmjx.train.tasks.hover_inspect import HoverInspect, InspectMemory, free
+from usarmjx.train.baselines.hover import inspection_action
+from usarmjx.train.tasks.hover_inspect import HoverInspect, InspectMemory, wall_clearance
 
 TASK = HoverInspect(rooms=2, dwell=3, near=2.0, view=0.35, bonus=2.0, haste=0.01, price=3.0)
 WALL, WINDOW = 2.5, (2.5, 0.8, 1.3)
@@ -28,9 +28,9 @@ def memory(point=(0.0, 2.5, 1.0), seen=0, held=0, aim=(0.0, 0.0, 0.0), distance=
     points = jnp.array([point, (5.0, -2.5, 1.0)] if seen == 0 else [(0.0, 2.5, 1.0), point])
     return InspectMemory(
         points=points,
-        seen=jnp.int32(seen),
-        held=jnp.int32(held),
-        aim=jnp.array(aim),
+        inspected_count=jnp.int32(seen),
+        dwell_steps=jnp.int32(held),
+        target=jnp.array(aim),
         distance=jnp.float32(distance),
     )
 
@@ -51,8 +51,8 @@ LEFT = math.pi / 2
     ],
 )
 def test_looking_takes_a_room_a_distance_and_a_direction(view, pose, looks):
-    verdict = TASK.judge(placed(view, pose), memory(held=1))
-    assert int(verdict.memory.held) == (2 if looks else 0)
+    verdict = TASK.evaluate(placed(view, pose), memory(held=1))
+    assert int(verdict.memory.dwell_steps) == (2 if looks else 0)
     assert float(verdict.score) == 0.0
 
 
@@ -60,36 +60,42 @@ def test_nothing_is_looked_at_from_the_next_room(view):
     point = (2.4, 2.0, 1.0)
     for x, looks in ((1.9, True), (3.2, False)):  # both are within 1 m of it, one beyond the wall
         yaw = math.atan2(0.0, point[0] - x)
-        verdict = TASK.judge(placed(view, (x, 2.0, 1.0, 0.0, 0.0, yaw)), memory(point=point))
+        verdict = TASK.evaluate(placed(view, (x, 2.0, 1.0, 0.0, 0.0, yaw)), memory(point=point))
         assert bool(verdict.metrics["looks"]) is looks
 
 
 def test_points_count_one_after_the_other_until_all_are_seen(view):
     here = placed(view, (0.0, 1.0, 1.0, 0.0, 0.0, LEFT))
-    found = TASK.judge(here, memory(held=2, aim=(0.0, 2.5, 1.0), distance=1.7))
-    assert (int(found.memory.seen), int(found.memory.held), float(found.score)) == (1, 0, 50.0)
+    found = TASK.evaluate(here, memory(held=2, aim=(0.0, 2.5, 1.0), distance=1.7))
+    assert (int(found.memory.inspected_count), int(found.memory.dwell_steps), float(found.score)) == (
+        1,
+        0,
+        50.0,
+    )
     assert float(found.reward[0][0]) == pytest.approx(1.7 - 1.5 + 2.0 - 0.01, abs=1e-5)
     assert not bool(found.terminated)
-    np.testing.assert_allclose(found.memory.aim, (2.5 + 0.9, 0.8, 1.3), atol=1e-6)
-    last = TASK.judge(here, memory(seen=1, held=2))
+    np.testing.assert_allclose(found.memory.target, (2.5 + 0.9, 0.8, 1.3), atol=1e-6)
+    last = TASK.evaluate(here, memory(seen=1, held=2))
     assert (float(last.score), bool(last.terminated)) == (100.0, True)
 
 
 def test_touching_a_wall_or_leaving_over_it_ends_the_episode(view):
     """The frame reaches 0.4995 m from its middle; the walls of the first room are at 2.5 m."""
     for y, touched in ((1.98, False), (1.995, True)):
-        verdict = TASK.judge(placed(view, (0.0, y, 1.0, 0.0, 0.0, 0.0)), memory())
+        verdict = TASK.evaluate(placed(view, (0.0, y, 1.0, 0.0, 0.0, 0.0)), memory())
         assert bool(verdict.terminated) is touched
     assert float(verdict.reward[0][0]) == pytest.approx(5.0 - math.hypot(1.995, 1.0) - 0.01 - 3.0, abs=1e-4)
-    assert bool(TASK.judge(placed(view, (0.0, 0.0, 3.1, 0.0, 0.0, 0.0)), memory()).terminated)
+    assert bool(TASK.evaluate(placed(view, (0.0, 0.0, 3.1, 0.0, 0.0, 0.0)), memory()).terminated)
 
 
 def test_in_the_window_a_fifth_of_a_metre_is_free_on_each_side(view):
     """1.4 m less 0.999 m, halved; above and below there is more: it is 0.2 m high or less."""
     x, y, z = WINDOW
-    assert float(free(placed(view, (x, y, z, 0.0, 0.0, 0.0)))) == pytest.approx(0.2, abs=1e-3)
-    assert float(free(placed(view, (x, y + 0.1, z + 0.5, 0.0, 0.0, 0.0)))) == pytest.approx(0.1, abs=1e-3)
-    assert float(free(placed(view, (x, y, z - 0.7, 0.0, 0.0, 0.0)))) == 0.0, "the sill"
+    assert float(wall_clearance(placed(view, (x, y, z, 0.0, 0.0, 0.0)))) == pytest.approx(0.2, abs=1e-3)
+    assert float(wall_clearance(placed(view, (x, y + 0.1, z + 0.5, 0.0, 0.0, 0.0)))) == pytest.approx(
+        0.1, abs=1e-3
+    )
+    assert float(wall_clearance(placed(view, (x, y, z - 0.7, 0.0, 0.0, 0.0)))) == 0.0, "the sill"
 
 
 def test_the_way_leads_through_the_window_until_it_is_behind():
@@ -106,7 +112,7 @@ def test_the_way_leads_through_the_window_until_it_is_behind():
         (1.5, 0.0, None, 0.0),
         (1.7, 0.0, first, -1.0),
     ):
-        found, way, there = task.way(jnp.array([x, 0.0, 1.0]), jnp.array([target, 2.5, 1.0]))
+        found, way, there = task.next_window(jnp.array([x, 0.0, 1.0]), jnp.array([target, 2.5, 1.0]))
         assert bool(there) is (window is not None), (x, target)
         if window is not None:
             np.testing.assert_allclose(found, window)
@@ -132,13 +138,13 @@ def observed(point, window=None, yaw=0.0):
 
 def test_the_baseline_squares_up_flies_through_and_hovers_before_the_point():
     """Up, forward, right, clockwise; 1 is 1.5 m/s."""
-    through = inspect(observed((4.0, 0.0, 0.0), (1.3, 0.0, 0.0)))
+    through = inspection_action(observed((4.0, 0.0, 0.0), (1.3, 0.0, 0.0)))
     np.testing.assert_allclose(through, (0.0, 0.8 / 1.5, 0.0, 0.0), atol=1e-6)
-    aside = inspect(observed((4.0, 0.0, 0.0), (1.3, 0.5, 0.0)))
+    aside = inspection_action(observed((4.0, 0.0, 0.0), (1.3, 0.5, 0.0)))
     np.testing.assert_allclose(aside, (0.0, 0.0, -0.5 / 1.5, 0.0), atol=1e-6)
-    before = inspect(observed((1.3, 0.0, 0.3)))
+    before = inspection_action(observed((1.3, 0.0, 0.3)))
     np.testing.assert_allclose(before, (0.2, 0.0, 0.0, 0.0), atol=1e-6)
-    assert float(inspect(observed((0.0, 1.3, 0.0)))[3]) < 0, "turns left, which is not clockwise"
+    assert float(inspection_action(observed((0.0, 1.3, 0.0)))[3]) < 0, "turns left, which is not clockwise"
 
 
 def test_rooms_and_robots_that_do_not_go():

@@ -13,37 +13,37 @@ import pytest
 import usarmjx
 from tests.train.views import placed, told, view_of
 from usarmjx.base.errors import UsageError
-from usarmjx.comms.mail import no_mail
+from usarmjx.comms.mail import empty_inboxes
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas.soccer import BALL_RADIUS, GOAL_WIDTH, LENGTH, SOCCER
 from usarmjx.sim.world import observe
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.evaluation.evaluate import rollout
+from usarmjx.train.evaluation.evaluate import run_episodes
 from usarmjx.train.tasks.pitch import (
     BEAMS,
     COVER,
     FREE_KICK,
     GOAL_LINE,
-    HIGH,
-    LOW,
-    PITCH,
-    REACH,
+    LOWER_SCANNER_HEIGHT,
+    SCANNER_RANGE,
+    SOCCER_FIELD,
+    UPPER_SCANNER_HEIGHT,
     beams,
     depth_inside,
     goal_scored,
 )
-from usarmjx.train.tasks.soccer import SIDES, WORDS, Soccer, SoccerMemory
+from usarmjx.train.tasks.soccer import MAIL_SETTINGS, SIDES, Soccer, SoccerMemory
 from usarmjx.train.tasks.soccer_knowledge import (
     NEVER,
     NUMBERS,
+    compose_messages,
     find_ball,
     find_others,
-    letters,
-    listen,
-    nothing,
+    initial_belief,
+    update_from_mail,
 )
-from usarmjx.train.tasks.soccer_play import play
+from usarmjx.train.tasks.soccer_play import soccer_action
 
 TASK = Soccer(episode_steps=200)
 POSES = (
@@ -59,9 +59,9 @@ BETWEEN_BEAMS = 0.0277
 
 
 def test_beams_are_those_of_both_scanners(view):
-    suite = view.scene.teams[0].suite
+    suite = view.scene.groups[0].suite
     for kind in ("RangeScanner", "IRScanner"):
-        lines = suite.sensors[suite.place(kind)].lines()
+        lines = suite.sensors[suite.index(kind)].lines()
         np.testing.assert_allclose(np.arctan2(lines[:, 1], lines[:, 0]), beams(), atol=1e-6)
 
 
@@ -90,7 +90,7 @@ def test_the_field_is_that_of_dm_soccer_without_its_dead_corners():
         [(2.7, 1.0), (0.0, 2.0), (2.45, 1.75), (2.69, 0.3), (3.0, 0.0), (2.8, 0.4), (0.0, 0.0)]
     )
     np.testing.assert_allclose(depth_inside(places), [0, 0, 0, 0.1, 0, 0, 2.0], atol=0.011)
-    kept = [shape for shape in SOCCER.shapes if shape in PITCH.shapes]
+    kept = [shape for shape in SOCCER.shapes if shape in SOCCER_FIELD.shapes]
     assert len(kept) == 3 + 3 + 2, "goals and long boards"
 
 
@@ -99,18 +99,20 @@ def test_boards_are_where_the_robots_take_them_to_be(view):
     data = mujoco.MjData(view.scene.model)
     data.qpos[:] = view.scene.model.qpos0
     for slot in range(4):
-        data.qpos[view.scene.teams[0].root_qpos[slot, 2]] += 5.0
+        data.qpos[view.scene.groups[0].root_qposadr[slot, 2]] += 5.0
     data.qpos[view.scene.loose_geoms.root_qpos[0, 2]] += 5.0
     mujoco.mj_kinematics(view.scene.model, data)
     geom = np.zeros(1, np.int32)
     for angle in np.arange(64) * math.tau / 64 + 0.01:
         way = np.array([math.cos(angle), math.sin(angle), 0.0])
-        far = mujoco.mj_ray(view.scene.model, data, np.array([0, 0, LOW]), way, None, 1, -1, geom)
+        far = mujoco.mj_ray(
+            view.scene.model, data, np.array([0, 0, LOWER_SCANNER_HEIGHT]), way, None, 1, -1, geom
+        )
         assert float(depth_inside(far * way[:2])) == pytest.approx(0.0, abs=1e-3), angle
 
 
 def test_starts_are_mirrored_and_apart():
-    poses = np.array([(*start.at[:2], start.yaw) for start in PITCH.starts])
+    poses = np.array([(*start.at[:2], start.yaw) for start in SOCCER_FIELD.starts])
     places = poses[:, :2]
     gaps = np.linalg.norm(places[:, None] - places, axis=-1) + 9 * np.eye(len(places))
     assert gaps.min() > math.hypot(0.44, 0.38), "two robots do not overlap, whatever their yaws"
@@ -126,14 +128,14 @@ def test_the_ball_meets_covers_and_neither_wheels_nor_casters(view):
     """MuJoCo's own filter decides."""
     model = view.scene.model
     sphere = model.geom("loose/Ball/0").id
-    ours = np.isin(model.geom_bodyid, view.scene.teams[0].indices[0].body)
+    ours = np.isin(model.geom_bodyid, view.scene.groups[0].indices[0].body_ids)
     meets = (model.geom_contype[sphere] & model.geom_conaffinity) | (
         model.geom_conaffinity[sphere] & model.geom_contype
     )
     assert (ours & (meets > 0)).sum() == 1
     (cover,) = np.flatnonzero(ours & (meets > 0))
     np.testing.assert_allclose(model.geom_size[cover], (0.22, 0.19, 0.135))
-    assert COVER[0] < BALL_RADIUS < 2 * BALL_RADIUS < HIGH < COVER[1]
+    assert COVER[0] < BALL_RADIUS < 2 * BALL_RADIUS < UPPER_SCANNER_HEIGHT < COVER[1]
 
 
 def test_all_engines_have_the_contacts(view):
@@ -158,7 +160,7 @@ def test_a_goal_is_the_whole_ball_behind_the_line(view, x, y, goal):
     assert float(goal_scored(jnp.array([x, y]))) == goal
     here = told(placed(with_ball(view, x, y), *POSES[0], *POSES[1]), **BLIND)
     memory = TASK.start(here, jax.random.key(0))
-    verdict = TASK.judge(here, memory)
+    verdict = TASK.evaluate(here, memory)
     assert bool(verdict.terminated) is (goal != 0)
     assert float(verdict.score) == goal
     np.testing.assert_allclose(verdict.reward[0], 5.0 * goal * SIDES, atol=1e-6)
@@ -166,8 +168,8 @@ def test_a_goal_is_the_whole_ball_behind_the_line(view, x, y, goal):
 
 BLIND = {
     "GroundTruth": np.array([*POSES[0], *POSES[1]]),
-    "RangeScanner": np.full((4, 76), REACH),
-    "IRScanner": np.full((4, 76), REACH),
+    "RangeScanner": np.full((4, 76), SCANNER_RANGE),
+    "IRScanner": np.full((4, 76), SCANNER_RANGE),
 }
 """Sensors that show where the robots are and nothing else."""
 
@@ -185,7 +187,7 @@ def test_rewards_are_what_the_game_stands_better_and_add_up_to_nothing(view):
     start = told(placed(with_ball(view, *before), *POSES[0], *POSES[1]), **BLIND)
     moved = ((-0.5, 0.3, *POSES[0][0][2:]), POSES[0][1])
     later = told(placed(with_ball(view, *after), *moved, *POSES[1]), **BLIND)
-    verdict = TASK.judge(later, TASK.start(start, jax.random.key(0)))
+    verdict = TASK.evaluate(later, TASK.start(start, jax.random.key(0)))
     gain = stands(after, moved, POSES[1]) - stands(before, POSES[0], POSES[1])
     np.testing.assert_allclose(verdict.reward[0], gain * SIDES, atol=1e-5)
     assert abs(gain) > 0.1
@@ -211,8 +213,8 @@ def test_yellow_sees_and_gets_what_blue_would_in_its_place(view):
             GroundTruth=poses,
             **{kind: scan[order] for kind, scan in scans.items()},
         )
-        verdict = TASK.judge(goal, memory)
-        return TASK.seen(here, memory), verdict
+        verdict = TASK.evaluate(goal, memory)
+        return TASK.observations(here, memory), verdict
 
     (seen, verdict), (other, turned) = game(1), game(-1)
     assert (np.abs(seen[:, 8:10]).sum(-1) > 0).any(), "some see a ball"
@@ -236,8 +238,8 @@ def ranges(pose, ball, height):
     gap = np.array([*ball, BALL_RADIUS]) - (x, y, height)
     near = along @ gap
     root = near**2 - gap @ gap + BALL_RADIUS**2
-    far = np.where((root >= 0) & (near > 0), near - np.sqrt(np.maximum(root, 0)), REACH)
-    return np.minimum(far, REACH)
+    far = np.where((root >= 0) & (near > 0), near - np.sqrt(np.maximum(root, 0)), SCANNER_RANGE)
+    return np.minimum(far, SCANNER_RANGE)
 
 
 @pytest.mark.parametrize("pitch", [0.0, 0.01, -0.01])
@@ -245,8 +247,10 @@ def ranges(pose, ball, height):
 def test_the_ball_is_what_only_the_lower_scanner_meets(pitch, ball):
     """Right to half the angle between two beams, and some millimetres as a beam may not meet its middle."""
     pose = (-0.5, 0.2, 0.2, 0.0, pitch, 0.3)
-    low, high = (jnp.array(ranges(pose, ball, height)) for height in (LOW, HIGH))
-    assert float(high.min()) == REACH
+    low, high = (
+        jnp.array(ranges(pose, ball, height)) for height in (LOWER_SCANNER_HEIGHT, UPPER_SCANNER_HEIGHT)
+    )
+    assert float(high.min()) == SCANNER_RANGE
     found, there = find_ball(jnp.array(pose), low, high)
     assert bool(there)
     far = math.dist(pose[:2], ball)
@@ -255,42 +259,42 @@ def test_the_ball_is_what_only_the_lower_scanner_meets(pitch, ball):
 
 def test_what_both_scanners_meet_is_a_robot_or_a_board():
     pose = jnp.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
-    scan = jnp.full(76, REACH).at[38].set(1.0)  # 1 m ahead
+    scan = jnp.full(76, SCANNER_RANGE).at[38].set(1.0)  # 1 m ahead
     _, there = find_ball(pose, scan, scan)
     assert not bool(there)
     others = find_others(pose, scan)
     np.testing.assert_allclose(others, scan)
-    board = jnp.full(76, REACH).at[38].set(GOAL_LINE)
-    assert float(find_others(pose.at[1].set(1.0), board).min()) == REACH
+    board = jnp.full(76, SCANNER_RANGE).at[38].set(GOAL_LINE)
+    assert float(find_others(pose.at[1].set(1.0), board).min()) == SCANNER_RANGE
 
 
 def test_a_robot_that_nods_does_not_take_floor_or_robots_for_a_ball():
     """By 3 degrees: the lower beam meets the floor 2.1 m ahead; the other way the upper one misses covers."""
-    floor = jnp.full(76, REACH).at[38].set(LOW / math.tan(0.0524))
-    high = jnp.full(76, REACH)
+    floor = jnp.full(76, SCANNER_RANGE).at[38].set(LOWER_SCANNER_HEIGHT / math.tan(0.0524))
+    high = jnp.full(76, SCANNER_RANGE)
     assert not bool(find_ball(jnp.array([0, 0, 0.2, 0, 0.0524, 0]), floor, high)[1])
-    robot = jnp.full(76, REACH).at[38].set(1.5)
-    assert HIGH + 1.5 * math.sin(0.0524) > COVER[1]
+    robot = jnp.full(76, SCANNER_RANGE).at[38].set(1.5)
+    assert UPPER_SCANNER_HEIGHT + 1.5 * math.sin(0.0524) > COVER[1]
     assert not bool(find_ball(jnp.array([0, 0, 0.2, 0, -0.0524, 0]), robot, high)[1])
 
 
 def test_mates_believe_who_saw_the_ball_later():
-    sight = nothing(4)
+    sight = initial_belief(4)
     sight = sight.replace(
         pose=jnp.arange(12.0).reshape(4, 3),
         ball=jnp.array([(1.0, 2.0), (3.0, 4.0), (5.0, 6.0), (0.0, 0.0)]),
-        seen=jnp.array([1.0, 2.0, 3.0, NEVER]),
+        ball_time=jnp.array([1.0, 2.0, 3.0, NEVER]),
     )
-    said = letters(sight, np.arange(4) == np.array([1, 0, 3, 2])[:, None])
+    said = compose_messages(sight, np.arange(4) == np.array([1, 0, 3, 2])[:, None])
     assert said.payload.shape == (4, NUMBERS)
-    mail = no_mail(WORDS, 4).replace(count=jnp.ones(4, jnp.int32), time=jnp.full((4, 2), 3.5))
+    mail = empty_inboxes(MAIL_SETTINGS, 4).replace(count=jnp.ones(4, jnp.int32), time=jnp.full((4, 2), 3.5))
     mail = mail.replace(payload=mail.payload.at[:, 0].set(said.payload[np.array([1, 0, 3, 2])]))
-    heard = listen(sight, mail)
+    heard = update_from_mail(sight, mail)
     np.testing.assert_allclose(heard.ball, [(3, 4), (3, 4), (5, 6), (5, 6)])
-    np.testing.assert_allclose(heard.seen, [2, 2, 3, 3])
-    np.testing.assert_allclose(heard.mate[0], sight.pose[1])
-    np.testing.assert_allclose(heard.heard, 3.5)
-    silent = listen(sight, no_mail(WORDS, 4))
+    np.testing.assert_allclose(heard.ball_time, [2, 2, 3, 3])
+    np.testing.assert_allclose(heard.mate_pose[0], sight.pose[1])
+    np.testing.assert_allclose(heard.mate_time, 3.5)
+    silent = update_from_mail(sight, empty_inboxes(MAIL_SETTINGS, 4))
     np.testing.assert_array_equal(silent.ball, sight.ball)
 
 
@@ -323,7 +327,7 @@ def test_settings_that_are_no_game():
     with pytest.raises(UsageError, match="opponent chess"):
         Soccer(opponent="chess").robots  # noqa: B018 - it raises
     with pytest.raises(UsageError, match="expected one loose object"):
-        Soccer(arena=replace(PITCH, loose=())).scene()
+        Soccer(arena=replace(SOCCER_FIELD, loose=())).scene()
 
 
 # Hand-written play, and games.
@@ -331,42 +335,42 @@ def test_settings_that_are_no_game():
 
 def seen(place, yaw, ball, mate=(-2.0, 0.0), others=()):
     """What blue's first robot observes there, of a ball at rest; others at angles [rad] and distances [m]."""
-    sight = nothing(4).replace(
+    sight = initial_belief(4).replace(
         pose=jnp.zeros((4, 3)).at[0].set(jnp.array([*place, yaw])),
         ball=jnp.zeros((4, 2)).at[0].set(jnp.array(ball)),
-        seen=jnp.zeros(4),
-        mate=jnp.zeros((4, 3)).at[0, :2].set(jnp.array(mate)),
-        heard=jnp.zeros(4),
+        ball_time=jnp.zeros(4),
+        mate_pose=jnp.zeros((4, 3)).at[0, :2].set(jnp.array(mate)),
+        mate_time=jnp.zeros(4),
     )
     for angle, far in others:
         beam = int(np.argmin(np.abs(beams() - angle)))
         sight = sight.replace(others=sight.others.at[0, beam].set(far))
-    memory = SoccerMemory(sight=sight, worth=jnp.zeros(()), score=jnp.zeros(()), step=jnp.int32(10))
-    return TASK.seen(SimpleNamespace(time=0.0), memory)[0]  # all that it asks a view for
+    memory = SoccerMemory(belief=sight, potential=jnp.zeros(()), score=jnp.zeros(()), step=jnp.int32(10))
+    return TASK.observations(SimpleNamespace(time=0.0), memory)[0]  # all that it asks a view for
 
 
 def test_behind_the_ball_it_drives_straight_on():
-    np.testing.assert_allclose(play(seen((-0.4, 0.0), 0.0, (0.0, 0.0))), 1.0, atol=1e-3)
+    np.testing.assert_allclose(soccer_action(seen((-0.4, 0.0), 0.0, (0.0, 0.0))), 1.0, atol=1e-3)
 
 
 def test_before_the_ball_it_goes_round_it_on_its_side():
     """It looks at the ball from yellow's half and stands to the left of that line as it sees it."""
-    left, right = play(seen((0.8, -0.1), math.pi, (0.0, 0.0)))
+    left, right = soccer_action(seen((0.8, -0.1), math.pi, (0.0, 0.0)))
     assert float(right) > float(left) + 0.2
 
 
 def test_the_one_farther_from_the_ball_keeps_goal_and_looks_at_it():
     post = (-GOAL_LINE + 0.45, 0.0)
     away = seen(post, 0.0, (0.5, 0.0), mate=(0.0, 0.0))
-    np.testing.assert_allclose(play(away), 0.0, atol=0.01)
-    turned = play(seen(post, 0.5, (0.5, 0.0), mate=(0.0, 0.0)))
+    np.testing.assert_allclose(soccer_action(away), 0.0, atol=0.01)
+    turned = soccer_action(seen(post, 0.5, (0.5, 0.0), mate=(0.0, 0.0)))
     assert float(turned[0]) > 0 > float(turned[1])
 
 
 def test_it_goes_round_others():
-    free = play(seen((-2.0, 0.0), 0.0, (0.0, 0.0), mate=(-2.6, 0.0)))
+    free = soccer_action(seen((-2.0, 0.0), 0.0, (0.0, 0.0), mate=(-2.6, 0.0)))
     assert abs(float(free[0] - free[1])) < 0.05
-    barred = play(seen((-2.0, 0.0), 0.0, (0.0, 0.0), mate=(-2.6, 0.0), others=[(0.0, 0.6)]))
+    barred = soccer_action(seen((-2.0, 0.0), 0.0, (0.0, 0.0), mate=(-2.6, 0.0), others=[(0.0, 0.6)]))
     assert abs(float(barred[0] - barred[1])) > 0.3
 
 
@@ -380,13 +384,13 @@ def test_a_robot_pushes_the_ball_into_the_goal(env):
     state, scene = env.reset(0), env.scene
     qpos = np.array(env.batch.physics(state.batch).qpos)
     places = [(1.0, 0.0), (-2.0, 1.2), (-2.0, -1.2), (-1.0, -1.2)]
-    for address, place in zip(scene.teams[0].root_qpos, places, strict=True):
+    for address, place in zip(scene.groups[0].root_qposadr, places, strict=True):
         qpos[:, address[:2]], qpos[:, address[3:]] = place, (1.0, 0.0, 0.0, 0.0)
     qpos[:, scene.loose_geoms.root_qpos[0, :2]] = 1.5, 0.0
     everywhere = jnp.ones(env.worlds, bool)
     physics = env.batch.engine.reset(state.batch.physics, everywhere, jnp.asarray(qpos))
     state = state.replace(batch=state.batch.replace(physics=physics))
-    go, rewards, before = jnp.zeros((4, 4, 2)).at[:, 0].set(1.0), 0.0, float(state.memory.worth[0])
+    go, rewards, before = jnp.zeros((4, 4, 2)).at[:, 0].set(1.0), 0.0, float(state.memory.potential[0])
     while not bool(state.done[0]):
         state = env.step(state, (go,))
         rewards = rewards + np.asarray(state.reward[0][0])
@@ -404,9 +408,10 @@ def test_the_baseline_scores_against_robots_that_stand(env):
     policy = BASELINES.get("soccer")(env)
     blue = jnp.array([1.0, 1.0, 0.0, 0.0])[:, None]
     alone = Policy(
-        start=policy.start, act=lambda memory, obs, key: ((), (blue * policy.act((), obs, key)[1][0],))
+        initial_carry=policy.initial_carry,
+        act=lambda memory, obs, key: ((), (blue * policy.act((), obs, key)[1][0],)),
     )
-    played = rollout(env, alone, 4)
+    played = run_episodes(env, alone, 4)
     assert played.bad == 0
     assert played.scores.min() >= 0.0
     assert played.scores.sum() >= 2.0
@@ -415,14 +420,14 @@ def test_the_baseline_scores_against_robots_that_stand(env):
 def test_yellow_plays_by_hand_or_stands_if_asked_to():
     by_hand = Soccer(opponent="baseline")
     view = view_of(by_hand)
-    assert [len(team.slots) for team in view.scene.teams] == [2, 2]
-    assert by_hand.groups(view.scene) == (0,)
+    assert [len(team.slots) for team in view.scene.groups] == [2, 2]
+    assert by_hand.agent_groups(view.scene) == (0,)
     zero = jnp.zeros(())
-    memory = SoccerMemory(sight=nothing(4), worth=zero, score=zero, step=jnp.zeros((), jnp.int32))
-    wheel = view.scene.teams[0].robot.wheel_radius
+    memory = SoccerMemory(belief=initial_belief(4), potential=zero, score=zero, step=jnp.zeros((), jnp.int32))
+    wheel = view.scene.groups[0].robot.wheel_radius
     orders = by_hand.act(view, memory, (jnp.ones((2, 2)),))
     np.testing.assert_allclose(orders.drive[0]["Left"], 1.0 / wheel)
-    told = [play(rows)[1] for rows in by_hand.seen(view, memory)[2:]]
+    told = [soccer_action(rows)[1] for rows in by_hand.observations(view, memory)[2:]]
     np.testing.assert_allclose(orders.drive[1]["Right"], np.array(told) / wheel, atol=1e-5)
     assert np.abs(told).max() > 0
     still = Soccer(opponent="still").act(view, memory, (jnp.ones((2, 2)),))

@@ -11,7 +11,7 @@ import usarmjx
 from tests.train.views import placed, told, view_of
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.climb import climb, flippers
+from usarmjx.train.baselines.climb import climb_action, flipper_targets
 from usarmjx.train.tasks.stairs import Stairs
 
 TASK = Stairs(steps=3, rise=0.2, going=0.3, haste=0.01, bonus=2.0, price=3.0)
@@ -56,7 +56,7 @@ def test_stairs_have_their_edge_and_goal_where_the_steps_say():
 )
 def test_height_arrival_and_falls(view, pose, score, there, fallen):
     before = begun(view)
-    after, reward, terminated, points, _ = TASK.judge(placed(view, pose), before)
+    after, reward, terminated, points, _ = TASK.evaluate(placed(view, pose), before)
     assert float(points) == pytest.approx(score, abs=1e-3)
     assert bool(terminated) is (there or fallen)
     goal = (1.4, 0.0, 0.6 + GROUND)
@@ -67,8 +67,8 @@ def test_height_arrival_and_falls(view, pose, score, there, fallen):
 
 def test_what_was_climbed_stays_climbed(view):
     up, down = ((0.3, 0.0, GROUND + z, 0.0, 0.0, 0.0) for z in (0.4, 0.1))
-    memory = TASK.judge(placed(view, up), begun(view)).memory
-    assert float(TASK.judge(placed(view, down), memory).score) == pytest.approx(60.0, abs=1e-3)
+    memory = TASK.evaluate(placed(view, up), begun(view)).memory
+    assert float(TASK.evaluate(placed(view, down), memory).score) == pytest.approx(60.0, abs=1e-3)
 
 
 def test_it_sees_goal_attitude_and_flippers_by_its_sensors(view):
@@ -82,11 +82,11 @@ def test_it_sees_goal_attitude_and_flippers_by_its_sensors(view):
 
 def test_the_baseline_steers_to_the_goal_and_presses_its_flippers_on_stairs():
     ahead = jnp.array([1.0, 0.0, 0.2, 1.0, 0.5, 0.0, 0.0])
-    np.testing.assert_allclose(climb(ahead, 0.8), (0.8, 0.8))
-    left, right = climb(ahead.at[:2].set((math.cos(0.2), math.sin(0.2))), 0.8)
+    np.testing.assert_allclose(climb_action(ahead, 0.8), (0.8, 0.8))
+    left, right = climb_action(ahead.at[:2].set((math.cos(0.2), math.sin(0.2))), 0.8)
     assert (float(left), float(right)) == pytest.approx((0.8 * 0.7, 0.8), abs=1e-5)
-    np.testing.assert_allclose(flippers(ahead, 0.2), (0.5, 0.0))
-    np.testing.assert_allclose(flippers(ahead.at[6].set(0.5), 0.24), (-0.2, -0.2), atol=1e-6)
+    np.testing.assert_allclose(flipper_targets(ahead, 0.2), (0.5, 0.0))
+    np.testing.assert_allclose(flipper_targets(ahead.at[6].set(0.5), 0.24), (-0.2, -0.2), atol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
-from usarmjx.train.baselines.frontier import drive
-from usarmjx.train.baselines.relay import relay
-from usarmjx.train.mapping.knowledge import SECTORS
+from usarmjx.train.baselines.frontier import frontier_action
+from usarmjx.train.baselines.relay import relay_policy
+from usarmjx.train.mapping.knowledge import SECTOR_COUNT
 from usarmjx.train.mapping.maps import FREE, MARK
-from usarmjx.train.scenes.buildings import Buildings, gathered, ground_of, reachable_of
+from usarmjx.train.scenes.buildings import Buildings, arena_grid_of, reachable_of, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
-from usarmjx.train.tasks.team_parts import coverage, local
+from usarmjx.train.tasks.team_parts import coverage, to_robot_frame
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))
@@ -74,7 +74,7 @@ def test_rewards_of_exploring_add_up_to_its_score_but_for_the_first_scans(explor
 
 def test_maps_are_shared_over_links_alone(explored):
     _, steps = explored
-    maps = [np.asarray(memory.mind.squares) == FREE for _, memory, _ in steps]
+    maps = [np.asarray(memory.belief.squares) == FREE for _, memory, _ in steps]
     assert (maps[3][0] & ~maps[3][1]).sum() > 20  # robot 0 has seen what robot 1 has not
     # What was written after step 3 was read in step 4.
     assert not (maps[3][0] & ~maps[4][1]).any()
@@ -86,7 +86,7 @@ def test_observations_have_one_size_and_are_finite(explored):
     task, steps = explored
     view, memory, _ = steps[-1]
     (seen,) = task.observe(view, memory)
-    assert seen.shape == (2, 6 + SECTORS + 2 + 4 + 2 * 121)
+    assert seen.shape == (2, 6 + SECTOR_COUNT + 2 + 4 + 2 * 121)
     assert np.isfinite(np.asarray(seen)).all()
     assert np.abs(np.asarray(seen)[:, 4:]).max() <= 1.0
     assert np.isfinite(np.asarray(task.privileged(view, memory))).all()
@@ -104,7 +104,7 @@ def test_a_step_leaves_the_types_of_what_is_remembered_as_they_are(explored):
 
 
 def test_places_are_seen_in_a_robots_own_axes():
-    seen = local(jnp.array([1.0, 2.0, np.pi / 2]), jnp.array([1.0, 5.0]))
+    seen = to_robot_frame(jnp.array([1.0, 2.0, np.pi / 2]), jnp.array([1.0, 5.0]))
     np.testing.assert_allclose(seen, [3.0, 0.0], atol=1e-6)
 
 
@@ -140,7 +140,7 @@ def test_a_victim_is_reported_when_the_word_reaches_the_base_over_others():
     reported = [float(verdict.metrics["reported"]) for _, _, verdict in steps[1:]]
     assert reported == [0, 0, 0, 0, 1, 1]
     _, memory, verdict = steps[-1]
-    marked = np.argwhere(np.asarray(memory.mind.squares)[0] == MARK)
+    marked = np.argwhere(np.asarray(memory.belief.squares)[0] == MARK)
     np.testing.assert_array_equal(marked, [np.round(np.array(VICTIM) / 0.3)])
     assert verdict.metrics["wrong"] == 0
     connected = [len(search(links[k], 0)) - 1 for k in range(1, STEPS + 1)]
@@ -162,8 +162,8 @@ def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
     assert float(steps[-1][2].score) == pytest.approx(0.0, abs=1e-5)
     # The finder knows that the base does not, and thinks of going home.
     memory = steps[-1][1]
-    assert memory.mind.news[1] > memory.mind.contact[1]
-    assert float(jnp.linalg.norm(memory.mind.goal[1] - memory.mind.pose[0, :2])) < 1.6
+    assert memory.belief.mark_time[1] > memory.belief.base_contact_time[1]
+    assert float(jnp.linalg.norm(memory.belief.goal[1] - memory.belief.pose[0, :2])) < 1.6
 
 
 def test_contacts_cost_those_that_touch_and_the_rest_goes_to_all():
@@ -191,7 +191,7 @@ def test_the_chain_is_as_long_as_its_deepest_robot_that_reaches_the_base():
     steps = list(play(task, path, links))
     total = 0.0
     depth = np.asarray(steps[0][1].extra.depth)
-    grid = task.ground(steps[0][0].scene).grid
+    grid = task.arena_grid(steps[0][0].scene).grid
     for k, (_, _, verdict) in enumerate(steps[1:], start=1):
         squares = np.asarray(grid.index(path[k, :, :2]))
         deep = [depth[tuple(squares[robot])] for robot in search(links[k], 0)]
@@ -223,13 +223,13 @@ def test_each_world_knows_which_squares_of_its_own_arena_are_reached():
     library = Buildings(count=2, levels=(0.5, 1.0), size=(4, 3))
     task = Explore(arena=library, count=1)
     scene, world, physics = begin(task)
-    ground = task.ground(scene)
+    ground = task.arena_grid(scene)
     view = view_of(scene, world, physics, [(0.6, 0.6, 0.0)])
     assert scene.arenas is not None
     for number, arena in enumerate(scene.arenas.arenas):
-        site = jax.tree.map(lambda rows, n=number: jnp.asarray(rows[n]), scene.arenas.sites)
-        found = reachable_of(view.replace(world=world.replace(site=site)), ground)
-        np.testing.assert_array_equal(found, ground_of(arena, task.cell, "P2AT").reachable[0])
+        site = jax.tree.map(lambda rows, n=number: jnp.asarray(rows[n]), scene.arenas.states)
+        found = reachable_of(view.replace(world=world.replace(arena_state=site)), ground)
+        np.testing.assert_array_equal(found, arena_grid_of(arena, task.cell, "P2AT").reachable[0])
     tables = ground.reachable.reshape(len(ground.reachable), -1)
     assert len(np.unique(tables, axis=0)) > 2  # else the test would say nothing
 
@@ -237,7 +237,7 @@ def test_each_world_knows_which_squares_of_its_own_arena_are_reached():
 def test_robots_start_side_by_side():
     away = [np.hypot(s.at[0] - STARTS[2][0], s.at[1] - STARTS[2][1]) for s in room(STARTS).starts]
     mixed = room((STARTS[2], STARTS[1], STARTS[0], STARTS[3]))
-    order = [start.at[:2] for start in gathered(mixed).starts]
+    order = [start.at[:2] for start in sort_starts(mixed).starts]
     assert order[0] == STARTS[2]
     assert sorted(away) == [np.hypot(x - STARTS[2][0], y - STARTS[2][1]) for x, y in order]
 
@@ -246,7 +246,7 @@ def seen(**told):
     """An observation: 12 free sectors, on the move, half of the time left; `told` by place."""
     row = np.zeros(40, np.float32)
     row[4:6] = 0.1, 1.0
-    row[6 : 6 + SECTORS + 1] = [1.0] * SECTORS + [0.505]
+    row[6 : 6 + SECTOR_COUNT + 1] = [1.0] * SECTOR_COUNT + [0.505]
     for name, value in told.items():
         row[int(name[1:])] = value
     return jnp.asarray(row)
@@ -254,7 +254,7 @@ def seen(**told):
 
 def told(**what):
     """What the frontier baseline does when it sees that, in an episode of 200 steps."""
-    return drive(seen(**what), 200)
+    return frontier_action(seen(**what), 200)
 
 
 def test_the_frontier_baseline_drives_where_its_way_leads():
@@ -286,9 +286,9 @@ def test_a_relay_stops_where_the_one_before_it_is_hard_to_hear():
 
     def told(powers, slot, age=0.0, **kind):
         row = ahead.copy()
-        row[7 + SECTORS] = slot / robots
+        row[7 + SECTOR_COUNT] = slot / robots
         row = np.concatenate([row, [age], powers[0]]).astype(np.float32)
-        policy = relay(Fake(robots, **kind))
+        policy = relay_policy(Fake(robots, **kind))
         return float(policy.act((), (jnp.asarray(row[None]),), jax.random.key(0))[1][0][0, 0])
 
     assert told(strong, 1) > 0.8

@@ -10,7 +10,7 @@ from pathlib import Path
 from usarmjx.models.arenas.arda_roads import (
     EAST,
     FIRST_SPOT,
-    LANE,
+    LANE_OFFSET,
     MISSIONS,
     NETWORK,
     NORTH,
@@ -22,7 +22,7 @@ from usarmjx.models.arenas.arda_roads import (
 )
 from usarmjx.models.roads.network import FOOT
 from usarmjx.models.roads.shapes import CONCRETE, PAINT, WHITE, Rgba, road_shapes
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Loose, StartPose
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, LooseObject, StartPose
 from usarmjx.models.spec.robot import Shape
 
 FILES = tuple(Path(__file__).with_name(name) for name in (NETWORK.name, *(m.name for m in MISSIONS)))
@@ -41,7 +41,7 @@ def _box(at: Point, size: tuple[float, float, float], surface: str, rgba: Rgba, 
 
 
 # Asphalt lies lower than paint, grass on it: all of them are seen and not felt.
-SURFACES = (
+GROUND_SHAPES = (
     _box((0.0, 0.0), (2 * NORTH + 12, 2 * EAST + 12, PAINT / 2), "fixture", ASPHALT),
     *(_box((north, east), (45.0, 30.0, PAINT), "fixture", GRASS)
       for north, east in ((30.5, -23.0), (-30.5, -23.0), (-30.5, 23.0))),
@@ -69,10 +69,10 @@ CONE_MASS = 3.2
 CONES: tuple[Point, ...] = ((16.0, 16.0), (22.0, 20.0), (34.0, 20.0), (42.0, 20.0))
 
 
-def _cone(number: int, at: Point) -> Loose:
+def _cone(number: int, at: Point) -> LooseObject:
     """Return a traffic cone of boxes, which wheels may meet."""
     foot, body, band = 0.04, (0.10, 0.10, 0.32), 0.06
-    return Loose(
+    return LooseObject(
         name=f"Cone{number}",
         at=(at[0], -at[1], 0.0),
         shapes=(
@@ -106,22 +106,22 @@ def _cone(number: int, at: Point) -> Loose:
 _SOUTH, _WEST = 180.0, 270.0
 STARTS: tuple[tuple[str, Point, float], ...] = (
     # Tag, place, and heading [degrees] clockwise from north: on the right of all roads, then in the spots.
-    ("Loop1", (NORTH - LANE, 20.0), 90.0),
-    ("Loop2", (30.0, EAST - LANE), _SOUTH),
-    ("Loop3", (-30.0, EAST - LANE), _SOUTH),
-    ("Loop4", (-NORTH + LANE, 20.0), _WEST),
-    ("Loop5", (-NORTH + LANE, -20.0), _WEST),
-    ("Loop6", (-30.0, -EAST + LANE), 0.0),
-    ("Loop7", (30.0, -EAST + LANE), 0.0),
-    ("Loop8", (NORTH - LANE, -20.0), 90.0),
-    ("Outer1", (NORTH + LANE, 20.0), _WEST),
-    ("Outer2", (30.0, -EAST - LANE), _SOUTH),
-    ("Outer3", (-NORTH - LANE, -20.0), 90.0),
-    ("Outer4", (-30.0, EAST + LANE), 0.0),
-    ("Main1", (35.0, -LANE), _SOUTH),
-    ("Main2", (-35.0, LANE), 0.0),
-    ("Cross1", (-LANE, -25.0), 90.0),
-    ("Cross2", (LANE, -25.0), _WEST),
+    ("Loop1", (NORTH - LANE_OFFSET, 20.0), 90.0),
+    ("Loop2", (30.0, EAST - LANE_OFFSET), _SOUTH),
+    ("Loop3", (-30.0, EAST - LANE_OFFSET), _SOUTH),
+    ("Loop4", (-NORTH + LANE_OFFSET, 20.0), _WEST),
+    ("Loop5", (-NORTH + LANE_OFFSET, -20.0), _WEST),
+    ("Loop6", (-30.0, -EAST + LANE_OFFSET), 0.0),
+    ("Loop7", (30.0, -EAST + LANE_OFFSET), 0.0),
+    ("Loop8", (NORTH - LANE_OFFSET, -20.0), 90.0),
+    ("Outer1", (NORTH + LANE_OFFSET, 20.0), _WEST),
+    ("Outer2", (30.0, -EAST - LANE_OFFSET), _SOUTH),
+    ("Outer3", (-NORTH - LANE_OFFSET, -20.0), 90.0),
+    ("Outer4", (-30.0, EAST + LANE_OFFSET), 0.0),
+    ("Main1", (35.0, -LANE_OFFSET), _SOUTH),
+    ("Main2", (-35.0, LANE_OFFSET), 0.0),
+    ("Cross1", (-LANE_OFFSET, -25.0), 90.0),
+    ("Cross2", (LANE_OFFSET, -25.0), _WEST),
     *((f"Spot{i + 1}", (FIRST_SPOT + i * SPOT_WIDTH * FOOT, SPOT_MIDDLE), 90.0) for i in range(SPOTS)),
 )
 
@@ -129,7 +129,7 @@ ARDA = ArenaSpec(
     name="DM-ARDA",
     aliases=("arda", "road"),
     about="Streets, junctions, a loop road and a car park, with an RNDF and MDFs; 4 loose cones.",
-    shapes=(*SURFACES, *road_shapes(NETWORK, ORIGIN), *HOUSES, *OBSTACLES),
+    shapes=(*GROUND_SHAPES, *road_shapes(NETWORK, ORIGIN), *HOUSES, *OBSTACLES),
     loose=tuple(_cone(i, at) for i, at in enumerate(CONES, 1)),
     starts=tuple(
         StartPose(tag=tag, at=(at[0], -at[1], START_ELEVATION), yaw=-math.radians(heading))

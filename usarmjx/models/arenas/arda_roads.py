@@ -9,14 +9,14 @@ took place, at Victorville's former George Air Force Base; places are metres nor
 import math
 from collections.abc import Iterator
 
-from usarmjx.models.roads.geodesy import Place, degrees_of
+from usarmjx.models.roads.geodesy import LatLon, to_lat_lon
 from usarmjx.models.roads.network import (
     FOOT,
     Lane,
     Mission,
     PointId,
+    RoadSegment,
     RouteNetwork,
-    Segment,
     SpeedLimit,
     Spot,
     Zone,
@@ -25,14 +25,14 @@ from usarmjx.models.roads.network import (
 Point = tuple[float, float]
 """North and east of the middle of town [m]."""
 
-ORIGIN: Place = (34.587, -117.367)
+ORIGIN: LatLon = (34.587, -117.367)
 """Latitude and longitude of the middle of town [degrees], on the air base."""
 DECIMALS = 8
 """Of degrees in the files: 1 mm."""
 
 WIDTH = 12.0
 """Of lanes [feet]."""
-LANE = WIDTH * FOOT / 2
+LANE_OFFSET = WIDTH * FOOT / 2
 """From the middle of a road to the middle of a lane [m]."""
 NORTH, EAST, RADIUS = 60.0, 45.0, 15.0
 """Half lengths of the loop, and the radius of its curves, all of the middle of the road [m]."""
@@ -41,7 +41,7 @@ ARC = 5
 SETBACK = 8.0
 """From the middle of a junction to where lanes end and begin [m]."""
 JUNCTIONS: tuple[Point, ...] = ((0.0, 0.0), (NORTH, 0.0), (-NORTH, 0.0), (0.0, EAST), (0.0, -EAST))
-NEAR = 1.2 * SETBACK
+JUNCTION_RADIUS = 1.2 * SETBACK
 
 DRIVEWAY_IN, DRIVEWAY_OUT = 31.0, 15.0
 """Where the westbound lane of Cross Street leads into the car park and out of it, east [m]."""
@@ -85,12 +85,12 @@ def _loop(side: float) -> list[Point]:
 
 _MAIN, _CROSS = NORTH - SETBACK, EAST - SETBACK
 WAYS: dict[tuple[int, int], list[Point]] = {
-    (1, 1): _loop(-LANE),
-    (1, 2): _loop(LANE)[::-1],
-    (2, 1): [(north, -LANE) for north in (_MAIN, SETBACK, -SETBACK, -_MAIN)],
-    (2, 2): [(north, LANE) for north in (-_MAIN, -SETBACK, SETBACK, _MAIN)],
-    (3, 1): [(-LANE, east) for east in (-_CROSS, -SETBACK, SETBACK, _CROSS)],
-    (3, 2): [(LANE, east) for east in (_CROSS, DRIVEWAY_IN, DRIVEWAY_OUT, SETBACK, -SETBACK, -_CROSS)],
+    (1, 1): _loop(-LANE_OFFSET),
+    (1, 2): _loop(LANE_OFFSET)[::-1],
+    (2, 1): [(north, -LANE_OFFSET) for north in (_MAIN, SETBACK, -SETBACK, -_MAIN)],
+    (2, 2): [(north, LANE_OFFSET) for north in (-_MAIN, -SETBACK, SETBACK, _MAIN)],
+    (3, 1): [(-LANE_OFFSET, east) for east in (-_CROSS, -SETBACK, SETBACK, _CROSS)],
+    (3, 2): [(LANE_OFFSET, east) for east in (_CROSS, DRIVEWAY_IN, DRIVEWAY_OUT, SETBACK, -SETBACK, -_CROSS)],
 }
 """Waypoints of the lanes."""
 NAMES = {1: "Loop_Road", 2: "Main_Street", 3: "Cross_Street"}
@@ -109,8 +109,8 @@ CHECKPOINTS: dict[PointId, int] = {
 }
 
 
-def _degrees(at: Point) -> Place:
-    north, east = degrees_of(ORIGIN, (at[0], -at[1]))
+def _degrees(at: Point) -> LatLon:
+    north, east = to_lat_lon(ORIGIN, (at[0], -at[1]))
     return round(north, DECIMALS), round(east, DECIMALS)
 
 
@@ -129,7 +129,7 @@ def _at_junction(junction: Point, coming: bool) -> Iterator[tuple[PointId, Point
     for owner, way in WAYS.items():
         for i, (north, east) in enumerate(way):
             heading, there = _heading(way, i), (junction[0] - north, junction[1] - east)
-            if math.hypot(*there) < NEAR and (_dot(there, heading) > 0) == coming:
+            if math.hypot(*there) < JUNCTION_RADIUS and (_dot(there, heading) > 0) == coming:
                 yield (*owner, i + 1), heading
 
 
@@ -176,7 +176,8 @@ NETWORK = RouteNetwork(
     format_version="1.0",
     creation_date="01-Mar-07",
     segments=tuple(
-        Segment(name=name, lanes=(_lane((number, 1)), _lane((number, 2)))) for number, name in NAMES.items()
+        RoadSegment(name=name, lanes=(_lane((number, 1)), _lane((number, 2))))
+        for number, name in NAMES.items()
     ),
     zones=(
         Zone(

@@ -9,45 +9,45 @@ import random
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import STONE, WOOD, Rgba, block
 from usarmjx.models.arenas.pieces import CONCRETE, loose_box
-from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.arena import LooseObject
 from usarmjx.models.spec.robot import Shape
 
-Place = tuple[float, float]
+Position2D = tuple[float, float]
 
 CINDER: Vec3 = (0.39, 0.19, 0.19)
 """A cement block [m]: 16 x 8 x 8 inches less the mortar."""
 CINDER_MASS = 13.0
-PLYWOOD = 600.0
+PLYWOOD_DENSITY = 600.0
 """Density [kg/m3]."""
 PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
 
 
-def cinder_block(at: Place, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+def cinder_block(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
     """Return a fixed cement block."""
     return block(at, CINDER, z=z, yaw=yaw, rgba=STONE)
 
 
-def loose_cinder_block(name: str, at: Place, *, z: float = 0.0, yaw: float = 0.0) -> Loose:
+def loose_cinder_block(name: str, at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
     """Return a loose cement block."""
     return loose_box(name, at, CINDER, CINDER_MASS, z=z, yaw=yaw, rgba=STONE)
 
 
-def loose_board(name: str, at: Place, size: Vec3, *, z: float = 0.0, yaw: float = 0.0) -> Loose:
+def loose_board(name: str, at: Position2D, size: Vec3, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
     """Return a loose board of plywood of full lengths `size` [m]."""
-    return loose_box(name, at, size, PLYWOOD * math.prod(size), z=z, yaw=yaw, rgba=WOOD)
+    return loose_box(name, at, size, PLYWOOD_DENSITY * math.prod(size), z=z, yaw=yaw, rgba=WOOD)
 
 
-def plank(at: Place, length: float, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+def plank(at: Position2D, length: float, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
     """Return a fixed plank of 38 x 89 mm, a 2 by 4."""
     return block(at, (length, 0.089, 0.038), z=z, yaw=yaw, rgba=WOOD)
 
 
-def paper(at: Place, *, yaw: float = 0.0) -> Shape:
+def paper(at: Position2D, *, yaw: float = 0.0) -> Shape:
     """Return a stack of paper, 60 x 42 cm and 5 mm thick (chosen)."""
     return block(at, (0.6, 0.42, 0.005), yaw=yaw, rgba=PAPER)
 
 
-def pallet(at: Place, *, z: float = 0.0, yaw: float = 0.0) -> tuple[Shape, ...]:
+def pallet(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> tuple[Shape, ...]:
     """Return a pallet of 1200 x 800 x 144 mm (EN 13698-1) with a closed deck on three runners."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     runners = (
@@ -68,7 +68,7 @@ def slab(at: Vec3, size: Vec3, rotation: Vec3 = (0.0, 0.0, 0.0)) -> Shape:
 GOLDEN = math.pi * (3 - math.sqrt(5))
 
 
-def rubble(at: Place, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
+def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
     """Return a pile of tilted chunks, cone-shaped and without voids; the same for the same seed.
 
     Args:

@@ -21,7 +21,7 @@ STEEP, STEEPER = math.radians(35), math.radians(40)
 """Stairs of the orange arena, and the steeper ones."""
 RISE = 0.18
 """Of one stair [m] (chosen)."""
-PLYWOOD = 0.10
+PLYWOOD_THICKNESS = 0.10
 """Thickness of decks and slabs with the joists under them [m] (chosen)."""
 
 WOOD: Rgba = (0.7, 0.55, 0.35, 1.0)
@@ -45,7 +45,7 @@ def block(
 
 
 def deck(
-    low: tuple[float, float], high: tuple[float, float], top: float, *, thickness: float = PLYWOOD
+    low: tuple[float, float], high: tuple[float, float], top: float, *, thickness: float = PLYWOOD_THICKNESS
 ) -> Shape:
     """Return a floor between two corners whose upper face lies at `top` [m]."""
     middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
@@ -58,7 +58,7 @@ def slope(
     head: Vec3,
     width: float,
     *,
-    thickness: float = PLYWOOD,
+    thickness: float = PLYWOOD_THICKNESS,
     surface: str = "ground",
     rgba: Rgba = WOOD,
 ) -> Shape:

@@ -40,7 +40,7 @@ from usarmjx.models.spec.arena import (
     FalseAlarm,
     HelpSound,
     Light,
-    Segment,
+    SegmentMotion,
     StartPose,
     Tag,
     Victim,
@@ -54,7 +54,9 @@ def _door(name: str, x: float, y: float) -> Door:
     return Door(name=name, at=(x + 0.02, y, 0.0), size=(0.96, 0.04, 2.05), mass=12.0)
 
 
-BREATHING = (Segment(name="Chest", initial=(0.0, 0.0, 0.0), final=(0.06, 0.0, 0.0), rates=(0.05, 0.0, 0.0)),)
+BREATHING = (
+    SegmentMotion(name="Chest", initial=(0.0, 0.0, 0.0), final=(0.06, 0.0, 0.0), rates=(0.05, 0.0, 0.0)),
+)
 
 VICTIMS = (
     Victim(

@@ -31,7 +31,7 @@ from usarmjx.models.spec.robot import SKY, HeightField, Shape
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""
 FLOOR = -2.08 - BASE
-SITE = BASE + 0.04
+FOUNDATION_TOP = BASE + 0.04
 """Height of the building's foundation above the arena's floor [m]: a step for wheels."""
 HALF, CELLS = 20.0, 40
 """Half the side of the terrain [m] and its cells along a side."""
@@ -117,7 +117,7 @@ def _chunk(x: float, y: float, size: float, turn: float) -> Shape:
 
 def _beam(foot: tuple[float, float, float], head: tuple[float, float, float]) -> Shape:
     """Return a beam of 20 cm between two places, given as heights above the foundation."""
-    low, high = ((x, y, SITE + z) for x, y, z in (foot, head))
+    low, high = ((x, y, FOUNDATION_TOP + z) for x, y, z in (foot, head))
     return slope(low, high, 0.2, thickness=0.2, rgba=WOOD)
 
 
@@ -134,23 +134,32 @@ STOREY = 2.4
 
 # x from 4 to 14, y from 3 to 11.
 BUILDING = (
-    span((2.6, 1.2, 0.0), (14.3, 11.3, SITE), surface="ground"),
+    span((2.6, 1.2, 0.0), (14.3, 11.3, FOUNDATION_TOP), surface="ground"),
     # What still stands: a corner, the stumps of two walls, two columns.
-    span((8.0, 10.8, 0.0), (14.0, 11.0, SITE + STOREY)),
-    span((13.8, 6.5, 0.0), (14.0, 10.8, SITE + STOREY)),
-    span((4.0, 3.0, 0.0), (4.2, 6.0, SITE + 1.0)),
-    span((4.2, 3.0, 0.0), (7.0, 3.2, SITE + 0.6)),
-    block((8.0, 7.0), (0.3, 0.3, SITE + STOREY), surface="wall"),
-    block((11.0, 7.0), (0.3, 0.3, SITE + 1.3), surface="wall"),
+    span((8.0, 10.8, 0.0), (14.0, 11.0, FOUNDATION_TOP + STOREY)),
+    span((13.8, 6.5, 0.0), (14.0, 10.8, FOUNDATION_TOP + STOREY)),
+    span((4.0, 3.0, 0.0), (4.2, 6.0, FOUNDATION_TOP + 1.0)),
+    span((4.2, 3.0, 0.0), (7.0, 3.2, FOUNDATION_TOP + 0.6)),
+    block((8.0, 7.0), (0.3, 0.3, FOUNDATION_TOP + STOREY), surface="wall"),
+    block((11.0, 7.0), (0.3, 0.3, FOUNDATION_TOP + 1.3), surface="wall"),
     # A floor that leans on the wall behind it, with room below.
-    slope((11.0, 8.2, SITE), (11.0, 10.7, SITE + 1.8), 4.0, thickness=0.2, rgba=CONCRETE),
+    slope((11.0, 8.2, FOUNDATION_TOP), (11.0, 10.7, FOUNDATION_TOP + 1.8), 4.0, thickness=0.2, rgba=CONCRETE),
     # A floor with one edge on the ground, to drive up, and one on a block.
-    slope((4.9, 5.0, SITE), (7.6, 5.0, SITE + 0.9), 2.4, thickness=0.2, rgba=CONCRETE),
-    block((7.5, 5.0), (0.4, 2.0, SITE + 0.6), surface="ground", rgba=CONCRETE),
+    slope((4.9, 5.0, FOUNDATION_TOP), (7.6, 5.0, FOUNDATION_TOP + 0.9), 2.4, thickness=0.2, rgba=CONCRETE),
+    block((7.5, 5.0), (0.4, 2.0, FOUNDATION_TOP + 0.6), surface="ground", rgba=CONCRETE),
     # Two floors that came down flat on each other, half a metre apart.
-    *(block((x, 4.4), (0.3, 2.2, SITE + 0.5), surface="ground", rgba=CONCRETE) for x in (10.9, 13.1)),
-    block((12.0, 4.4), (2.8, 2.4, 0.2), z=SITE + 0.5, surface="ground", rgba=CONCRETE),
-    slope((10.9, 4.4, SITE + 0.7), (13.3, 4.4, SITE + 1.2), 2.2, thickness=0.16, rgba=CONCRETE),
+    *(
+        block((x, 4.4), (0.3, 2.2, FOUNDATION_TOP + 0.5), surface="ground", rgba=CONCRETE)
+        for x in (10.9, 13.1)
+    ),
+    block((12.0, 4.4), (2.8, 2.4, 0.2), z=FOUNDATION_TOP + 0.5, surface="ground", rgba=CONCRETE),
+    slope(
+        (10.9, 4.4, FOUNDATION_TOP + 0.7),
+        (13.3, 4.4, FOUNDATION_TOP + 1.2),
+        2.2,
+        thickness=0.16,
+        rgba=CONCRETE,
+    ),
     _beam((6.2, 7.3, 0.0), (8.6, 9.9, 1.0)),
     _beam((9.0, 6.2, 0.0), (10.9, 6.9, 1.3)),
     _beam((12.6, 6.4, 0.2), (13.6, 8.9, 1.7)),
@@ -160,19 +169,19 @@ BUILDING = (
 VICTIMS = (
     Victim(
         name="Leaning",
-        at=(11.6, 10.3, SITE + rest_height("lying")),
+        at=(11.6, 10.3, FOUNDATION_TOP + rest_height("lying")),
         help_sound=HelpSound(loudness=0.6),
         state="lies in the void below the leaning floor and calls",
     ),
     Victim(
         name="Pancake",
-        at=(12.2, 4.3, SITE + rest_height("lying")),
+        at=(12.2, 4.3, FOUNDATION_TOP + rest_height("lying")),
         rotation=(0.0, 0.0, math.pi / 2),
         state="lies between two floors, still",
     ),
     Victim(
         name="Wall",
-        at=(3.8, 4.6, SITE + rest_height("sitting")),
+        at=(3.8, 4.6, FOUNDATION_TOP + rest_height("sitting")),
         rotation=(0.0, 0.0, math.pi),
         posture="sitting",
         segments=waving("LeftArm", 1.5),
@@ -189,12 +198,12 @@ VICTIMS = (
 )
 
 LOOSE = (
-    brick("Brick1", (3.4, 7.0), z=SITE, yaw=0.4),
-    brick("Brick2", (3.6, 7.6), z=SITE, yaw=-0.7),
-    brick("Brick3", (9.6, 2.4), z=SITE, yaw=1.2),
-    loose_box("Cinder1", (4.6, 7.0), (0.39, 0.19, 0.19), 13.0, z=SITE, yaw=0.2, rgba=CONCRETE),
-    loose_box("Cinder2", (10.4, 2.2), (0.39, 0.19, 0.19), 13.0, z=SITE, yaw=1.0, rgba=CONCRETE),
-    loose_box("Plank", (6.0, 1.8), (1.8, 0.2, 0.04), 6.0, z=SITE, yaw=0.3, rgba=WOOD),
+    brick("Brick1", (3.4, 7.0), z=FOUNDATION_TOP, yaw=0.4),
+    brick("Brick2", (3.6, 7.6), z=FOUNDATION_TOP, yaw=-0.7),
+    brick("Brick3", (9.6, 2.4), z=FOUNDATION_TOP, yaw=1.2),
+    loose_box("Cinder1", (4.6, 7.0), (0.39, 0.19, 0.19), 13.0, z=FOUNDATION_TOP, yaw=0.2, rgba=CONCRETE),
+    loose_box("Cinder2", (10.4, 2.2), (0.39, 0.19, 0.19), 13.0, z=FOUNDATION_TOP, yaw=1.0, rgba=CONCRETE),
+    loose_box("Plank", (6.0, 1.8), (1.8, 0.2, 0.04), 6.0, z=FOUNDATION_TOP, yaw=0.3, rgba=WOOD),
 )
 
 STARTS = (
@@ -230,11 +239,11 @@ OUTDOOR = ArenaSpec(
     loose=LOOSE,
     victims=VICTIMS,
     false_alarms=(
-        FalseAlarm(part="LeftLeg", at=(6.2, 8.9, SITE + 0.08), rotation=(0.0, math.pi / 2, 0.4)),
-        FalseAlarm(part="RightHand", at=(9.9, 4.4, SITE + 0.05), rotation=(0.0, math.pi / 2, 0.0)),
+        FalseAlarm(part="LeftLeg", at=(6.2, 8.9, FOUNDATION_TOP + 0.08), rotation=(0.0, math.pi / 2, 0.4)),
+        FalseAlarm(part="RightHand", at=(9.9, 4.4, FOUNDATION_TOP + 0.05), rotation=(0.0, math.pi / 2, 0.0)),
     ),
     tags=tuple(
-        Tag(at=(x, y, SITE + z), memory=memory)
+        Tag(at=(x, y, FOUNDATION_TOP + z), memory=memory)
         for x, y, z, memory in (
             (4.1, 2.98, 0.5, "South-west corner"),
             (13.98, 11.02, 1.0, "North-east corner"),

@@ -4,7 +4,7 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import WOOD, Rgba, block
-from usarmjx.models.spec.arena import Loose, Segment
+from usarmjx.models.spec.arena import LooseObject, SegmentMotion
 from usarmjx.models.spec.robot import OPAQUE, Shape
 
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
@@ -32,10 +32,12 @@ def span(
     )
 
 
-def waving(arm: str = "RightArm", rate: float = 2.0) -> tuple[Segment, ...]:
+def waving(arm: str = "RightArm", rate: float = 2.0) -> tuple[SegmentMotion, ...]:
     """Return the motion of a victim that waves with a raised arm; `rate` is how fast it turns [rad/s]."""
     out = 0.5 if arm == "LeftArm" else -0.5
-    move = Segment(name=arm, initial=(-2.7, 0.0, out), final=(-2.7, 0.0, -0.8 * out), rates=(0.0, 0.0, rate))
+    move = SegmentMotion(
+        name=arm, initial=(-2.7, 0.0, out), final=(-2.7, 0.0, -0.8 * out), rates=(0.0, 0.0, rate)
+    )
     return (move,)
 
 
@@ -59,19 +61,21 @@ def loose_box(
     z: float = 0.0,
     yaw: float = 0.0,
     rgba: Rgba = CARDBOARD,
-) -> Loose:
+) -> LooseObject:
     """Return a loose box of full lengths `size` [m] whose underside is at height `z`."""
     half_x, half_y, half_z = (length / 2 for length in size)
     shape = Shape(kind="box", size=(half_x, half_y, half_z), mass=mass, surface="loose", rgba=rgba)
-    return Loose(name=name, at=(*at, z + half_z), rotation=(0.0, 0.0, yaw), shapes=(shape,))
+    return LooseObject(name=name, at=(*at, z + half_z), rotation=(0.0, 0.0, yaw), shapes=(shape,))
 
 
-def brick(name: str, at: tuple[float, float], *, z: float = 0.0, yaw: float = 0.0) -> Loose:
+def brick(name: str, at: tuple[float, float], *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
     """Return a loose clay brick of 215 x 102 x 65 mm (a common format) and 2.5 kg."""
     return loose_box(name, at, (0.215, 0.102, 0.065), 2.5, z=z, yaw=yaw, rgba=BRICK)
 
 
-def drum(name: str, at: tuple[float, float], mass: float, radius: float = 0.2, height: float = 0.6) -> Loose:
+def drum(
+    name: str, at: tuple[float, float], mass: float, radius: float = 0.2, height: float = 0.6
+) -> LooseObject:
     """Return a loose drum that stands: two boxes across each other make its eight sides.
 
     Eight corners instead of a round wall, as engine `jax` cannot have cylinders touch each other.
@@ -88,4 +92,4 @@ def drum(name: str, at: tuple[float, float], mass: float, radius: float = 0.2, h
         )
         for yaw in (0.0, math.pi / 4)
     )
-    return Loose(name=name, at=(*at, height / 2), shapes=shapes)
+    return LooseObject(name=name, at=(*at, height / 2), shapes=shapes)

@@ -9,7 +9,7 @@ import math
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import CELL, WOOD, block
 from usarmjx.models.arenas.pieces import STEEL
-from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.arena import LooseObject
 from usarmjx.models.spec.robot import ZERO, Shape
 
 PIPE = 0.06
@@ -49,10 +49,10 @@ def pipe(
 
 def loose_pipe(
     name: str, at: tuple[float, float], length: float, *, z: float = 0.0, yaw: float = 0.0
-) -> Loose:
+) -> LooseObject:
     """Return a loose pipe of steel along `yaw` whose underside is at height `z` [m]."""
     shapes = _bars(ZERO, length, PIPE, mass=PIPE_MASS * length, surface="loose")
-    return Loose(name=name, at=(*at, z + PIPE / 2 * FLAT), rotation=(0.0, 0.0, yaw), shapes=shapes)
+    return LooseObject(name=name, at=(*at, z + PIPE / 2 * FLAT), rotation=(0.0, 0.0, yaw), shapes=shapes)
 
 
 def pipe_steps(

@@ -13,7 +13,7 @@ robots' hulls cover their wheels. It rolls without resistance until something st
 import math
 
 from usarmjx.models.arenas.elements import Rgba, block
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, Loose, StartPose
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
 from usarmjx.models.spec.robot import Shape
 
 LENGTH, WIDTH = 5.4, 3.6
@@ -100,7 +100,7 @@ def _markings() -> tuple[Shape, ...]:
     return tuple(lines)
 
 
-BALL = Loose(
+BALL = LooseObject(
     name="Ball",
     at=(*SPOT, BALL_RADIUS),
     shapes=(Shape(kind="sphere", size=(BALL_RADIUS,), mass=BALL_MASS, surface="wheel", rgba=ORANGE),),

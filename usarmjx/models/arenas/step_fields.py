@@ -61,10 +61,10 @@ STEP_FIELDS = {
 }
 """Heights of the posts in units, rows along y from the largest on; the hill's ridge lies along y."""
 
-Grid = list[list[int]]
+PostHeights = list[list[int]]
 
 
-def heights(pattern: str) -> Grid:
+def heights(pattern: str) -> PostHeights:
     """Return a pattern's heights, from the corner with the lowest x and y (rows along x, columns along y).
 
     Raises:
@@ -76,7 +76,7 @@ def heights(pattern: str) -> Grid:
     return [[int(row[column]) for row in reversed(rows)] for column in range(len(rows[0]))]
 
 
-def cover(grid: Grid) -> list[tuple[int, int, int, int, int]]:
+def cover_boxes(grid: PostHeights) -> list[tuple[int, int, int, int, int]]:
     """Return few boxes with the same top as one post per place: (height, first and last row and column).
 
     A box may reach under higher ones, where no one sees it: a lone post on flat ground is one box more. The
@@ -92,7 +92,7 @@ def cover(grid: Grid) -> list[tuple[int, int, int, int, int]]:
     return boxes
 
 
-def _boxes_at(grid: Grid, post: tuple[int, int], height: int) -> list[tuple[int, int, int, int]]:
+def _boxes_at(grid: PostHeights, post: tuple[int, int], height: int) -> list[tuple[int, int, int, int]]:
     """Return for every length along the rows the widest box from that post on that none is lower than."""
     boxes: list[tuple[int, int, int, int]] = []
     first, column = post
@@ -129,7 +129,7 @@ def step_field(
     size, yaw = (len(grid) * POST, len(grid[0]) * POST), turns * math.pi / 2
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
     shapes: list[Shape] = []
-    for height, x0, x1, y0, y1 in cover(grid):
+    for height, x0, x1, y0, y1 in cover_boxes(grid):
         x, y = (x0 + x1) / 2 * POST - size[0] / 2, (y0 + y1) / 2 * POST - size[1] / 2
         half = ((x1 - x0) * POST / 2, (y1 - y0) * POST / 2, height * unit / 2)
         place = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos, half[2])

@@ -21,7 +21,7 @@ from usarmjx.models.spec.arena import (
     FalseAlarm,
     HelpSound,
     Light,
-    Segment,
+    SegmentMotion,
     StartPose,
     Tag,
     Victim,
@@ -106,7 +106,7 @@ EFFECTS = (
 )
 
 TREMBLING = (
-    Segment(name="LeftHand", initial=(0.0, 0.0, -0.1), final=(0.0, 0.0, 0.1), rates=(0.0, 0.0, 0.5)),
+    SegmentMotion(name="LeftHand", initial=(0.0, 0.0, -0.1), final=(0.0, 0.0, 0.1), rates=(0.0, 0.0, 0.5)),
 )
 
 VICTIMS = (

@@ -17,11 +17,11 @@ from flax import struct
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Array, quat_from_angles
 from usarmjx.models.build.tags import TagTable, tag_table
-from usarmjx.models.build.victims import VictimTable, padded, victim_table
-from usarmjx.models.spec.arena import ArenaSpec, Loose, StartPose
+from usarmjx.models.build.victims import VictimTable, pad_table, victim_table
+from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
 from usarmjx.models.spec.robot import Shape
 
-PARKED, PARKED_SIZE = (0.0, 0.0, -1000.0), (1e-3, 1e-3, 1e-3)
+PARKED_POS, PARKED_SIZE = (0.0, 0.0, -1000.0), (1e-3, 1e-3, 1e-3)
 """Where boxes wait that an arena does not have, and how large they are [m]: nothing comes there."""
 LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
 """Where loose objects wait, pinned in the air, and how far apart [m]."""
@@ -29,7 +29,7 @@ STRIDE = 7919
 """So many arenas further is the one of a world's next episode: a prime, so that it comes to all of them."""
 
 
-class Site(struct.PyTreeNode, kw_only=True):
+class ArenaState(struct.PyTreeNode, kw_only=True):
     """An arena as data: what may differ between the worlds of a batch.
 
     Attributes:
@@ -66,17 +66,17 @@ class ArenaSet:
         arenas: What they are made from.
         template: The arena that the model is compiled from, with all boxes and loose objects parked; its last
             boxes are for victims.
-        sites: The arenas as data (arenas, ...); numpy arrays.
+        states: The arenas as data (arenas, ...); numpy arrays.
     """
 
     arenas: tuple[ArenaSpec, ...]
     template: ArenaSpec
-    sites: Site
+    states: ArenaState
 
     @cached_property
-    def longest(self) -> np.ndarray:
+    def max_half_length(self) -> np.ndarray:
         """The largest half length of each box in any arena, victims' boxes last [m] (boxes,)."""
-        return np.concatenate([self.sites.size.max((0, 2)), self.sites.victims.size.max((0, 2))])
+        return np.concatenate([self.states.size.max((0, 2)), self.states.victims.size.max((0, 2))])
 
 
 def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
@@ -94,11 +94,11 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
     boxes, boxed = _slots([sorted(arena.shapes, key=_longest) for arena in arenas], _form)
     objects, lying = _slots([arena.loose for arena in arenas], lambda loose: loose.shapes)
     tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
-    most = max(table.boxes for table in tables), max(table.victims for table in tables)
-    tables = [padded(table, *most) for table in tables]
+    most = max(table.num_boxes for table in tables), max(table.num_victims for table in tables)
+    tables = [pad_table(table, *most) for table in tables]
     room = max(len(arena.tags) for arena in arenas)
     tags = [tag_table(arena.tags, room) for arena in arenas]
-    parked = np.array([*PARKED, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
+    parked = np.array([*PARKED_POS, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
     placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
     placed = placed.reshape(len(arenas), len(boxes), 10).astype(np.float32)
     floor = arenas[0].floor
@@ -106,7 +106,7 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
     return ArenaSet(
         arenas=arenas,
         template=_template(arenas, boxes, objects, most[0]),
-        sites=Site(
+        states=ArenaState(
             pos=placed[..., :3],
             quat=placed[..., 3:7],
             size=placed[..., 7:],
@@ -123,7 +123,7 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
     )
 
 
-def turn_of(number: Array, episode: Array, arenas: int) -> Array:
+def arena_index_of(number: Array, episode: Array, arenas: int) -> Array:
     """Return which arena a world has in an episode: worlds go through the arenas in turn (...,)."""
     return (number + STRIDE * episode) % arenas
 
@@ -179,27 +179,27 @@ def _box(shape: Shape) -> np.ndarray:
     return np.array([*shape.at, *quat_from_angles(*shape.rotation), *shape.size])
 
 
-def _lie(floor: float, place: int, loose: Loose | None) -> np.ndarray:
+def _lie(floor: float, index: int, loose: LooseObject | None) -> np.ndarray:
     """Where a loose object is at the start, in the world; without one, where its slot is parked."""
     if loose is None:
-        return np.array([*_park(place), 1.0, 0.0, 0.0, 0.0])
+        return np.array([*_park(index), 1.0, 0.0, 0.0, 0.0])
     x, y, z = loose.at
     return np.array([x, y, z + floor, *quat_from_angles(*loose.rotation)])
 
 
-def _park(place: int) -> tuple[float, float, float]:
+def _park(index: int) -> tuple[float, float, float]:
     x, y, z = LOOSE_PARK
-    row, column = divmod(place, 16)
+    row, column = divmod(index, 16)
     return (x - LOOSE_STEP * column, y - LOOSE_STEP * row, z)
 
 
 def _template(
-    arenas: tuple[ArenaSpec, ...], boxes: Sequence[Shape], objects: Sequence[Loose], bones: int
+    arenas: tuple[ArenaSpec, ...], boxes: Sequence[Shape], objects: Sequence[LooseObject], bones: int
 ) -> ArenaSpec:
     """Return the arena with all slots. Solids are turned, lest MuJoCo takes their frames for their body's."""
     turned = (0.1, 0.2, 0.3)
-    slots = [replace(shape, at=PARKED, rotation=turned, size=PARKED_SIZE) for shape in boxes]
-    skin = Shape(kind="box", size=PARKED_SIZE, at=PARKED, rotation=turned, surface="ground")
+    slots = [replace(shape, at=PARKED_POS, rotation=turned, size=PARKED_SIZE) for shape in boxes]
+    skin = Shape(kind="box", size=PARKED_SIZE, at=PARKED_POS, rotation=turned, surface="ground")
     (low_x, high_x), (low_y, high_y) = np.array([arena.extent for arena in arenas]).transpose(1, 2, 0)
     first = arenas[0]
     x, y, z = zip(*(_park(k) for k in range(len(objects))), strict=True) if objects else ((), (), ())
@@ -211,7 +211,7 @@ def _template(
         starts=first.starts[: min(len(arena.starts) for arena in arenas)],
         extent=((float(low_x.min()), float(high_x.max())), (float(low_y.min()), float(high_y.max()))),
         loose=tuple(
-            Loose(name=str(k), at=(x[k], y[k], z[k] - first.floor), shapes=loose.shapes)
+            LooseObject(name=str(k), at=(x[k], y[k], z[k] - first.floor), shapes=loose.shapes)
             for k, loose in enumerate(objects)
         ),
         robots=first.robots,

@@ -14,18 +14,18 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.rotations import composed, mat_from_quat, turned
+from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Array
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import RobotIndex, index_robot
 from usarmjx.models.build.parts import joint_names, parts_of
-from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import CHASSIS, RobotSpec
 
 
-class Bodies(struct.PyTreeNode, kw_only=True):
+class BodyPoses(struct.PyTreeNode, kw_only=True):
     """Poses of a robot's bodies: chassis, then its parts.
 
     Attributes:
@@ -38,7 +38,7 @@ class Bodies(struct.PyTreeNode, kw_only=True):
 
 
 @dataclass(frozen=True, eq=False)
-class BodyPlan:
+class KinematicTree:
     """A robot class, resolved.
 
     Attributes:
@@ -46,7 +46,7 @@ class BodyPlan:
         parts: Body names as the wire uses them: HARD, then its parts.
         parent: Parent body of each body; -1 for the chassis.
         offset: Body origin in its parent (bodies, 3).
-        turn: Orientation of the body in its parent with its joint at 0 (bodies, 3, 3).
+        rest_mat: Orientation of the body in its parent with its joint at 0 (bodies, 3, 3).
         axis: Joint axis in the body (bodies, 3); zero for the chassis.
         slides: Whether the joint is prismatic (bodies,).
         rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
@@ -65,7 +65,7 @@ class BodyPlan:
     parts: tuple[str, ...]
     parent: tuple[int, ...]
     offset: np.ndarray
-    turn: np.ndarray
+    rest_mat: np.ndarray
     axis: np.ndarray
     slides: np.ndarray
     rest_pos: np.ndarray
@@ -79,14 +79,14 @@ class BodyPlan:
     mass: float
     clearance: float
 
-    def joint(self, name: str) -> int | None:
+    def joint_index(self, name: str) -> int | None:
         """Return the place of a joint by its name, case ignored; None when there is none."""
         names = [part.lower() for part in self.parts[1:]]
         return names.index(name.lower()) if name.lower() in names else None
 
 
 @cache
-def body_plan(robot: RobotSpec) -> BodyPlan:
+def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
     """Return the body plan of a robot class, read off its compiled model."""
     nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
     spec = new_spec(nowhere, Physics())
@@ -95,24 +95,24 @@ def body_plan(robot: RobotSpec) -> BodyPlan:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     index = index_robot(model, robot, "")
-    body = list(index.body)
+    body = list(index.body_ids)
     local = {b: i for i, b in enumerate(body)}
     geoms = np.array([g for g in range(model.ngeom) if model.geom_bodyid[g] in local], int)
     mats = np.zeros((len(geoms), 9))
     for mat, g in zip(mats, geoms, strict=True):
         mujoco.mju_quat2Mat(mat, model.geom_quat[g])
-    pieces = pieces_of(model, geoms)
-    piece_pos, piece_mat = pieces.placed(model.geom_pos[geoms], mats.reshape(-1, 3, 3))
+    pieces = ray_primitives_of(model, geoms)
+    piece_pos, piece_mat = pieces.world_poses(model.geom_pos[geoms], mats.reshape(-1, 3, 3))
     turns = np.zeros((len(body), 9))
     for mat, b in zip(turns, body, strict=True):
         mujoco.mju_quat2Mat(mat, model.body_quat[b])
     joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
-    return BodyPlan(
+    return KinematicTree(
         robot=robot,
         parts=(CHASSIS, *joint_names(robot)),
         parent=tuple(local.get(int(model.body_parentid[b]), -1) for b in body),
         offset=model.body_pos[body].astype(np.float32),
-        turn=turns.reshape(-1, 3, 3).astype(np.float32),
+        rest_mat=turns.reshape(-1, 3, 3).astype(np.float32),
         axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
         slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
         rest_pos=data.xpos[body].astype(np.float32),
@@ -158,18 +158,18 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) 
 
 def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
     """Pick a robot's state out of its world's qpos (nq,) and qvel (nv,)."""
-    q, v = index.root_qpos, index.root_dof
+    q, v = index.root_qposadr, index.root_dofadr
     return RobotState(
         pos=qpos[q : q + 3],
         quat=qpos[q + 3 : q + 7],
         linear=qvel[v : v + 3],
         angular=qvel[v + 3 : v + 6],
-        joint_pos=qpos[np.array(index.qpos, int)],
-        joint_vel=qvel[np.array(index.dof, int)],
+        joint_pos=qpos[np.array(index.qposadr, int)],
+        joint_vel=qvel[np.array(index.dofadr, int)],
     )
 
 
-def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
+def forward_kinematics(plan: KinematicTree, state: RobotState) -> BodyPoses:
     """Forward kinematics of one robot."""
     pos, mat = [state.pos], [mat_from_quat(state.quat)]
     for body in range(1, len(plan.parent)):
@@ -177,16 +177,16 @@ def body_poses(plan: BodyPlan, state: RobotState) -> Bodies:
         slide = axis * q * float(plan.slides[body])
         turn = q * (1.0 - float(plan.slides[body]))
         half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
-        rest = plan.turn[body]
+        rest = plan.rest_mat[body]
         straight = np.array_equal(rest, np.eye(3))
-        away = plan.offset[body] + (slide if straight else turned(rest, slide))
-        pos.append(pos[parent] + turned(mat[parent], away))
-        frame = mat[parent] if straight else composed(mat[parent], rest)
-        mat.append(composed(frame, mat_from_quat(half)))
-    return Bodies(pos=jnp.stack(pos), mat=jnp.stack(mat))
+        away = plan.offset[body] + (slide if straight else matvec(rest, slide))
+        pos.append(pos[parent] + matvec(mat[parent], away))
+        frame = mat[parent] if straight else matmul(mat[parent], rest)
+        mat.append(matmul(frame, mat_from_quat(half)))
+    return BodyPoses(pos=jnp.stack(pos), mat=jnp.stack(mat))
 
 
-def geom_poses(plan: BodyPlan, bodies: Bodies) -> tuple[jax.Array, jax.Array]:
+def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
     """Return the world poses of a robot's geoms: centres (geoms, 3) and orientations (geoms, 3, 3)."""
     mat = bodies.mat[plan.geom_body]
-    return bodies.pos[plan.geom_body] + turned(mat, plan.geom_pos), composed(mat, plan.geom_mat)
+    return bodies.pos[plan.geom_body] + matvec(mat, plan.geom_pos), matmul(mat, plan.geom_mat)

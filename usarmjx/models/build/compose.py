@@ -16,7 +16,7 @@ from usarmjx.models.build.compose_arena import add_arena
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.build.parts import chassis_shapes, parts_of
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import CHASSIS, HOLD, SURFACES, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, HOLD_SUFFIX, SURFACES, Motor, Part, RobotSpec, Shape
 
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
@@ -165,7 +165,9 @@ def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> Non
     pull = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     pull.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
     pull.gainprm[0] = motor.stiffness
-    hold = spec.add_actuator(name=joint.name + HOLD, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    hold = spec.add_actuator(
+        name=joint.name + HOLD_SUFFIX, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
     hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
     hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
     joint.actfrclimited = True

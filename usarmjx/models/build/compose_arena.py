@@ -11,15 +11,15 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.doors import door_panel
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.build.victims import segment_poses, victim_table
-from usarmjx.models.spec.arena import ArenaSpec, Door, Loose
+from usarmjx.models.spec.arena import ArenaSpec, Door, LooseObject
 from usarmjx.models.spec.robot import Shape
 
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """MuJoCo: a plane with zero half sizes is unbounded."""
 FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
-ARENA, LOOSE, DOOR, BONE = "arena/", "loose/", "door/", "victim/"
+ARENA, LOOSE_PREFIX, DOOR, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
 """What the names of the geoms of fixed solids, and of loose objects, doors and victims' bones start with."""
-MOST_PIECES = 512
+MAX_BOX_PIECES = 512
 """Of an arena's boxes for engines that want short ones."""
 
 
@@ -47,15 +47,15 @@ def _add_victims(spec: mujoco.MjSpec, body: mujoco.MjsBody, arena: ArenaSpec) ->
     """Add the boxes of victims and false alarms where they are at the start."""
     table = victim_table(arena.victims, arena.false_alarms)
     pos, quat = segment_poses(table, np.zeros(()))
-    for i in range(table.boxes):
+    for i in range(table.num_boxes):
         skin = Shape(kind="box", size=tuple(table.size[i]), surface="ground", rgba=tuple(table.rgba[i]))
-        geom = add_geom(spec, body, f"{BONE}{i}", skin)
+        geom = add_geom(spec, body, f"{VICTIM_PREFIX}{i}", skin)
         geom.pos, geom.quat = pos[i], quat[i]
 
 
-def _add_loose(spec: mujoco.MjSpec, loose: Loose, floor: float) -> None:
+def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
     x, y, z = loose.at
-    name = f"{LOOSE}{loose.name}"
+    name = f"{LOOSE_PREFIX}{loose.name}"
     body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
     body.add_freejoint(name=name)
     for i, shape in enumerate(loose.shapes):
@@ -78,11 +78,11 @@ def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
     add_geom(spec, body, f"{DOOR}{door.name}", door_panel(door))
 
 
-def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
+def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
 
     For engines that look for contacts by bounding spheres, to which a long wall is near everything. In an
-    arena so large that this would give more than `MOST_PIECES`, the pieces are longer.
+    arena so large that this would give more than `MAX_BOX_PIECES`, the pieces are longer.
     """
     spec = spec.copy()
     arena = spec.body("arena")
@@ -90,7 +90,7 @@ def with_short_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
         return spec.compile()
     touching = [geom for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.contype]
     boxes = np.array([geom.size for geom in touching])
-    while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MOST_PIECES:
+    while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MAX_BOX_PIECES:
         longest *= 1.25
     for geom in list(arena.geoms):
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]

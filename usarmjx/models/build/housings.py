@@ -8,9 +8,9 @@ from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
 from usarmjx.models.spec.settings import field_name
 
-HALF = (0.02, 0.012, 0.008)
+HOUSING_SIZE = (0.02, 0.012, 0.008)
 """Half lengths of a housing: longest along the axis that the sensor looks along [m] (chosen)."""
-COLOUR = (0.95, 0.75, 0.1, 1.0)
+HOUSING_RGBA = (0.95, 0.75, 0.1, 1.0)
 
 
 def is_shown(mount: Mount) -> bool:
@@ -27,7 +27,12 @@ def housings(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
 
 def _housing(mount: Mount) -> Shape:
     ahead = mat_from_angles(*mount.direction)[:, 0]
-    x, y, z = (float(a - HALF[0] * way) for a, way in zip(mount.at, ahead, strict=True))
+    x, y, z = (float(a - HOUSING_SIZE[0] * way) for a, way in zip(mount.at, ahead, strict=True))
     return Shape(
-        kind="box", size=HALF, at=(x, y, z), rotation=mount.direction, surface="fixture", rgba=COLOUR
+        kind="box",
+        size=HOUSING_SIZE,
+        at=(x, y, z),
+        rotation=mount.direction,
+        surface="fixture",
+        rgba=HOUSING_RGBA,
     )

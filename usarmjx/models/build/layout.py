@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 
 from usarmjx.models.build.parts import joint_names, parts_of
-from usarmjx.models.spec.robot import HOLD, RobotSpec
+from usarmjx.models.spec.robot import HOLD_SUFFIX, RobotSpec
 
 Ids = tuple[int, ...]
 
@@ -18,24 +18,24 @@ class RobotIndex:
     the chassis; actuators likewise, but only of the parts with a motor.
 
     Attributes:
-        body: Body ids.
-        root_qpos: Where the free joint's 7 numbers start in qpos.
-        root_dof: Where its 6 numbers start in qvel.
-        qpos: qpos addresses of the joints.
-        dof: qvel addresses of the joints.
-        actuator: Ids of the actuators that pull towards a target.
-        activation: Addresses of their activations: the targets.
-        hold: Ids of the actuators that hold the joints; input 1, or 0 for a torque order.
+        body_ids: Body ids.
+        root_qposadr: Where the free joint's 7 numbers start in qpos.
+        root_dofadr: Where its 6 numbers start in qvel.
+        qposadr: qpos addresses of the joints.
+        dofadr: qvel addresses of the joints.
+        actuator_ids: Ids of the actuators that pull towards a target.
+        actadr: Addresses of their activations: the targets.
+        hold_actuator_ids: Ids of the actuators that hold the joints; input 1, or 0 for a torque order.
     """
 
-    body: Ids
-    root_qpos: int
-    root_dof: int
-    qpos: Ids
-    dof: Ids
-    actuator: Ids
-    activation: Ids
-    hold: Ids
+    body_ids: Ids
+    root_qposadr: int
+    root_dofadr: int
+    qposadr: Ids
+    dofadr: Ids
+    actuator_ids: Ids
+    actadr: Ids
+    hold_actuator_ids: Ids
 
 
 def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIndex:
@@ -45,12 +45,12 @@ def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIn
     motors = [prefix + part.name for part in parts_of(robot) if part.motor is not None]
     pulls = [model.actuator(name).id for name in motors]
     return RobotIndex(
-        body=(model.body(f"{prefix}chassis").id, *(model.body(name).id for name in names)),
-        root_qpos=int(model.joint(f"{prefix}root").qposadr[0]),
-        root_dof=int(model.joint(f"{prefix}root").dofadr[0]),
-        qpos=tuple(int(joint.qposadr[0]) for joint in joints),
-        dof=tuple(int(joint.dofadr[0]) for joint in joints),
-        actuator=tuple(pulls),
-        activation=tuple(int(model.actuator_actadr[pull]) for pull in pulls),
-        hold=tuple(model.actuator(name + HOLD).id for name in motors),
+        body_ids=(model.body(f"{prefix}chassis").id, *(model.body(name).id for name in names)),
+        root_qposadr=int(model.joint(f"{prefix}root").qposadr[0]),
+        root_dofadr=int(model.joint(f"{prefix}root").dofadr[0]),
+        qposadr=tuple(int(joint.qposadr[0]) for joint in joints),
+        dofadr=tuple(int(joint.dofadr[0]) for joint in joints),
+        actuator_ids=tuple(pulls),
+        actadr=tuple(int(model.actuator_actadr[pull]) for pull in pulls),
+        hold_actuator_ids=tuple(model.actuator(name + HOLD_SUFFIX).id for name in motors),
     )

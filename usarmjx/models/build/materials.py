@@ -2,7 +2,7 @@
 
 import mujoco
 
-from usarmjx.models.build.compose_arena import ARENA, LOOSE
+from usarmjx.models.build.compose_arena import ARENA, LOOSE_PREFIX
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import OPAQUE
 
@@ -15,5 +15,5 @@ def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
     """
     known = {f"{ARENA}{i}": shape.material for i, shape in enumerate(arena.shapes)}
     for loose in arena.loose:
-        known |= {f"{LOOSE}{loose.name}/{i}": shape.material for i, shape in enumerate(loose.shapes)}
+        known |= {f"{LOOSE_PREFIX}{loose.name}/{i}": shape.material for i, shape in enumerate(loose.shapes)}
     return [known.get(model.geom(i).name, OPAQUE) for i in range(model.ngeom)]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
@@ -14,7 +14,7 @@ DIGITS = 6
 """Figures are rounded to micrometres and milligrams: body plans are in single precision."""
 
 
-def measured(robot: RobotSpec) -> RobotSpec:
+def with_measurements(robot: RobotSpec) -> RobotSpec:
     """Return a robot with dimensions, mass, height and wheel figures as it is built.
 
     `dimensions` are those of the box around it at rest, `wheel_separation` and `wheel_base` the largest
@@ -23,7 +23,7 @@ def measured(robot: RobotSpec) -> RobotSpec:
     Raises:
         SpecError: It cannot be built.
     """
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     low, high = extent(robot)
     wheels = [i for i, part in enumerate(plan.parts) if part in {wheel.name for wheel in robot.wheels}]
     spread = np.ptp(plan.rest_pos[wheels], axis=0) if wheels else np.zeros(3)

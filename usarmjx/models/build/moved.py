@@ -11,10 +11,10 @@ class MovedGeoms:
 
     Attributes:
         names: Their names in the model.
-        longest: The largest half length of each in any world [m] (geoms,).
+        max_half_length: The largest half length of each in any world [m] (geoms,).
         resized: Whether their sizes differ between worlds too; they are boxes then.
     """
 
     names: tuple[str, ...]
-    longest: np.ndarray
+    max_half_length: np.ndarray
     resized: bool

@@ -103,7 +103,7 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
 
 def _check_joints(robot: RobotSpec, parts: list[Part]) -> None:
     motors = {part.name for part in parts if part.motor is not None}
-    users = [("drive", aim.joint) for aim in robot.drive.aims]
+    users = [("drive", aim.joint) for aim in robot.drive.joint_controls]
     for effecter in effecters_of(robot):
         mount = effecter.mount
         if mount.parent not in (CHASSIS, *(part.name for part in parts)):

@@ -16,7 +16,7 @@ from usarmjx.models.spec.robot import FENDER, OPAQUE
 TRIANGLE_KIND, FENDER_KIND, COLUMN_KIND = 201, 202, 203
 """Kinds of geoms beside MuJoCo's own `mjtGeom`. A triangle's position is its first corner, the x axis of its
 frame its first edge and z its normal, outward for solids; its size: the length of that edge, x and y of the
-third corner. A fender is a box. A column is what the radio sees of a terrain, see `columns_of`."""
+third corner. A fender is a box. A column is what the radio sees of a terrain, see `terrain_columns`."""
 GeomType = mujoco.mjtGeom
 MESH, HFIELD = int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD)
 SMALLEST = 1e-12
@@ -24,7 +24,7 @@ SMALLEST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class RayPrimitives:
     """Pieces of geoms; arrays have a leading axis over pieces, those of a geom follow one another.
 
     Attributes:
@@ -43,7 +43,7 @@ class Pieces:
     mat: np.ndarray
     size: np.ndarray
 
-    def placed(self, pos: Array, mat: Array) -> tuple[Array, Array]:
+    def world_poses(self, pos: Array, mat: Array) -> tuple[Array, Array]:
         """Return positions (n, 3) and orientations (n, 3, 3) of the pieces for those of the geoms."""
         if (self.kind < TRIANGLE_KIND).all():
             return pos[self.geom], mat[self.geom]
@@ -53,13 +53,13 @@ class Pieces:
         return pos[self.geom] + offset, turned  # type: ignore - sums of three
 
 
-def pieces_of(
+def ray_primitives_of(
     model: mujoco.MjModel,
     geoms: Sequence[int] | np.ndarray,
     materials: Sequence[str] | None = None,
     *,
     columns: bool = False,
-) -> Pieces:
+) -> RayPrimitives:
     """Return what rays see of some of a model's geoms.
 
     Args:
@@ -72,7 +72,7 @@ def pieces_of(
     for place, geom in enumerate(geoms):
         kind, material = int(model.geom_type[geom]), OPAQUE if materials is None else materials[geom]
         if kind == HFIELD and columns:
-            kind, (pos, mat, size) = COLUMN_KIND, columns_of(model, geom)
+            kind, (pos, mat, size) = COLUMN_KIND, terrain_columns(model, geom)
         elif kind in (MESH, HFIELD):
             kind, (pos, mat, size) = TRIANGLE_KIND, triangles_of(model, geom)
         else:
@@ -84,7 +84,7 @@ def pieces_of(
         np.concatenate([part[k] for part in parts]) if parts else np.zeros((0, *shape))
         for k, shape in ((3, (3,)), (4, (3, 3)), (5, (3,)))
     ]
-    return Pieces(
+    return RayPrimitives(
         geom=np.repeat([part[0] for part in parts], counts).astype(int),
         kind=np.repeat([part[1] for part in parts], counts).astype(int),
         material=np.repeat(np.array([part[2] for part in parts], object), counts),
@@ -151,7 +151,7 @@ def _terrain_faces(x: np.ndarray, y: np.ndarray, z: np.ndarray, size: np.ndarray
     return np.concatenate(faces)
 
 
-def columns_of(model: mujoco.MjModel, geom: int) -> Frames:
+def terrain_columns(model: mujoco.MjModel, geom: int) -> Frames:
     """Return a terrain as columns that stand below its surface's triangles, in its geom's frame.
 
     A column's frame is not orthonormal: x and y run from 0 at its first corner to 1 at the other two (0 on

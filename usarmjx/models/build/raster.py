@@ -45,20 +45,20 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class SpanTable:
     """What stands over the middles of squares; one row for each solid and square.
 
     Attributes:
         square: Number of the square, i times squares along y plus j (n,).
         low: Where the solid begins [m] (n,).
         high: Where it ends [m] (n,).
-        steep: Rise of its upper face per metre (n,).
+        slope: Rise of its upper face per metre (n,).
     """
 
     square: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    steep: np.ndarray
+    slope: np.ndarray
 
 
 def touchable(shape: Shape) -> bool:
@@ -78,20 +78,20 @@ def half_lengths(shape: Shape) -> tuple[float, float, float]:
     return a, b, c
 
 
-def columns(shapes: Sequence[Shape], grid: Grid) -> Columns:
+def rasterize(shapes: Sequence[Shape], grid: Grid) -> SpanTable:
     """Return what the solids that robots can touch fill over a grid's squares."""
     solid = [shape for shape in shapes if touchable(shape)]
     parts = [_terrain(shape, grid) for shape in solid if shape.kind == "hfield"]
     parts += [_hull(shape, grid) for shape in solid if shape.kind == "mesh"]
     parts.append(_boxes([shape for shape in solid if shape.kind not in ("hfield", "mesh")], grid))
     rows = [np.concatenate(values) for values in zip(*parts, strict=True)]
-    return Columns(square=rows[0], low=rows[1], high=rows[2], steep=rows[3])
+    return SpanTable(square=rows[0], low=rows[1], high=rows[2], slope=rows[3])
 
 
-Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+SpanRows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _boxes(shapes: Sequence[Shape], grid: Grid) -> Rows:
+def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
     """Return rows of all boxes at once."""
     half = np.array([half_lengths(shape) for shape in shapes]).reshape(-1, 3)
     mid = np.array([shape.at for shape in shapes]).reshape(-1, 3)
@@ -103,7 +103,7 @@ def _boxes(shapes: Sequence[Shape], grid: Grid) -> Rows:
     return _rows(normals, offsets, mid[:, :2] - reach[:, :2], mid[:, :2] + reach[:, :2], grid)
 
 
-def _hull(shape: Shape, grid: Grid) -> Rows:
+def _hull(shape: Shape, grid: Grid) -> SpanRows:
     assert shape.mesh is not None
     corners = shape.mesh.vertices @ mat_from_angles(*np.array(shape.rotation)).T + shape.at
     faces = ConvexHull(corners).equations
@@ -111,7 +111,9 @@ def _hull(shape: Shape, grid: Grid) -> Rows:
     return _rows(faces[None, :, :3], -faces[None, :, 3], low[None], high[None], grid)
 
 
-def _rows(normals: np.ndarray, offsets: np.ndarray, low: np.ndarray, high: np.ndarray, grid: Grid) -> Rows:
+def _rows(
+    normals: np.ndarray, offsets: np.ndarray, low: np.ndarray, high: np.ndarray, grid: Grid
+) -> SpanRows:
     """Cut the upright lines through the squares' middles with solids given by their faces.
 
     Args:
@@ -157,7 +159,7 @@ def _windows(low: np.ndarray, high: np.ndarray, grid: Grid) -> tuple[np.ndarray,
     return owner, first[owner, 0] + place // count[owner, 1], first[owner, 1] + place % count[owner, 1]
 
 
-def _terrain(shape: Shape, grid: Grid) -> Rows:
+def _terrain(shape: Shape, grid: Grid) -> SpanRows:
     """Return rows of a height field, which may be turned about the vertical, not tilted."""
     assert shape.heights is not None
     heights = np.asarray(shape.heights.heights, float)

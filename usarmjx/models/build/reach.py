@@ -19,26 +19,35 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
-from usarmjx.models.build.raster import Grid, columns
-from usarmjx.models.build.surfaces import Link, areas_of, blocked, grow, links_of, octagon, shrink, surfaces
+from usarmjx.models.build.raster import Grid, rasterize
+from usarmjx.models.build.surfaces import (
+    SurfaceAdjacency,
+    blocked,
+    dilate,
+    erode,
+    label_areas,
+    octagon,
+    surface_adjacencies,
+    walkable_surfaces,
+)
 from usarmjx.models.build.victims import segment_poses, victim_table
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Loose, StartPose, Victim
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, LooseObject, StartPose, Victim
 from usarmjx.models.spec.robot import ZERO, RobotSpec, Shape
 
-CELL = 0.05
+DEFAULT_CELL_SIZE = 0.05
 """Side of a square [m]; more in arenas that would need more than MOST_SQUARES of them."""
-MOST_SQUARES = 1_000_000
-HEIGHT = 0.4
+MAX_CELLS = 1_000_000
+DEFAULT_HEIGHT = 0.4
 """Room that a robot needs above the ground if none is given [m]."""
-SLOPE = math.radians(30)
+DEFAULT_SLOPE = math.radians(30)
 """Steepest slope that counts as passable if none is given (chosen; friction 0.8 holds to 38 degrees)."""
-SAME = 0.1
+SURFACE_TOLERANCE = 0.1
 """Heights that differ by less are those of the same surface [m]."""
 TINY = 1e-6
 
 
 @dataclass(frozen=True)
-class Size:
+class RobotFootprint:
     """What a robot needs to pass [m]: the circle it turns in, how high a step it climbs, its height."""
 
     radius: float
@@ -46,7 +55,7 @@ class Size:
     height: float
 
 
-def size_of(robot: RobotSpec) -> Size:
+def footprint_of(robot: RobotSpec) -> RobotFootprint:
     """Return what a robot needs to pass, from its `dimensions`.
 
     The step is half a wheel's radius: a P2AT climbs boards of 6 cm with wheels of 13 cm; for robots without
@@ -54,7 +63,7 @@ def size_of(robot: RobotSpec) -> Size:
     """
     length, width, height = robot.dimensions
     step = robot.wheel_radius / 2 if robot.wheel_radius else height / 6
-    return Size(radius=math.hypot(length, width) / 2, step=step, height=height)
+    return RobotFootprint(radius=math.hypot(length, width) / 2, step=step, height=height)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,15 +74,15 @@ class ReachMap:
         grid: The squares.
         ground: Height of each surface, from the lowest up; NaN where there is no more (layers, i, j).
         area: Number of the area that a robot's middle can move in, -1 where it does not fit (layers, i, j).
-        home: Area of the start pose (the highest surface under it); -1: the robot does not fit there.
+        start_area: Area of the start pose (the highest surface under it); -1: the robot does not fit there.
         links: Which surfaces are joined.
     """
 
     grid: Grid
     ground: np.ndarray
     area: np.ndarray
-    home: int
-    links: tuple[Link, ...]
+    start_area: int
+    links: tuple[SurfaceAdjacency, ...]
 
     def fits(self, x: float, y: float, z: float | None = None) -> bool:
         """Return whether the robot's middle can be there, on the surface at height `z` or on any."""
@@ -81,9 +90,9 @@ class ReachMap:
 
     def reachable(self, x: float, y: float, z: float | None = None) -> bool:
         """Return whether the robot's middle can get there, on the surface at height `z` or on any."""
-        return self.home >= 0 and bool((self.areas(x, y, z) == self.home).any())
+        return self.start_area >= 0 and bool((self.areas(x, y, z) == self.start_area).any())
 
-    def near(self, x: float, y: float, z: float | None = None, distance: float = 1.0) -> bool:
+    def reaches_within(self, x: float, y: float, z: float | None = None, distance: float = 1.0) -> bool:
         """Return whether the robot's middle gets within a distance [m] of a place.
 
         The distance is measured around walls and along the ground, to the surface under height `z`, or to
@@ -94,15 +103,19 @@ class ReachMap:
             return False
         under = np.isfinite(self.ground[:, i, j])
         if z is not None:
-            under = np.flatnonzero(self.ground[:, i, j] <= z + SAME)[-1:]
+            under = np.flatnonzero(self.ground[:, i, j] <= z + SURFACE_TOLERANCE)[-1:]
         return bool(self._spread(distance)[under, i, j].any())
 
     def areas(self, x: float, y: float, z: float | None = None) -> np.ndarray:
-        """Return the areas over a place; `z`: only on surfaces within `SAME` of that height."""
+        """Return the areas over a place; `z`: only on surfaces within `SURFACE_TOLERANCE` of that height."""
         i, j = self.grid.index(x, y)
         if not self.grid.holds(i, j):
             return np.zeros(0, int)
-        there = np.isfinite(self.ground[:, i, j]) if z is None else np.abs(self.ground[:, i, j] - z) < SAME
+        there = (
+            np.isfinite(self.ground[:, i, j])
+            if z is None
+            else np.abs(self.ground[:, i, j] - z) < SURFACE_TOLERANCE
+        )
         return self.area[there, i, j]
 
     @cached_property
@@ -113,9 +126,9 @@ class ReachMap:
         """Return which surfaces lie that close to the robot's way, along surfaces (layers, i, j)."""
         steps = int(distance / self.grid.cell)
         if steps not in self._spreads:
-            reached = (self.area == self.home) & (self.home >= 0)
+            reached = (self.area == self.start_area) & (self.start_area >= 0)
             for corners in octagon(steps):
-                reached = grow(reached, self.links, corners)
+                reached = dilate(reached, self.links, corners)
             self._spreads[steps] = reached
         return self._spreads[steps]
 
@@ -125,9 +138,9 @@ def reach_map(
     radius: float,
     step: float,
     *,
-    height: float = HEIGHT,
-    slope: float = SLOPE,
-    cell: float = CELL,
+    height: float = DEFAULT_HEIGHT,
+    slope: float = DEFAULT_SLOPE,
+    cell: float = DEFAULT_CELL_SIZE,
     start: StartPose | None = None,
 ) -> ReachMap:
     """Return where a robot can get to.
@@ -143,26 +156,28 @@ def reach_map(
         start: Where it starts; None: at the arena's first start pose.
     """
     grid = _grid(arena, cell)
-    solids = columns(arena.shapes, grid)
+    solids = rasterize(arena.shapes, grid)
     floor = 0.0 if arena.has_floor else -math.inf
-    ground, steep = surfaces(solids, grid, floor, step=step, height=height, steepest=math.tan(slope))
-    links = tuple(links_of(ground, steep, step, grid.cell))
-    things = columns([shape for thing in (*arena.loose, *arena.victims) for shape in placed(thing)], grid)
+    ground, steep = walkable_surfaces(solids, grid, floor, step=step, height=height, steepest=math.tan(slope))
+    links = tuple(surface_adjacencies(ground, steep, step, grid.cell))
+    things = rasterize(
+        [shape for thing in (*arena.loose, *arena.victims) for shape in shapes_in_arena(thing)], grid
+    )
     free = np.isfinite(ground) & ~blocked(things, ground, step=step, height=height)
     # Solids are half a square too wide already.
     steps = max(0, math.ceil(radius / grid.cell - 0.5 - TINY))
-    area = areas_of(shrink(free, links, steps), links)
+    area = label_areas(erode(free, links, steps), links)
     x, y, z = (start or arena.starts[0]).at
     i, j = grid.index(x, y)
     i, j = min(i, grid.shape[0] - 1), min(j, grid.shape[1] - 1)
-    under = np.flatnonzero(ground[:, i, j] <= z - START_ELEVATION + SAME)
+    under = np.flatnonzero(ground[:, i, j] <= z - START_ELEVATION + SURFACE_TOLERANCE)
     home = int(area[under[-1], i, j]) if len(under) else -1
-    return ReachMap(grid=grid, ground=ground, area=area, home=home, links=links)
+    return ReachMap(grid=grid, ground=ground, area=area, start_area=home, links=links)
 
 
-def placed(thing: Loose | Victim) -> list[Shape]:
+def shapes_in_arena(thing: LooseObject | Victim) -> list[Shape]:
     """Return the solids of a loose object or a victim where it is at the start, in the arena's axes."""
-    shapes = thing.shapes if isinstance(thing, Loose) else _body(thing)
+    shapes = thing.shapes if isinstance(thing, LooseObject) else _body(thing)
     mat = mat_from_angles(*np.array(thing.rotation))
     at = np.array([shape.at for shape in shapes]) @ mat.T + thing.at
     angles = np.array([shape.rotation for shape in shapes])
@@ -182,7 +197,7 @@ def _boxes(victim: Victim) -> tuple[Shape, ...]:
     """Return the boxes of a victim at the origin; many have the same posture."""
     table = victim_table((victim,))
     pos, quat = segment_poses(table, np.zeros(()))
-    mat = np.zeros((table.boxes, 9))
+    mat = np.zeros((table.num_boxes, 9))
     for row, turn in zip(mat, quat.astype(float), strict=True):
         mujoco.mju_quat2Mat(row, turn)
     angles = angles_from_mat(mat.reshape(-1, 3, 3))
@@ -195,7 +210,8 @@ def _boxes(victim: Victim) -> tuple[Shape, ...]:
 def victims_reached(arena: ArenaSpec, there: ReachMap, distance: float = 1.0) -> list[bool]:
     """Return for each victim whether the robot gets that close to the middle of a part of its body [m]."""
     return [
-        any(there.near(*part.at, distance=distance) for part in placed(victim)) for victim in arena.victims
+        any(there.reaches_within(*part.at, distance=distance) for part in shapes_in_arena(victim))
+        for victim in arena.victims
     ]
 
 
@@ -203,6 +219,6 @@ def _grid(arena: ArenaSpec, cell: float) -> Grid:
     (x0, x1), (y0, y1) = arena.extent
     xs, ys = [start.at[0] for start in arena.starts], [start.at[1] for start in arena.starts]
     x0, x1, y0, y1 = min(x0, *xs), max(x1, *xs), min(y0, *ys), max(y1, *ys)
-    cell = max(cell, math.sqrt((x1 - x0) * (y1 - y0) / MOST_SQUARES))
+    cell = max(cell, math.sqrt((x1 - x0) * (y1 - y0) / MAX_CELLS))
     counts = (math.ceil((x1 - x0) / cell - TINY), math.ceil((y1 - y0) / cell - TINY))
     return Grid(low=(x0, y0), cell=cell, shape=(max(1, counts[0]), max(1, counts[1])))

@@ -1,6 +1,6 @@
 """The skeleton of victims: eleven boxes on joints, and the postures that it can take.
 
-The proportions are those of an adult of `HEIGHT` by Drillis and Contini (Body Segment Parameters, 1966).
+The proportions are those of an adult of `BODY_HEIGHT` by Drillis and Contini (Body Segment Parameters, 1966).
 Every bone is one box on one joint: elbows and knees do not bend. Unposed, the body stands upright, looks
 along x and lets its arms hang. Angles are (pitch, yaw, roll), as the manual orders them (14.1.3), in
 MuJoCo's axes: applied as ZYX, and a positive pitch bends forward.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.spec.robot import ZERO
 
-HEIGHT = 1.75
+BODY_HEIGHT = 1.75
 """Height of a standing victim [m]."""
 
 SKIN, SHIRT, TROUSERS = (0.85, 0.65, 0.55, 1.0), (0.75, 0.2, 0.2, 1.0), (0.2, 0.25, 0.45, 1.0)
@@ -115,7 +115,7 @@ BONES: dict[str, Bone] = {
 
 PART_NAMES = ("Head", "Arm", "Hand", "Chest", "Pelvis", "Leg", "Foot")
 """What victim sensors call parts (manual 9.3); `VictimTable.part` counts in this order."""
-PARTS: dict[str, str] = {name: bone.part for name, bone in BONES.items()}
+PART_OF_BONE: dict[str, str] = {name: bone.part for name, bone in BONES.items()}
 
 
 def _both(part: str, angles: Vec3) -> dict[str, Vec3]:

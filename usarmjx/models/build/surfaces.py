@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from usarmjx.models.build.raster import Columns, Grid
+from usarmjx.models.build.raster import Grid, SpanTable
 
 TINY = 1e-6
 SIDES = ((1, 0), (0, 1))
@@ -20,7 +20,7 @@ Squares = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class SurfaceAdjacency:
     """Which surfaces are joined to which in the next square, for all squares and one direction.
 
     Attributes:
@@ -36,8 +36,8 @@ class Link:
     joined: dict[tuple[int, int], np.ndarray]
 
 
-def surfaces(
-    solids: Columns, grid: Grid, floor: float, step: float, height: float, steepest: float
+def walkable_surfaces(
+    solids: SpanTable, grid: Grid, floor: float, step: float, height: float, steepest: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return height and steepness of the surfaces with room above them (layers, i, j).
 
@@ -60,7 +60,7 @@ def surfaces(
         count[which] += 1
 
     order = np.lexsort((solids.low, solids.square))
-    square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.steep))
+    square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.slope))
     first = np.searchsorted(square, square)
     rank = np.arange(len(square)) - first
     for place in range(int(rank.max(initial=-1)) + 1):
@@ -77,7 +77,7 @@ def surfaces(
     return np.stack(grounds).reshape(shape), np.stack(steeps).reshape(shape)
 
 
-def blocked(things: Columns, ground: np.ndarray, step: float, height: float) -> np.ndarray:
+def blocked(things: SpanTable, ground: np.ndarray, step: float, height: float) -> np.ndarray:
     """Return on which surfaces things stand in a robot's way (layers, i, j)."""
     flat = ground.reshape(len(ground), -1)
     under = flat[:, things.square]
@@ -95,7 +95,9 @@ def _slices(offset: int) -> tuple[slice, slice]:
     return (slice(None, -1), slice(1, None)) if offset > 0 else (slice(1, None), slice(None, -1))
 
 
-def links_of(ground: np.ndarray, steep: np.ndarray, step: float, cell: float) -> Iterator[Link]:
+def surface_adjacencies(
+    ground: np.ndarray, steep: np.ndarray, step: float, cell: float
+) -> Iterator[SurfaceAdjacency]:
     """Yield which surfaces of neighbouring squares are joined, for half of the directions."""
     for di, dj in (*SIDES, *CORNERS):
         (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
@@ -106,7 +108,7 @@ def links_of(ground: np.ndarray, steep: np.ndarray, step: float, cell: float) ->
             rise = step + TINY + length * np.maximum(steep[a][here], steep[b][there])
             joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
         some = {pair: which for pair, which in joined.items() if pair == (0, 0) or which.any()}
-        yield Link(corner=bool(di and dj), here=here, there=there, joined=some)
+        yield SurfaceAdjacency(corner=bool(di and dj), here=here, there=there, joined=some)
 
 
 def octagon(steps: int) -> Iterator[bool]:
@@ -116,7 +118,7 @@ def octagon(steps: int) -> Iterator[bool]:
         yield round((step + 1) * share) > round(step * share)
 
 
-def grow(which: np.ndarray, links: tuple[Link, ...], corners: bool) -> np.ndarray:
+def dilate(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], corners: bool) -> np.ndarray:
     """Return the given surfaces and those joined to them (layers, i, j)."""
     grown = which.copy()
     for link in links:
@@ -127,7 +129,7 @@ def grow(which: np.ndarray, links: tuple[Link, ...], corners: bool) -> np.ndarra
     return grown
 
 
-def shrink(which: np.ndarray, links: tuple[Link, ...], steps: int) -> np.ndarray:
+def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) -> np.ndarray:
     """Return the surfaces that lie more than some squares from where they end (layers, i, j).
 
     A surface ends where a neighbouring square has none joined to it; not at the edge of the grid.
@@ -147,7 +149,7 @@ def shrink(which: np.ndarray, links: tuple[Link, ...], steps: int) -> np.ndarray
     return which
 
 
-def areas_of(which: np.ndarray, links: tuple[Link, ...]) -> np.ndarray:
+def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.ndarray:
     """Number the areas that hang together by the squares' sides; -1 elsewhere (layers, i, j)."""
     count = np.count_nonzero(which)
     number = np.full(which.shape, -1, np.int32)

@@ -1,6 +1,6 @@
 """Domain randomisation: what differs between worlds, robots and episodes beside arenas and noise, as data.
 
-`Variation` says from which ranges, `Varied` has one world's numbers. Those that are physics reach the engine
+`DomainRandomization` says from which ranges, `RandomizedValues` has one world's numbers. Those that are physics reach the engine
 as fields of its model that differ between worlds (`engines.varied`).
 """
 
@@ -28,8 +28,8 @@ LONGEST_LATENCY = 100
 """More control steps than this are no latency but a mistake."""
 
 
-class Rule(NamedTuple):
-    """What a quantity of `Variation` may be.
+class QuantityRule(NamedTuple):
+    """What a quantity of `DomainRandomization` may be.
 
     Attributes:
         robots: Whether each robot has its own; else the world has one.
@@ -48,25 +48,25 @@ class Rule(NamedTuple):
     whole: bool = False
 
 
-_FACTOR = Rule(robots=True, positive=True)
-RULES = {
-    "friction": Rule(positive=True),
+_FACTOR = QuantityRule(robots=True, positive=True)
+QUANTITY_RULES = {
+    "friction": QuantityRule(positive=True),
     "mass": _FACTOR,
     "wheel": _FACTOR,
     "torque": _FACTOR,
     "speed": _FACTOR,
-    "noise": Rule(robots=True, least=0.0),
-    "latency": Rule(robots=True, neutral=0.0, least=0.0, most=LONGEST_LATENCY, whole=True),
-    "radio_pdo": Rule(),
-    "radio_n": Rule(least=0.0),
-    "radio_cutoff": Rule(),
-    "radio_atten_fac": Rule(least=0.0),
+    "noise": QuantityRule(robots=True, least=0.0),
+    "latency": QuantityRule(robots=True, neutral=0.0, least=0.0, most=LONGEST_LATENCY, whole=True),
+    "radio_pdo": QuantityRule(),
+    "radio_n": QuantityRule(least=0.0),
+    "radio_cutoff": QuantityRule(),
+    "radio_atten_fac": QuantityRule(least=0.0),
 }
 """The quantities. New ones come last: a quantity draws its numbers by its place here."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variation:
+class DomainRandomization:
     """Ranges that worlds, and the robots in them, draw from at the start of each episode; None: no variation.
 
     Attributes:
@@ -104,17 +104,17 @@ class Variation:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        for name, rule in RULES.items():
+        for name, rule in QUANTITY_RULES.items():
             span = getattr(self, name)
             if span is not None:
                 _check_range(name, span, rule)
 
     def range_of(self, name: str) -> Range | None:
-        """Return the range of a quantity of `RULES`."""
+        """Return the range of a quantity of `QUANTITY_RULES`."""
         return getattr(self, name)
 
 
-def _check_range(name: str, span: object, rule: Rule) -> None:
+def _check_range(name: str, span: object, rule: QuantityRule) -> None:
     kind = int if rule.whole else (int, float)
     pair = isinstance(span, Sequence) and len(span) == 2 and all(isinstance(x, kind) for x in span)
     if not pair or not all(map(math.isfinite, span)) or span[0] > span[1]:  # type: ignore - two numbers then
@@ -127,8 +127,8 @@ def _check_range(name: str, span: object, rule: Rule) -> None:
         raise SpecError(f"vary: {name} is {span}, allowed is {least}{most}")
 
 
-class Varied(struct.PyTreeNode, kw_only=True):
-    """The numbers of one world in one episode, as `Variation` explains them; None: not varied.
+class RandomizedValues(struct.PyTreeNode, kw_only=True):
+    """The numbers of one world in one episode, as `DomainRandomization` explains them; None: not varied.
 
     Those of robots are by roster slot (robots,), the others ().
     """
@@ -146,7 +146,7 @@ class Varied(struct.PyTreeNode, kw_only=True):
     radio_atten_fac: Array | None = None
 
 
-def draw(vary: Variation, varies: np.ndarray, key: jax.Array) -> Varied:
+def sample_values(vary: DomainRandomization, varies: np.ndarray, key: jax.Array) -> RandomizedValues:
     """Return the numbers of a world for an episode.
 
     A number depends on the key, the quantity and the robot's slot alone: neither on the other quantities nor
@@ -158,7 +158,7 @@ def draw(vary: Variation, varies: np.ndarray, key: jax.Array) -> Varied:
         key: The world's and the episode's.
     """
     drawn = {}
-    for place, (name, rule) in enumerate(RULES.items()):
+    for place, (name, rule) in enumerate(QUANTITY_RULES.items()):
         span = vary.range_of(name)
         if span is None:
             continue
@@ -169,10 +169,10 @@ def draw(vary: Variation, varies: np.ndarray, key: jax.Array) -> Varied:
         keys = jax.vmap(partial(jax.random.fold_in, own))(jnp.arange(len(varies)))
         numbers = jax.vmap(partial(_number, rule, span))(keys)
         drawn[name] = jnp.where(varies, numbers, jnp.asarray(rule.neutral, numbers.dtype))
-    return Varied(**drawn)
+    return RandomizedValues(**drawn)
 
 
-def _number(rule: Rule, span: Range, key: jax.Array) -> jax.Array:
+def _number(rule: QuantityRule, span: Range, key: jax.Array) -> jax.Array:
     low, high = span
     if rule.whole:
         return jax.random.randint(key, (), int(low), int(high) + 1)
@@ -180,7 +180,7 @@ def _number(rule: Rule, span: Range, key: jax.Array) -> jax.Array:
 
 
 @dataclass(frozen=True, eq=False)
-class VariedBodies:
+class RandomizedBodies:
     """Where in a model the robots are that vary.
 
     Attributes:
@@ -191,14 +191,14 @@ class VariedBodies:
         wheel: Whether a body rolls (nbody,).
     """
 
-    vary: Variation
+    vary: DomainRandomization
     varies: np.ndarray
     chassis: np.ndarray
     owner: np.ndarray
     wheel: np.ndarray
 
 
-def check_variation(vary: Variation, robots: Sequence[RobotSpec], radio: bool) -> None:
+def check_randomization(vary: DomainRandomization, robots: Sequence[RobotSpec], radio: bool) -> None:
     """Refuse a variation that would have no, or a wrong, effect on some robots of a scene.
 
     Args:
@@ -213,12 +213,12 @@ def check_variation(vary: Variation, robots: Sequence[RobotSpec], radio: bool) -
     lost = sorted(set(vary.classes) - set(there))
     if lost:
         raise SpecError(f"vary: no robots of class {', '.join(lost)} here; there are {', '.join(there)}")
-    if not radio and any(vary.range_of(name) for name in RULES if name.startswith("radio")):
+    if not radio and any(vary.range_of(name) for name in QUANTITY_RULES if name.startswith("radio")):
         raise SpecError("vary: this scene has no radio: give build_scene a radio=RadioSettings(...)")
     for name, (why, lacks) in _LACKS.items():
         if vary.range_of(name) is None:
             continue
-        bad = sorted({robot.name for robot in robots if varies(vary, robot) and lacks(robot)})
+        bad = sorted({robot.name for robot in robots if is_randomized(vary, robot) and lacks(robot)})
         if bad:
             raise SpecError(
                 f"vary: {name} does not go with {', '.join(bad)}, which {why}; "
@@ -226,7 +226,7 @@ def check_variation(vary: Variation, robots: Sequence[RobotSpec], radio: bool) -
             )
 
 
-def varies(vary: Variation, robot: RobotSpec) -> bool:
+def is_randomized(vary: DomainRandomization, robot: RobotSpec) -> bool:
     """Return whether robots of a class vary."""
     return not vary.classes or robot.name in vary.classes
 
@@ -242,7 +242,7 @@ def _motors(robot: RobotSpec) -> bool:
 
 _LACKS = {
     "mass": ("is trimmed to its weight", _pushed),
-    "wheel": ("has no wheels", lambda robot: wheel_reach(robot) == 0.0),
+    "wheel": ("has no wheels", lambda robot: max_wheel_radius(robot) == 0.0),
     "torque": ("has no motors at its joints to move by", lambda robot: _pushed(robot) or not _motors(robot)),
     "speed": ("has no motors", lambda robot: not _pushed(robot) and not _motors(robot)),
     "latency": ("has nothing to be told", lambda robot: not _pushed(robot) and not _motors(robot)),
@@ -250,7 +250,7 @@ _LACKS = {
 """What a robot lacks that a quantity is about."""
 
 
-def wheel_reach(robot: RobotSpec) -> float:
+def max_wheel_radius(robot: RobotSpec) -> float:
     """Return the radius of a robot's largest wheel [m]; 0 without wheels."""
-    rolling = (part for part in parts_of(robot) if part.rolls)
+    rolling = (part for part in parts_of(robot) if part.is_wheel)
     return max((shape.size[0] for part in rolling for shape in part.shapes), default=0.0)

@@ -8,28 +8,28 @@ from flax import struct
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Array, Vec3, quat_from_angles
-from usarmjx.models.build.skeleton import BONES, HEIGHT, PART_NAMES, POSTURES, Bone
-from usarmjx.models.spec.arena import FalseAlarm, Segment, Victim
+from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, POSTURES, Bone
+from usarmjx.models.spec.arena import FalseAlarm, SegmentMotion, Victim
 from usarmjx.models.spec.robot import ZERO
 
 MAX_SEGMENTS = 8
 """Most segments with a motion of their own (manual 14.1.3)."""
-PARKED = 1e6
+PARKED_COORDINATE = 1e6
 """Where boxes wait that a world does not have, along each axis [m]."""
-NOBODY = -(1 << 20)
+PADDING_OWNER = -(1 << 20)
 """Owner of such a box."""
 
 
 class VictimTable(struct.PyTreeNode, kw_only=True):
     """The visible boxes of an arena's victims and false alarms, and what there is to hear of the victims.
 
-    Every number is an array leaf, so that the tables of several worlds can be stacked once `padded` to one
+    Every number is an array leaf, so that the tables of several worlds can be stacked once `pad_table` to one
     size.
 
     Attributes:
         size: Half lengths of the boxes [m] (boxes, 3).
         part: Places in `PART_NAMES` (boxes,).
-        owner: Place of the victim; -1 - k for false alarm k; `NOBODY` for padding (boxes,).
+        owner: Place of the victim; -1 - k for false alarm k; `PADDING_OWNER` for padding (boxes,).
         rgba: Colours (boxes, 4).
         parent: The box that each hangs on, -1 for none (boxes,).
         joint: Where its joint is, seen from the parent's joint; without parent, in the arena [m] (boxes, 3).
@@ -67,12 +67,12 @@ class VictimTable(struct.PyTreeNode, kw_only=True):
     breathes: Array
 
     @property
-    def boxes(self) -> int:
+    def num_boxes(self) -> int:
         """Number of boxes."""
         return self.size.shape[-2]
 
     @property
-    def victims(self) -> int:
+    def num_victims(self) -> int:
         """Number of victims."""
         return self.at.shape[-2]
 
@@ -166,10 +166,10 @@ def _body(victim: Victim, owner: int, first: int) -> list[_Box]:
     """
     own = {segment.name: segment for segment in victim.segments}
     posture = POSTURES[victim.posture]
-    scale: dict[str | None, float] = {None: HEIGHT}
+    scale: dict[str | None, float] = {None: BODY_HEIGHT}
     rows: dict[str, _Box] = {}
     for name, bone in BONES.items():
-        segment = own.get(name, Segment(name=name))
+        segment = own.get(name, SegmentMotion(name=name))
         scale[name] = scale[bone.parent] * segment.scale
         if segment.initial == segment.final == ZERO:  # no pose of its own
             segment = replace(segment, initial=posture.get(name, ZERO), final=posture.get(name, ZERO))
@@ -204,7 +204,7 @@ def _alarm(alarm: FalseAlarm, owner: int) -> list[_Box]:
     return [
         _Box(
             name=alarm.part,
-            size=HEIGHT * alarm.scale * np.array(bone.half),
+            size=BODY_HEIGHT * alarm.scale * np.array(bone.half),
             part=PART_NAMES.index(bone.part),
             owner=owner,
             rgba=bone.rgba,
@@ -235,7 +235,7 @@ def _table(boxes: Sequence[_Box], victims: Sequence[Victim], mouths: Sequence[in
     )
 
 
-def padded(table: VictimTable, boxes: int, victims: int) -> VictimTable:
+def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
     """Return a table with room for so many boxes and victims: numpy arrays.
 
     The boxes that it fills up with are 1 mm large, far away and nobody's; the victims make no sound.
@@ -243,22 +243,22 @@ def padded(table: VictimTable, boxes: int, victims: int) -> VictimTable:
     Raises:
         SpecError: The table is larger already.
     """
-    more, people = boxes - table.boxes, victims - table.victims
+    more, people = boxes - table.num_boxes, victims - table.num_victims
     if min(more, people) < 0:
         raise SpecError(
-            f"{table.boxes} boxes of {table.victims} victims do not fit into room for {boxes} of {victims}"
+            f"{table.num_boxes} boxes of {table.num_victims} victims do not fit into room for {boxes} of {victims}"
         )
 
     def filled(value: Array, rows: int, fill: float) -> np.ndarray:
         room = [(0, rows)] + [(0, 0)] * (value.ndim - 1)
         return np.pad(np.asarray(value), room, constant_values=fill)
 
-    fills = {"size": 1e-3, "joint": PARKED, "owner": NOBODY, "parent": -1, "rgba": 0.0}
+    fills = {"size": 1e-3, "joint": PARKED_COORDINATE, "owner": PADDING_OWNER, "parent": -1, "rgba": 0.0}
     voices = ("at", "mouth", "loudness", "duration", "pause", "breathes")
     columns = {}
     for name, value in vars(table).items():
         rows = people if name in voices else more
-        fill = {"at": PARKED, "mouth": -1}.get(name, fills.get(name, 0.0))
+        fill = {"at": PARKED_COORDINATE, "mouth": -1}.get(name, fills.get(name, 0.0))
         columns[name] = filled(value, rows, fill)
-    columns["base"][table.boxes :, 0] = 1.0
+    columns["base"][table.num_boxes :, 0] = 1.0
     return VictimTable(**columns)

@@ -10,26 +10,33 @@ from types import ModuleType
 import numpy as np
 
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.skeleton import BONES, HEIGHT, PART_NAMES, PARTS, POSTURES
-from usarmjx.models.build.victim_table import NOBODY, PARKED, VictimTable, box_names, build_table, padded
+from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, PART_OF_BONE, POSTURES
+from usarmjx.models.build.victim_table import (
+    PADDING_OWNER,
+    PARKED_COORDINATE,
+    VictimTable,
+    box_names,
+    build_table,
+    pad_table,
+)
 from usarmjx.models.spec.arena import FalseAlarm, Victim
 from usarmjx.models.spec.robot import ZERO
 
 __all__ = [
+    "BODY_HEIGHT",
     "BONES",
-    "HEIGHT",
-    "NOBODY",
-    "PARKED",
-    "PARTS",
+    "PADDING_OWNER",
+    "PARKED_COORDINATE",
     "PART_NAMES",
+    "PART_OF_BONE",
     "POSTURES",
     "VictimTable",
     "box_names",
     "loudness",
     "lowest",
-    "mouths",
+    "mouth_positions",
     "orientations",
-    "padded",
+    "pad_table",
     "rest_height",
     "segment_angles",
     "segment_poses",
@@ -117,9 +124,9 @@ def loudness(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
     return xp.where(since < table.duration, table.loudness, 0.0)
 
 
-def mouths(table: VictimTable, pos: Array, xp: ModuleType = np) -> Array:
+def mouth_positions(table: VictimTable, pos: Array, xp: ModuleType = np) -> Array:
     """Return where the victims cry and breathe [m] (..., victims, 3), from the boxes' centres `pos`."""
-    if table.boxes == 0:
+    if table.num_boxes == 0:
         return xp.broadcast_to(table.at, (*pos.shape[:-2], *table.at.shape))
     found = pos[..., xp.maximum(table.mouth, 0), :]
     return xp.where(table.mouth[:, None] >= 0, found, table.at)
@@ -153,7 +160,7 @@ def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Ar
     quat = _times(table.base, _quat(angles, xp), xp)
     pos = xp.broadcast_to(table.joint, angles.shape)
     parent = table.parent
-    if table.boxes == 0:
+    if table.num_boxes == 0:
         return pos, quat
     # Twice as far up the chain each time, so twice is enough for four bones in a row.
     for _ in range(2):

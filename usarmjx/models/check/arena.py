@@ -5,12 +5,12 @@ from collections.abc import Iterator
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.compose_arena import ARENA
-from usarmjx.models.build.reach import reach_map, size_of, victims_reached
-from usarmjx.models.build.tags import RELEASED
-from usarmjx.models.check.probe import Site, in_water, said, solid_name
+from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
+from usarmjx.models.build.tags import MAX_RELEASED_ID
+from usarmjx.models.check.probe import ArenaProbe, format_position, in_water, solid_name
 from usarmjx.models.files.content import corners_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import AUTOMATIC, ArenaSpec, StartPose
+from usarmjx.models.spec.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
 
 STICKS_OUT = 0.5
@@ -34,10 +34,10 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     spec = ROBOTS.get(robot)
     found = [*_plan(arena), *_names(arena), *_tags(arena)]
     try:
-        site = Site(arena, spec)
+        site = ArenaProbe(arena, spec)
     except (SpecError, ValueError) as error:
         return [*found, f"it cannot be built: {error}"]
-    found += [*site.starts(), *site.loose(), *site.waters()]
+    found += [*site.check_starts(), *site.check_loose(), *site.check_waters()]
     dry = [start for start in arena.starts if not in_water(arena, start)]
     if not dry or any(fault.startswith(f"start {dry[0].tag!r}") for fault in found):
         return found  # from there nobody gets anywhere
@@ -58,7 +58,7 @@ def _plan(arena: ArenaSpec) -> Iterator[str]:
     places += [(f"tag {i} (ID {tag.id})", tag.at) for i, tag in enumerate(arena.tags)]
     for name, (x, y, _) in places:
         if not (x0 <= x <= x1 and y0 <= y <= y1):
-            yield f"{name} at {said(x, y)} is outside the extent"
+            yield f"{name} at {format_position(x, y)} is outside the extent"
 
 
 def _names(arena: ArenaSpec) -> Iterator[str]:
@@ -76,26 +76,26 @@ def _names(arena: ArenaSpec) -> Iterator[str]:
 
 
 def _tags(arena: ArenaSpec) -> Iterator[str]:
-    given = Counter(tag.id for tag in arena.tags if tag.id != AUTOMATIC)
+    given = Counter(tag.id for tag in arena.tags if tag.id != AUTOMATIC_TAG_ID)
     for number, count in given.items():
         if count > 1:
             yield f"{count} tags have the ID {number}"
-        if number <= RELEASED:
-            yield f"a tag has the ID {number}; up to {RELEASED} they belong to releasers"
+        if number <= MAX_RELEASED_ID:
+            yield f"a tag has the ID {number}; up to {MAX_RELEASED_ID} they belong to releasers"
 
 
 def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator[str]:
     """Yield what a robot cannot reach from the first of the start poses that are not in water."""
-    size = size_of(robot)
+    size = footprint_of(robot)
     found = reach_map(arena, size.radius, size.step, height=size.height, start=dry[0])
-    if found.home < 0:
+    if found.start_area < 0:
         yield f"start {dry[0].tag!r}: a {robot.name} has no room to turn there"
         return
-    near = [found.near(*start.at, distance=BESIDE) for start in dry[1:]]
+    near = [found.reaches_within(*start.at, distance=BESIDE) for start in dry[1:]]
     far = [
         (f"start {s.tag!r}", s.at, BESIDE) for s, reached in zip(dry[1:], near, strict=True) if not reached
     ]
     touched = victims_reached(arena, found, ARM)
     far += [(f"victim {v.name!r}", v.at, ARM) for v, ok in zip(arena.victims, touched, strict=True) if not ok]
     for name, (x, y, _), least in far:
-        yield f"{name} at {said(x, y)}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"
+        yield f"{name} at {format_position(x, y)}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"

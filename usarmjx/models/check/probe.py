@@ -6,28 +6,28 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.compose_arena import ARENA, BONE, DOOR, LOOSE
+from usarmjx.models.build.compose_arena import ARENA, DOOR, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.build.victim_table import box_names
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
 
-ELEVATION_OFF = 0.02
+ELEVATION_TOLERANCE = 0.02
 """How far a start pose may be from its height above the ground [m]; the wire rounds to 1 cm."""
-DEEP, DEEP_IN_GROUND = 0.02, 0.08
+MAX_PENETRATION, MAX_GROUND_PENETRATION = 0.02, 0.08
 """How deep a robot may start in a solid, and in what it drives on: robots are put level on slopes [m]."""
-LAPPED = 0.005
+MAX_LOOSE_PENETRATION = 0.005
 """How deep a loose object may lie in another solid [m]."""
-SHALLOW = 0.1
+MAX_WATER_GAP = 0.1
 """How far above the ground a volume of water may end [m]."""
-AWAY = 1000.0
+AWAY_HEIGHT = 1000.0
 """Where the robot waits while the arena is looked at without it [m]."""
-HAIR = 1e-4
+RAY_STEP = 1e-4
 """What a ray moves on below something that is seen but never touched [m]."""
 
 
-def said(*at: float) -> str:
+def format_position(*at: float) -> str:
     """Return a place as messages show it."""
     return ", ".join(f"{v:.4g}" for v in at)
 
@@ -37,14 +37,14 @@ def solid_name(arena: ArenaSpec, geom: str) -> str:
     if geom.startswith(ARENA):
         number = geom.removeprefix(ARENA).split("/")[0]
         shape = arena.shapes[int(number)]
-        return f"shapes[{number}] ({shape.kind} at {said(*shape.at)})"
-    if geom.startswith(LOOSE):
-        return f"loose object {geom.removeprefix(LOOSE).rpartition('/')[0]!r}"
+        return f"shapes[{number}] ({shape.kind} at {format_position(*shape.at)})"
+    if geom.startswith(LOOSE_PREFIX):
+        return f"loose object {geom.removeprefix(LOOSE_PREFIX).rpartition('/')[0]!r}"
     if geom.startswith(DOOR):
         return f"door {geom.removeprefix(DOOR)!r}"
-    if geom.startswith(BONE):
+    if geom.startswith(VICTIM_PREFIX):
         names = box_names(arena.victims, arena.false_alarms)
-        return f"victim {names[int(geom.removeprefix(BONE))].rpartition('/')[0]!r}"
+        return f"victim {names[int(geom.removeprefix(VICTIM_PREFIX))].rpartition('/')[0]!r}"
     return f"the {geom}"
 
 
@@ -56,7 +56,7 @@ def in_water(arena: ArenaSpec, start: StartPose) -> bool:
     )
 
 
-class Site:
+class ArenaProbe:
     """The arena on C MuJoCo with one robot, which is put where it is needed.
 
     Args:
@@ -70,14 +70,14 @@ class Site:
     def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
         self._arena, self._robot = arena, robot
         spec = new_spec(arena, Physics())
-        add_robot(spec, robot, "robot/", (0.0, 0.0, AWAY))
+        add_robot(spec, robot, "robot/", (0.0, 0.0, AWAY_HEIGHT))
         self._model = spec.compile()
         self._root = int(self._model.joint("robot/root").qposadr[0])
         self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
 
-    def starts(self) -> Iterator[str]:
+    def check_starts(self) -> Iterator[str]:
         """Yield what is wrong with start poses."""
         for start in self._arena.starts:
             name = f"start {start.tag!r}"
@@ -86,7 +86,7 @@ class Site:
                 if ground is None:
                     yield f"{name}: there is no ground under it"
                     continue
-                if abs(start.at[2] - ground - START_ELEVATION) > ELEVATION_OFF:
+                if abs(start.at[2] - ground - START_ELEVATION) > ELEVATION_TOLERANCE:
                     yield (
                         f"{name} is {start.at[2] - ground:.3f} m above the ground under it, not "
                         f"{START_ELEVATION} (manual 5.3.5): its z should be {ground + START_ELEVATION:.3f}"
@@ -94,32 +94,35 @@ class Site:
             for solid, depth in self._inside(start).items():
                 yield f"{name}: a {self._robot.name} stands {depth:.2f} m deep in {solid}"
 
-    def loose(self) -> Iterator[str]:
+    def check_loose(self) -> Iterator[str]:
         """Yield what loose objects lie in."""
-        self._place((0.0, 0.0, AWAY), 0.0)
+        self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
         for (one, other), depth in self._contacts().items():
-            if depth > LAPPED and LOOSE in (one[: len(LOOSE)], other[: len(LOOSE)]):
-                pair = sorted((one, other), key=lambda name: not name.startswith(LOOSE))
+            if depth > MAX_LOOSE_PENETRATION and LOOSE_PREFIX in (
+                one[: len(LOOSE_PREFIX)],
+                other[: len(LOOSE_PREFIX)],
+            ):
+                pair = sorted((one, other), key=lambda name: not name.startswith(LOOSE_PREFIX))
                 first, second = (solid_name(self._arena, name) for name in pair)
                 yield f"{first} lies {depth:.3f} m deep in {second}"
 
-    def waters(self) -> Iterator[str]:
+    def check_waters(self) -> Iterator[str]:
         """Yield what is wrong with water."""
         for i, water in enumerate(self._arena.waters):
             x, y = ((a + b) / 2 for a, b in zip(water.low[:2], water.high[:2], strict=True))
-            ground = self._ground((x, y, water.low[2] + HAIR))
+            ground = self._ground((x, y, water.low[2] + RAY_STEP))
             if ground is None:
                 yield f"waters[{i}] has no ground under its middle: what sinks, sinks forever"
-            elif water.low[2] - ground > SHALLOW:
+            elif water.low[2] - ground > MAX_WATER_GAP:
                 yield f"waters[{i}] ends {water.low[2] - ground:.2f} m above the ground"
 
-    def _place(self, at: tuple[float, float, float], yaw: float) -> None:
+    def _set_robot_pose(self, at: tuple[float, float, float], yaw: float) -> None:
         self._data.qpos[self._root : self._root + 7] = (*at, *quat_from_angles(0.0, 0.0, yaw))
         mujoco.mj_forward(self._model, self._data)
 
     def _ground(self, at: tuple[float, float, float]) -> float | None:
         """Return the height of the first solid below a place that can be touched, in the arena's axes."""
-        self._place((0.0, 0.0, AWAY), 0.0)
+        self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
         point = np.array([*at[:2], at[2] + self._arena.floor])
         down = np.array([0.0, 0.0, -1.0])
         geom = np.zeros((1, 1), np.int32)
@@ -128,14 +131,14 @@ class Site:
             hit = int(geom[0, 0])
             if self._model.geom_contype[hit] or self._model.geom_conaffinity[hit]:
                 return float(point[2] - self._arena.floor)
-            point = point + down * HAIR
+            point = point + down * RAY_STEP
         return None
 
     def _inside(self, start: StartPose) -> dict[str, float]:
         """Return the solids that the robot is in when it starts there, and how deep."""
         x, y, z = start.at
-        height = self._arena.floor + z - START_ELEVATION + body_plan(self._robot).clearance
-        self._place((x, y, height), start.yaw)
+        height = self._arena.floor + z - START_ELEVATION + kinematic_tree_of(self._robot).clearance
+        self._set_robot_pose((x, y, height), start.yaw)
         found: dict[str, float] = {}
         for pair, depth in self._contacts().items():
             others = [name for name in pair if not name.startswith("robot/")]
@@ -148,8 +151,8 @@ class Site:
         """Return how deep in a solid a robot may start."""
         if geom.startswith(ARENA):
             shape = self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])]
-            return DEEP_IN_GROUND if shape.surface == "ground" else DEEP
-        return DEEP
+            return MAX_GROUND_PENETRATION if shape.surface == "ground" else MAX_PENETRATION
+        return MAX_PENETRATION
 
     def _contacts(self) -> dict[tuple[str, str], float]:
         """Return the pairs of geoms that touch, and how deep."""

@@ -1,7 +1,7 @@
 """How robots are driven: one module per kind of locomotion."""
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.drives.base import DRY, Aim, Drive, Vehicle
+from usarmjx.models.drives.base import DRY_DEPTH, Drive, JointControl, VehicleType
 from usarmjx.models.drives.flying import Blimp, RotaryWing
 from usarmjx.models.drives.ground import NoDrive, SkidSteer
 from usarmjx.models.drives.omni import OmniDrive
@@ -9,17 +9,17 @@ from usarmjx.models.drives.tracks import Tracks
 from usarmjx.models.drives.underwater import Underwater
 
 __all__ = [
-    "DRY",
+    "DRY_DEPTH",
     "Ackermann",
-    "Aim",
     "Blimp",
     "Drive",
+    "JointControl",
     "NoDrive",
     "OmniDrive",
     "RotaryWing",
     "SkidSteer",
     "Tracks",
     "Underwater",
-    "Vehicle",
+    "VehicleType",
     "Wheel",
 ]

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.transforms import Array
-from usarmjx.models.drives.base import Aim, Drive
+from usarmjx.models.drives.base import Drive, JointControl
 
-POSITION, VELOCITY, TORQUE = 0, 1, 2
-"""Orders of a joint (manual 9.4); `control.Order` has them too, one layer up."""
+POSITION_MODE, VELOCITY_MODE, TORQUE_MODE = 0, 1, 2
+"""Orders of a joint (manual 9.4); `control.ControlMode` has them too, one layer up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Ackermann(Drive):
         max_rear_steer: Largest RearSteer [rad]; 0 if the rear wheels do not steer.
     """
 
-    wheeled: ClassVar[bool] = True
+    is_wheeled: ClassVar[bool] = True
 
     wheels: tuple[Wheel, ...]
     max_spin: float
@@ -67,7 +67,7 @@ class Ackermann(Drive):
         return "AckermanSteered"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Speed of the powered wheels [rad/s], angles of both axles [rad]."""
         return {
             "Speed": self.max_spin,
@@ -76,25 +76,27 @@ class Ackermann(Drive):
         }
 
     @property
-    def aims(self) -> tuple[Aim, ...]:
+    def joint_controls(self) -> tuple[JointControl, ...]:
         """The powered wheels, those that only brake, then the joints that steer."""
-        spins = [Aim(joint=wheel.joint) for wheel in self.wheels if wheel.powered]
-        brakes = [Aim(joint=wheel.joint, order=TORQUE) for wheel in self.wheels if _only_brakes(wheel)]
-        turns = [Aim(joint=wheel.steer, order=POSITION) for wheel in self.wheels if wheel.steer]
+        spins = [JointControl(joint=wheel.joint) for wheel in self.wheels if wheel.powered]
+        brakes = [
+            JointControl(joint=wheel.joint, mode=TORQUE_MODE) for wheel in self.wheels if _only_brakes(wheel)
+        ]
+        turns = [JointControl(joint=wheel.steer, mode=POSITION_MODE) for wheel in self.wheels if wheel.steer]
         return (*spins, *brakes, *turns)
 
-    def orders(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def control_modes(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Return the orders of `aims` (..., aims): wheels that only brake are held at Speed 0, else free."""
-        orders = np.array([aim.order for aim in self.aims], np.int32)
-        stands = (setpoint[..., 0:1] == 0.0) & (orders == TORQUE)
-        return xp.where(stands, VELOCITY, orders)
+        orders = np.array([aim.mode for aim in self.joint_controls], np.int32)
+        stands = (setpoint[..., 0:1] == 0.0) & (orders == TORQUE_MODE)
+        return xp.where(stands, VELOCITY_MODE, orders)
 
     @property
     def wheel_base(self) -> float:
         """Distance of the foremost and the rearmost axle [m]."""
         return float(np.ptp([wheel.x for wheel in self.wheels]))
 
-    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Speeds of the powered wheels, zeros for those that only brake, angles of those that steer.
 
         Every wheel turns as fast as its distance from the turning centre asks for; Speed is that of the
@@ -102,8 +104,8 @@ class Ackermann(Drive):
         slower.
         """
         speed, front, rear = (setpoint[..., i : i + 1] for i in range(3))
-        powered = _places([wheel for wheel in self.wheels if wheel.powered])
-        steered = _places([wheel for wheel in self.wheels if wheel.steer])
+        powered = _wheel_positions([wheel for wheel in self.wheels if wheel.powered])
+        steered = _wheel_positions([wheel for wheel in self.wheels if wheel.steer])
         middle = powered.mean(1, keepdims=True)
         pace = xp.hypot(*self._heading(powered, front, rear, xp))
         spin = speed * pace / xp.hypot(*self._heading(middle, front, rear, xp))
@@ -113,13 +115,15 @@ class Ackermann(Drive):
         still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
         return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
-    def _heading(self, places: np.ndarray, front: Array, rear: Array, xp: ModuleType) -> tuple[Array, Array]:
+    def _heading(
+        self, positions: np.ndarray, front: Array, rear: Array, xp: ModuleType
+    ) -> tuple[Array, Array]:
         """Return which way places of the chassis (2, places) go, ahead and left (..., places).
 
         The length is their distance from the turning centre over that of the robot's middle line, so that
         it stays finite when the robot goes straight on.
         """
-        x, y = places
+        x, y = positions
         curvature = (xp.tan(front) - xp.tan(rear)) / self.wheel_base
         behind = x - max(wheel.x for wheel in self.wheels)
         return 1.0 + curvature * y, xp.tan(front) + curvature * behind
@@ -136,9 +140,9 @@ class Ackermann(Drive):
         angles = [float(np.arctan(tangent + curvature * lever)) for tangent, lever in (front, rear)]
         return {"front_steer": angles[0], "rear_steer": angles[1]}
 
-    def _axle(self, joints: Mapping[str, float], place: float) -> tuple[float, float]:
+    def _axle(self, joints: Mapping[str, float], axle_x: float) -> tuple[float, float]:
         """Return the means of tan a and of y tan a over the wheels at that x."""
-        axle = [wheel for wheel in self.wheels if wheel.x == place]
+        axle = [wheel for wheel in self.wheels if wheel.x == axle_x]
         tangents = [tan(joints[wheel.steer]) if wheel.steer else 0.0 for wheel in axle]
         levers = [wheel.y * tangent for wheel, tangent in zip(axle, tangents, strict=True)]
         return float(np.mean(tangents)), float(np.mean(levers))
@@ -149,7 +153,7 @@ class Ackermann(Drive):
         return self.max_spin
 
     @property
-    def steers(self) -> tuple[float, float]:
+    def max_steering(self) -> tuple[float, float]:
         """The largest FrontSteer and RearSteer [rad]."""
         return (self.max_front_steer, self.max_rear_steer)
 
@@ -163,5 +167,5 @@ def _only_brakes(wheel: Wheel) -> bool:
     return wheel.brakes and not wheel.powered
 
 
-def _places(wheels: list[Wheel]) -> np.ndarray:
+def _wheel_positions(wheels: list[Wheel]) -> np.ndarray:
     return np.array([(wheel.x, wheel.y) for wheel in wheels], np.float32).T

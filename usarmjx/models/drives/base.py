@@ -16,32 +16,32 @@ import numpy as np
 from usarmjx.base.transforms import Array
 from usarmjx.models.drives.state import RobotState
 
-Vehicle = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
-DRY = -1e3
+VehicleType = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
+DRY_DEPTH = -1e3
 """Depth of what is not in water [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aim:
+class JointControl:
     """What a drive asks of one joint: which, in which control order, and from which row of numbers.
 
     Attributes:
         joint: Name of the joint.
-        order: 0 for a position, 1 for a velocity, 2 for a torque.
+        mode: 0 for a position, 1 for a velocity, 2 for a torque.
     """
 
     joint: str
-    order: int = 1
+    mode: int = 1
 
 
 class Drive(ABC):
     """How DRIVE moves a robot. Subclasses are frozen dataclasses with the figures."""
 
-    wheeled: ClassVar[bool] = False
+    is_wheeled: ClassVar[bool] = False
     """Whether it stands on wheels or tracks, so that DRIVE {Flip} means something to it."""
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> VehicleType:
         """The type that STA, GEO and CONF report."""
         return "GroundVehicle"
 
@@ -51,24 +51,24 @@ class Drive(ABC):
         """The SteeringType that CONF reports."""
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """The keys of DRIVE and what 100 means for each when Normalized (rad/s, m/s or rad)."""
         return {}
 
     @property
-    def aims(self) -> tuple[Aim, ...]:
+    def joint_controls(self) -> tuple[JointControl, ...]:
         """The joints that it moves."""
         return ()
 
-    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Return the targets of `aims` (..., aims) for a setpoint (..., keys)."""
         del setpoint, xp
         raise NotImplementedError
 
-    def orders(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def control_modes(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Return the orders of `aims` (..., aims) for a setpoint (..., keys): those that they name."""
         del setpoint, xp
-        return np.array([aim.order for aim in self.aims], np.int32)
+        return np.array([aim.mode for aim in self.joint_controls], np.int32)
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
         """Return force [N] and torque [N m] on the chassis, world axes (6,), of a powered robot.
@@ -76,7 +76,7 @@ class Drive(ABC):
         Args:
             setpoint: One number per key, finite and within `full` (keys,).
             state: The robot.
-            depth: How far its origin is below the surface of water [m] (); `DRY` outside.
+            depth: How far its origin is below the surface of water [m] (); `DRY_DEPTH` outside.
         """
         del setpoint, state, depth
         return jnp.zeros(6)
@@ -102,7 +102,7 @@ class Drive(ABC):
         return 0.0
 
     @property
-    def steers(self) -> tuple[float, float]:
+    def max_steering(self) -> tuple[float, float]:
         """The largest steering angles of front and rear wheels [rad] (CONF)."""
         return (0.0, 0.0)
 
@@ -114,9 +114,9 @@ class Drive(ABC):
     @property
     def keys(self) -> tuple[str, ...]:
         """The keys of DRIVE, in the order of a setpoint."""
-        return tuple(self.full)
+        return tuple(self.full_scale)
 
     @property
     def limits(self) -> np.ndarray:
         """Largest absolute value of each key (keys,)."""
-        return np.array(list(self.full.values()), np.float32)
+        return np.array(list(self.full_scale.values()), np.float32)

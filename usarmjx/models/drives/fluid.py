@@ -16,7 +16,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import GRAVITY, Array, Vec3
 from usarmjx.models.drives.state import RobotState
 
-AIR, WATER = 1.225, 1000.0
+AIR_DENSITY, WATER_DENSITY = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
 NODES = 40
 """Points of the quadrature; Lamb's integrals come out to 1e-8 even for a rod 50 times as long as wide."""
@@ -68,7 +68,7 @@ class Hull:
             the hull does not count [kg].
         inertia: Of the robot as the physics engine has it, about its centre of gravity [kg m2].
         drag: Drag coefficients for flow along x, y and z, on the areas seen from there.
-        arm: Centre of gravity below the hull's middle [m].
+        cog_depth: Centre of gravity below the hull's middle [m].
         damping: Damping ratio of roll and pitch.
     """
 
@@ -77,32 +77,32 @@ class Hull:
     mass: float
     inertia: Vec3
     drag: Vec3
-    arm: float
+    cog_depth: float
     damping: float = 0.2
 
     @cached_property
-    def displaced(self) -> float:
+    def displaced_mass(self) -> float:
         """Mass of the displaced fluid [kg]."""
         return self.density * 4 / 3 * math.pi * math.prod(self.radii)
 
     @cached_property
     def weight(self) -> float:
         """Of the hull with all that is inside [N]."""
-        return self.displaced * GRAVITY
+        return self.displaced_mass * GRAVITY
 
     @cached_property
-    def turning(self) -> np.ndarray:
+    def displaced_inertia(self) -> np.ndarray:
         """Moments of inertia of the displaced fluid [kg m2] (3,)."""
         square = np.square(self.radii)
-        return self.displaced / 5 * (square.sum() - square)
+        return self.displaced_mass / 5 * (square.sum() - square)
 
     @cached_property
-    def added(self) -> tuple[np.ndarray, np.ndarray]:
+    def added_mass_factors(self) -> tuple[np.ndarray, np.ndarray]:
         """The shares of `added_mass`."""
         return added_mass(self.radii)
 
     @cached_property
-    def resistance(self) -> tuple[np.ndarray, np.ndarray]:
+    def drag_factors(self) -> tuple[np.ndarray, np.ndarray]:
         """Drag over squared speed [N s2/m2] (3,), and its moment over squared turning rate [N m s2] (3,).
 
         The moment is that of the drag of all strips of the hull across the flow: the integral of
@@ -115,10 +115,10 @@ class Hull:
         about = np.array([a * (y * c**4 + z * b**4), b * (z * a**4 + x * c**4), c * (y * a**4 + x * b**4)])
         return along, pressure * 8 / 15 * about
 
-    def effective(self, share: Array = 1.0) -> tuple[Array, Array]:
+    def effective_inertia(self, share: Array = 1.0) -> tuple[Array, Array]:
         """Return mass (3,) and inertia (3,) with what is dragged along, for an immersed share ()."""
-        along, about = self.added
-        return self.displaced * (1 + share * along), self.turning * (1 + share * about)
+        along, about = self.added_mass_factors
+        return self.displaced_mass * (1 + share * along), self.displaced_inertia * (1 + share * about)
 
     def immersion(self, depth: Array, up: Array) -> tuple[jax.Array, jax.Array]:
         """Return the share of the hull under water () and where its middle is [m] (3,).
@@ -136,7 +136,7 @@ class Hull:
         middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / jnp.maximum(4 * share, 1e-6)
         return share, radii**2 * up / reach * middle
 
-    def wrench(self, mat: Array, force: Array, torque: Array, share: Array = 1.0) -> jax.Array:
+    def body_wrench(self, mat: Array, force: Array, torque: Array, share: Array = 1.0) -> jax.Array:
         """Return the wrench (6,), world axes, that moves the engine's body as `force` and `torque` the hull.
 
         Args:
@@ -145,12 +145,12 @@ class Hull:
             torque: About the centre of gravity, body axes [N m] (3,).
             share: Immersed share, which drags along fluid ().
         """
-        mass, inertia = self.effective(share)
+        mass, inertia = self.effective_inertia(share)
         force = force * (self.mass / mass)
         torque = torque * (np.array(self.inertia) / inertia)
         return jnp.concatenate([mat @ force, mat @ torque])
 
-    def afloat(self, state: RobotState, depth: Array | None = None) -> jax.Array:
+    def fluid_wrench(self, state: RobotState, depth: Array | None = None) -> jax.Array:
         """Return the wrench (6,), world axes, of weight, buoyancy and drag, less the engine's own gravity.
 
         Args:
@@ -160,15 +160,15 @@ class Hull:
         mat = mat_from_quat(state.quat)
         up, linear, angular = mat[2], state.linear @ mat, state.angular
         share, middle = (jnp.ones(()), jnp.zeros(3)) if depth is None else self.immersion(depth, up)
-        along, about = self.resistance
-        mass, _ = self.effective(share)
-        stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.arm
-        calm = 2 * self.damping * jnp.sqrt(stiff * self.effective()[1])
+        along, about = self.drag_factors
+        mass, _ = self.effective_inertia(share)
+        stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.cog_depth
+        calm = 2 * self.damping * jnp.sqrt(stiff * self.effective_inertia()[1])
         force = (share - 1) * self.weight * up - share * along * jnp.abs(linear) * linear
         # The fluid dragged along keeps its momentum as the hull turns (Kirchhoff), not its speed.
         force += mass * jnp.cross(angular, linear) - jnp.cross(angular, mass * linear)
-        lever = middle + np.array([0.0, 0.0, self.arm])
+        lever = middle + np.array([0.0, 0.0, self.cog_depth])
         torque = jnp.cross(lever, share * self.weight * up)
         torque -= share * (about * jnp.abs(angular) + calm) * angular
         gravity = np.array([0.0, 0.0, self.mass * GRAVITY, 0.0, 0.0, 0.0])
-        return self.wrench(mat, force, torque, share) + gravity
+        return self.body_wrench(mat, force, torque, share) + gravity

@@ -9,11 +9,11 @@ import numpy as np
 
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import GRAVITY, Array, Vec3
-from usarmjx.models.drives.base import Drive, Vehicle
-from usarmjx.models.drives.fluid import AIR, Hull
+from usarmjx.models.drives.base import Drive, VehicleType
+from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
 from usarmjx.models.drives.state import RobotState
 
-STEEPEST = math.radians(65)
+MAX_TILT = math.radians(65)
 """No more tilt than this, whatever is asked [rad]."""
 LOWEST_LIFT = 0.3
 """Rotors carry at least this share of the weight."""
@@ -28,33 +28,33 @@ class RotaryWing(Drive):
     clockwise seen from above.
 
     Attributes:
-        max_speed_of: Highest vertical, forward and lateral speed [m/s].
+        max_speeds: Highest vertical, forward and lateral speed [m/s].
         max_turn: Highest rotational speed [rad/s].
         mass: Of the robot [kg].
         inertia: About its centre of gravity [kg m2].
         drag_areas: Drag coefficient times area for air along x, y and z [m2].
         max_thrust: Of all rotors together [N].
         max_torque: Of the rotors about x, y and z [N m].
-        lean: Tilt for speeding up and slowing down [rad]; holding a speed may take more.
+        acceleration_tilt: Tilt for speeding up and slowing down [rad]; holding a speed may take more.
         speed_gain: Acceleration over error of speed [1/s].
         bandwidth: Of the tilt [rad/s]; the damping ratio is 0.9.
         turn_gain: Angular acceleration over error of turning rate [1/s].
     """
 
-    max_speed_of: Vec3
+    max_speeds: Vec3
     max_turn: float
     mass: float
     inertia: Vec3
     drag_areas: Vec3
     max_thrust: float
     max_torque: Vec3
-    lean: float
+    acceleration_tilt: float
     speed_gain: float = 2.0
     bandwidth: float = 12.0
     turn_gain: float = 5.0
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> VehicleType:
         """The type that STA, GEO and CONF report."""
         return "AerialVehicle"
 
@@ -64,20 +64,20 @@ class RotaryWing(Drive):
         return "RotaryWing"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Vertical, forward and lateral speed [m/s], rotational speed [rad/s]."""
         names = ("AltitudeVelocity", "LinearVelocity", "LateralVelocity")
-        return {**dict(zip(names, self.max_speed_of, strict=True)), "RotationalVelocity": self.max_turn}
+        return {**dict(zip(names, self.max_speeds, strict=True)), "RotationalVelocity": self.max_turn}
 
     @property
     def top_speed(self) -> float:
         """All three speeds at once [m/s]."""
-        return math.hypot(*self.max_speed_of)
+        return math.hypot(*self.max_speeds)
 
     def _drag(self, mat: jax.Array, linear: Array) -> jax.Array:
         """Return the force of the air, world axes [N] (3,)."""
         speed = linear @ mat
-        return mat @ (-AIR / 2 * np.array(self.drag_areas, np.float32) * jnp.abs(speed) * speed)
+        return mat @ (-AIR_DENSITY / 2 * np.array(self.drag_areas, np.float32) * jnp.abs(speed) * speed)
 
     def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
         """Return the drag of the air (6,)."""
@@ -100,14 +100,14 @@ class RotaryWing(Drive):
         level = setpoint[1] * heading - setpoint[2] * left
         wanted = jnp.append(level, setpoint[0])
         push = self.speed_gain * (wanted - linear)
-        strongest = GRAVITY * math.tan(self.lean)
+        strongest = GRAVITY * math.tan(self.acceleration_tilt)
         sideways = jnp.linalg.norm(push[:2])
         push = push.at[:2].multiply(strongest / jnp.maximum(sideways, strongest))
         # A speed that turns with the body is an acceleration towards the inside of the curve.
         inward = turn * jnp.array([-level[1], level[0], 0.0])
         force = self.mass * (push + inward) - self._drag(mat, linear)
         rise = jnp.clip(force[2] + self.mass * GRAVITY, LOWEST_LIFT * self.mass * GRAVITY, self.max_thrust)
-        most = rise * math.tan(STEEPEST)
+        most = rise * math.tan(MAX_TILT)
         return jnp.append(force[:2] * (most / jnp.maximum(jnp.linalg.norm(force[:2]), most)), rise)
 
     def _torque(self, force: jax.Array, mat: jax.Array, angular: Array, turn: jax.Array) -> jax.Array:
@@ -165,7 +165,7 @@ class Blimp(Drive):
     response: float = 2.0
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> VehicleType:
         """The type that STA, GEO and CONF report."""
         return "AerialVehicle"
 
@@ -175,7 +175,7 @@ class Blimp(Drive):
         return "RotaryWing"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Angle of the thrusters [rad], speed [m/s], turning rate [rad/s]."""
         return {
             "XZAngle": self.max_angle,
@@ -191,15 +191,15 @@ class Blimp(Drive):
     def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
         """Return lift and drag (6,)."""
         del depth
-        return self.hull.afloat(state)
+        return self.hull.fluid_wrench(state)
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> jax.Array:
         """Return thrust and the tail propeller's torque (6,)."""
         del depth
         mat = mat_from_quat(state.quat)
         angle, speed, turn = setpoint[0], setpoint[1], setpoint[2]
-        along, about = self.hull.resistance
-        mass, inertia = self.hull.effective()
+        along, about = self.hull.drag_factors
+        mass, inertia = self.hull.effective_inertia()
         linear = state.linear @ mat
         wanted = speed * jnp.stack([jnp.cos(angle), 0.0 * angle, jnp.sin(angle)])
         thrust = along * jnp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
@@ -209,4 +209,4 @@ class Blimp(Drive):
         error = turn - state.angular[2]
         torque = about[2] * jnp.abs(turn) * turn + inertia[2] / self.response * error
         torque = jnp.clip(torque, -self.max_torque, self.max_torque) * jnp.array([0.0, 0.0, 1.0])
-        return self.hull.wrench(mat, thrust, torque)
+        return self.hull.body_wrench(mat, thrust, torque)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from usarmjx.base.transforms import Array
-from usarmjx.models.drives.base import Aim, Drive, Vehicle
+from usarmjx.models.drives.base import Drive, JointControl, VehicleType
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class SkidSteer(Drive):
         radius: Of the wheels [m].
     """
 
-    wheeled: ClassVar[bool] = True
+    is_wheeled: ClassVar[bool] = True
 
     left: tuple[str, ...]
     right: tuple[str, ...]
@@ -34,16 +34,16 @@ class SkidSteer(Drive):
         return "SkidSteered"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Wheel speeds of both sides [rad/s]."""
         return {"Left": self.max_spin, "Right": self.max_spin}
 
     @property
-    def aims(self) -> tuple[Aim, ...]:
+    def joint_controls(self) -> tuple[JointControl, ...]:
         """All wheels."""
-        return tuple(Aim(joint=name) for name in (*self.left, *self.right))
+        return tuple(JointControl(joint=name) for name in (*self.left, *self.right))
 
-    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Every wheel turns as fast as its side."""
         sides = [0] * len(self.left) + [1] * len(self.right)
         return xp.stack([setpoint[..., side] for side in sides], -1)
@@ -68,11 +68,11 @@ class NoDrive(Drive):
         steering_type: What CONF reports: TwoLegs, FourLegs, or nothing that moves it.
     """
 
-    kind: Vehicle = "GroundVehicle"
+    kind: VehicleType = "GroundVehicle"
     steering_type: str = "None"
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> VehicleType:
         """The type that STA, GEO and CONF report."""
         return self.kind
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base.transforms import Array
 from usarmjx.models.drives.ackermann import Wheel
-from usarmjx.models.drives.base import Aim, Drive
+from usarmjx.models.drives.base import Drive, JointControl
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class OmniDrive(Drive):
         max_steer: Largest angle of the steered wheels [rad] (MaxSteerAngle).
     """
 
-    wheeled: ClassVar[bool] = True
+    is_wheeled: ClassVar[bool] = True
 
     wheels: tuple[Wheel, ...]
     max_spin: float
@@ -40,7 +40,7 @@ class OmniDrive(Drive):
         return "OmniDrive"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Speed [rad/s] and angle [rad] of each wheel that has them."""
         full: dict[str, float] = {}
         for number, wheel in enumerate(self.wheels):
@@ -51,15 +51,15 @@ class OmniDrive(Drive):
         return full
 
     @property
-    def aims(self) -> tuple[Aim, ...]:
+    def joint_controls(self) -> tuple[JointControl, ...]:
         """One joint for each key."""
-        aims: list[Aim] = []
+        aims: list[JointControl] = []
         for wheel in self.wheels:
-            aims += [Aim(joint=wheel.joint)] * wheel.powered
-            aims += [Aim(joint=wheel.steer, order=0)] * bool(wheel.steer)
+            aims += [JointControl(joint=wheel.joint)] * wheel.powered
+            aims += [JointControl(joint=wheel.steer, mode=0)] * bool(wheel.steer)
         return tuple(aims)
 
-    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """The keys are the targets."""
         del xp
         return setpoint
@@ -81,7 +81,7 @@ class OmniDrive(Drive):
         return self.max_spin
 
     @property
-    def steers(self) -> tuple[float, float]:
+    def max_steering(self) -> tuple[float, float]:
         """The largest angle, before and behind the middle [rad]."""
         return (self.max_steer, self.max_steer)
 

@@ -22,6 +22,6 @@ class Tracks(SkidSteer):
 
     ratios: tuple[float, ...]
 
-    def values(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
         """Every wheel's surface is as fast as its side's belt."""
-        return super().values(setpoint, xp) * np.array(self.ratios, np.float32)
+        return super().targets(setpoint, xp) * np.array(self.ratios, np.float32)

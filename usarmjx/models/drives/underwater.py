@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Array
-from usarmjx.models.drives.base import Drive, Vehicle
-from usarmjx.models.drives.fluid import WATER, Hull
+from usarmjx.models.drives.base import Drive, VehicleType
+from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
 from usarmjx.models.drives.state import RobotState
 
 STALLED = 1.17
@@ -31,7 +31,7 @@ def plate_force(area: float, slope: float, speed: jax.Array, across: jax.Array) 
         across: The part of it along the plate's normal [m/s] ().
     """
     sine = across / jnp.maximum(speed, 1e-6)
-    return -WATER / 2 * area * speed**2 * jnp.clip(slope * sine, -STALLED, STALLED)
+    return -WATER_DENSITY / 2 * area * speed**2 * jnp.clip(slope * sine, -STALLED, STALLED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,28 +50,28 @@ class Underwater(Drive):
 
     Attributes:
         hull: What the water acts on.
-        pitch: Of the propeller [m].
+        propeller_pitch: Of the propeller [m].
         max_spin: Of the propeller [rad/s].
         slip: Share of the propeller's way that is lost.
         rudder_area: [m2].
         plane_area: [m2].
         max_angle: Of rudder and stern plane [rad].
-        stern: How far rudder and planes are behind the middle [m].
+        stern_arm: How far rudder and planes are behind the middle [m].
         slope: Of their lift coefficient over the angle of attack [1/rad].
     """
 
     hull: Hull
-    pitch: float
+    propeller_pitch: float
     max_spin: float
     slip: float
     rudder_area: float
     plane_area: float
     max_angle: float
-    stern: float
+    stern_arm: float
     slope: float
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> VehicleType:
         """The type that STA, GEO and CONF report."""
         return "NauticVehicle"
 
@@ -81,14 +81,14 @@ class Underwater(Drive):
         return "VariableDepth"
 
     @property
-    def full(self) -> dict[str, float]:
+    def full_scale(self) -> dict[str, float]:
         """Speed of the propeller [rad/s], angles of rudder and stern plane [rad]."""
         return {"Propeller": self.max_spin, "Rudder": self.max_angle, "SternPlane": self.max_angle}
 
     @property
     def top_speed(self) -> float:
         """What the propeller makes of its highest speed [m/s]."""
-        return self.max_spin * self.pitch / (2 * math.pi) * (1 - self.slip)
+        return self.max_spin * self.propeller_pitch / (2 * math.pi) * (1 - self.slip)
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
         """Return the angles of rudder and stern plane [rad]; they follow at once."""
@@ -99,23 +99,23 @@ class Underwater(Drive):
     def _grip(self) -> float:
         """Thrust over squared speed of the water sent back [N s2/m2]."""
         advance = (1 - self.slip) ** 2
-        return float(self.hull.resistance[0][0]) * advance / (1 - advance)
+        return float(self.hull.drag_factors[0][0]) * advance / (1 - advance)
 
     def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
         """Return buoyancy and drag (6,), nothing outside water."""
-        return self.hull.afloat(state, depth)
+        return self.hull.fluid_wrench(state, depth)
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> jax.Array:
         """Return what propeller, rudder and stern plane exert (6,)."""
         mat = mat_from_quat(state.quat)
         spin, rudder, plane = setpoint[0], setpoint[1], setpoint[2]
         linear = state.linear @ mat
-        wash = spin * self.pitch / (2 * math.pi)
+        wash = spin * self.propeller_pitch / (2 * math.pi)
         thrust = self._grip * (wash * jnp.abs(wash) - linear[0] * jnp.abs(linear[0]))
         # Flow at the plates: ahead as in the propeller's disc, to the left and up as the stern moves.
         ahead = (linear[0] + wash) / 2
-        left = linear[1] - self.stern * state.angular[2]
-        up = linear[2] + self.stern * state.angular[1]
+        left = linear[1] - self.stern_arm * state.angular[2]
+        up = linear[2] + self.stern_arm * state.angular[1]
         # Normals to the left and up at rest. Rudder right: its trailing edge goes to the right.
         sideways = plate_force(
             self.rudder_area,
@@ -131,6 +131,6 @@ class Underwater(Drive):
         )
         drag = -sideways * jnp.sin(rudder) - lift * jnp.sin(plane)
         force = jnp.stack([thrust + drag, sideways * jnp.cos(rudder), lift * jnp.cos(plane)])
-        torque = jnp.stack([0.0 * spin, self.stern * force[2], -self.stern * force[1]])
+        torque = jnp.stack([0.0 * spin, self.stern_arm * force[2], -self.stern_arm * force[1]])
         share, _ = self.hull.immersion(depth, mat[2])
-        return self.hull.wrench(mat, share * force, share * torque, share)
+        return self.hull.body_wrench(mat, share * force, share * torque, share)

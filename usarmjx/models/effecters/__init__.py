@@ -5,22 +5,23 @@ from functools import cache
 from usarmjx.base.errors import SpecError
 from usarmjx.models.effecters.base import (
     EFFECTERS,
-    TAG_ROOM,
+    MAX_DROPPED_TAGS,
+    DroppedTags,
     Effect,
     Effecter,
     Opcode,
-    Tags,
-    no_tags,
+    no_dropped_tags,
 )
 from usarmjx.models.effecters.gripper import Gripper
 from usarmjx.models.effecters.roller import RollerTable
 from usarmjx.models.effecters.still import Headlight, RfidReleaser
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.models.spec.settings import resolve
+from usarmjx.models.spec.settings import resolve_settings
 
 __all__ = [
     "EFFECTERS",
-    "TAG_ROOM",
+    "MAX_DROPPED_TAGS",
+    "DroppedTags",
     "Effect",
     "Effecter",
     "Gripper",
@@ -28,9 +29,8 @@ __all__ = [
     "Opcode",
     "RfidReleaser",
     "RollerTable",
-    "Tags",
     "effecters_of",
-    "no_tags",
+    "no_dropped_tags",
 ]
 
 
@@ -49,6 +49,6 @@ def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
     effecters = []
     for mount in robot.effecters:
         kind = EFFECTERS.get(mount.kind)
-        settings = resolve(kind.defaults, mount.options, f"{mount.kind} {mount.name}")
+        settings = resolve_settings(kind.defaults, mount.options, f"{mount.kind} {mount.name}")
         effecters.append(kind(mount=mount, settings=settings))
     return tuple(effecters)

@@ -18,11 +18,11 @@ from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Array, Vec3, mat_from_angles
 from usarmjx.models.spec.robot import Mount, Part, Shape
 
-TAG_ROOM = 64
+MAX_DROPPED_TAGS = 64
 """Most RFID tags that lie in one world (the manual's releasers have ids for 1001)."""
 
 
-class Tags(struct.PyTreeNode, kw_only=True):
+class DroppedTags(struct.PyTreeNode, kw_only=True):
     """RFID tags that releasers have dropped in one world since it began.
 
     The tag in place i has the ID i, so that IDs are unique and among those that releasers may give, 0 to
@@ -37,9 +37,9 @@ class Tags(struct.PyTreeNode, kw_only=True):
     count: Array
 
 
-def no_tags(xp: ModuleType = jnp) -> Tags:
+def no_dropped_tags(xp: ModuleType = jnp) -> DroppedTags:
     """Return the tags of a world in which none was dropped yet."""
-    return Tags(pos=xp.zeros((TAG_ROOM, 3), xp.float32), count=xp.zeros((), xp.int32))
+    return DroppedTags(pos=xp.zeros((MAX_DROPPED_TAGS, 3), xp.float32), count=xp.zeros((), xp.int32))
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class Opcode:
         name: Its name on the wire: the manual's vocabulary (8), or the type's own (11).
         max_val: Largest parameter; an operation whose limits are equal takes none.
         min_val: Smallest parameter.
-        usual: The parameter of a client that gives none; None: it must give one.
+        default_val: The parameter of a client that gives none; None: it must give one.
     """
 
     name: str
     max_val: float = 0.0
     min_val: float = 0.0
-    usual: float | None = 0.0
+    default_val: float | None = 0.0
 
     @property
     def takes_value(self) -> bool:
@@ -74,21 +74,21 @@ class Effect:
 
     Attributes:
         target: What all of the effecter's joints are told, by way of `joint_target`; None leaves them alone.
-        order: What `target` is: 0 for a position, 1 for a velocity.
+        mode: What `target` is: 0 for a position, 1 for a velocity.
         light: Whether the headlight is on; None leaves it alone.
         stock: What is left in stock; None: as much as before.
         drops: Whether something is dropped on the ground below.
         possible: Whether it can be done now.
-        number: What the answer is instead of OK; None: OK.
+        reply_number: What the answer is instead of OK; None: OK.
     """
 
     target: Array | None = None
-    order: int = 0
+    mode: int = 0
     light: Array | None = None
     stock: Array | None = None
     drops: bool = False
     possible: Array | bool = True
-    number: Array | None = None
+    reply_number: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Effecter(ABC):
         return target
 
     @property
-    def stock(self) -> int:
+    def initial_stock(self) -> int:
         """How much it carries to release."""
         return 0
 
@@ -166,18 +166,20 @@ class Effecter(ABC):
         """Return the operation of that name, case ignored; None when there is none."""
         return next((opcode for opcode in self.opcodes if opcode.name.lower() == name.lower()), None)
 
-    def placed(self, at: Vec3) -> Vec3:
+    def to_parent(self, at: Vec3) -> Vec3:
         """Return a point of the effecter's axes in those of its parent [m]."""
         x, y, z = (np.array(self.mount.at) + mat_from_angles(*self.mount.direction) @ np.array(at)).tolist()
         return (x, y, z)
 
-    def part(self, part: Part) -> Part:
+    def part_in_parent(self, part: Part) -> Part:
         """Return a part, described in the effecter's axes, as its parent has it."""
-        return replace(part, parent=self.mount.parent, at=self.placed(part.at), rotation=self.mount.direction)
+        return replace(
+            part, parent=self.mount.parent, at=self.to_parent(part.at), rotation=self.mount.direction
+        )
 
-    def shape(self, shape: Shape) -> Shape:
+    def shape_in_parent(self, shape: Shape) -> Shape:
         """Return a solid, upright in the effecter's axes, as its parent has it."""
-        return replace(shape, at=self.placed(shape.at), rotation=self.mount.direction)
+        return replace(shape, at=self.to_parent(shape.at), rotation=self.mount.direction)
 
 
 EFFECTERS: Registry[type[Effecter]] = Registry("effecter")

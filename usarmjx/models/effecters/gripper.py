@@ -64,7 +64,7 @@ class Gripper(Effecter):
         """Closing on a thing, the servos press with their full force."""
         del stock
         if opcode == NOP:
-            return Effect(target=xp.zeros_like(value), order=1)
+            return Effect(target=xp.zeros_like(value), mode=1)
         return Effect(target=xp.full_like(value, self.settings.min_angle) if opcode == RESET else value)
 
     def joint_target(self, part: Part, target: Array, xp: ModuleType) -> Array:
@@ -80,7 +80,7 @@ class Gripper(Effecter):
         low, high = (LEVER * math.sin(a / 2) for a in (self.settings.min_angle, self.settings.max_angle))
         at = (FINGER[0], side * FINGER[1], 0.0)
         shape = Shape(kind="box", size=FINGER, at=at, mass=0.1, surface="finger", rgba=GREY)
-        return self.part(
+        return self.part_in_parent(
             Part(
                 name=name,
                 at=(2 * PALM[0], 0.0, 0.0),
@@ -95,7 +95,7 @@ class Gripper(Effecter):
 
     def shapes(self) -> tuple[Shape, ...]:
         """The palm."""
-        return (self.shape(Shape(kind="box", size=PALM, at=(PALM[0], 0.0, 0.0), rgba=GREY)),)
+        return (self.shape_in_parent(Shape(kind="box", size=PALM, at=(PALM[0], 0.0, 0.0), rgba=GREY)),)
 
 
 EFFECTERS.add(Gripper.kind, Gripper)

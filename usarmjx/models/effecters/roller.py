@@ -5,13 +5,13 @@ from types import ModuleType
 
 from usarmjx.base.transforms import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.robots.kit import AXLE
+from usarmjx.models.robots.kit import AXLE_ROTATION
 from usarmjx.models.spec.robot import Motor, Part, Shape
 
 # All measures are chosen: the manual gives none.
 RADIUS, WIDTH = 0.03, 0.36
 """Of a roller [m]."""
-ROLLERS, PITCH = 6, 0.08
+ROLLERS, ROLLER_SPACING = 6, 0.08
 """How many there are, and how far from one to the next [m]."""
 PLATE = (0.23, 0.2, 0.01)
 """Half lengths of the base below them [m]; its top closes the gaps between rollers to things that fall in."""
@@ -50,17 +50,21 @@ class RollerTable(Effecter):
     def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
         """A positive speed moves what lies on the rollers along +x."""
         del stock
-        return Effect(target=value if opcode.takes_value else xp.zeros_like(value), order=1)
+        return Effect(target=value if opcode.takes_value else xp.zeros_like(value), mode=1)
 
     def parts(self) -> tuple[Part, ...]:
         """The rollers."""
         motor = replace(MOTOR, max_speed=self.settings.max_speed)
-        places = [(i - (ROLLERS - 1) / 2) * PITCH for i in range(ROLLERS)]
+        places = [(i - (ROLLERS - 1) / 2) * ROLLER_SPACING for i in range(ROLLERS)]
         # MuJoCo has one contact between a cylinder and a box: on two halves a box lies still.
-        half = Shape(kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE, mass=0.15, surface="wheel")
+        half = Shape(
+            kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE_ROTATION, mass=0.15, surface="wheel"
+        )
         halves = tuple(replace(half, at=(0.0, side * WIDTH / 4, 0.0)) for side in (-1.0, 1.0))
         return tuple(
-            self.part(Part(name=name, at=(x, 0.0, RADIUS), motor=motor, rolls=True, shapes=halves))
+            self.part_in_parent(
+                Part(name=name, at=(x, 0.0, RADIUS), motor=motor, is_wheel=True, shapes=halves)
+            )
             for name, x in zip(self.joints, places, strict=True)
         )
 
@@ -69,7 +73,7 @@ class RollerTable(Effecter):
         plate = Shape(
             kind="box", size=PLATE, at=(0.0, 0.0, RADIUS / 2 + PLATE[2]), rgba=(0.5, 0.5, 0.55, 1.0)
         )
-        return (self.shape(plate),)
+        return (self.shape_in_parent(plate),)
 
 
 EFFECTERS.add(RollerTable.kind, RollerTable)

@@ -35,7 +35,7 @@ class RfidReleaser(Effecter):
         return (RELEASE, TAGS_REMAINING, RESET, NOP)
 
     @property
-    def stock(self) -> int:
+    def initial_stock(self) -> int:
         """Tags that it starts with."""
         return self.settings.num_tags
 
@@ -45,8 +45,8 @@ class RfidReleaser(Effecter):
         if opcode == RELEASE:
             return Effect(stock=stock - 1, drops=True, possible=stock > 0)
         if opcode == TAGS_REMAINING:
-            return Effect(number=stock)
-        return Effect(stock=xp.full_like(stock, self.stock) if opcode == RESET else None)
+            return Effect(reply_number=stock)
+        return Effect(stock=xp.full_like(stock, self.initial_stock) if opcode == RESET else None)
 
 
 ACTIVATE = Opcode("Activate", 1.0, 0.0, 1.0)

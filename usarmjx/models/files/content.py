@@ -8,22 +8,22 @@ import numpy as np
 
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.build.raster import half_lengths
-from usarmjx.models.build.reach import placed, reach_map
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Door, Loose, StartPose
+from usarmjx.models.build.reach import reach_map, shapes_in_arena
+from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Door, LooseObject, StartPose
 from usarmjx.models.spec.robot import Shape
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
-UPRIGHT = 0.3
+MIN_WALL_HEIGHT = 0.3
 """What is at least this high, and thinner than high, is a wall unless told otherwise [m]."""
-TILT = 1e-3
+UPRIGHT_TOLERANCE = 1e-3
 """A solid whose z axis leans by less stands upright [rad]."""
 MARGIN = 1.0
 """Of an extent round the solids [m]."""
 EMPTY: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
 """Extent of an arena without solids."""
-ROOM = (0.45, 0.05)
+START_CLEARANCE = (0.45, 0.05)
 """Radius of the circle that a start pose wants free, and the highest step in it [m]."""
-LEVEL, STEEPEST = math.radians(2), math.radians(20)
+PREFERRED_START_SLOPE, MAX_START_SLOPE = math.radians(2), math.radians(20)
 """Slope that it wants, and what it takes where there is no such place [rad]."""
 TAG = "PlayerStart"
 """Of the start pose that nobody gave, as the Unreal editor calls them (manual 5.3.2)."""
@@ -39,20 +39,20 @@ class Content:
         doors: Doors.
         floor: Whether it has an unbounded floor at height zero; None: it says nothing of floors.
         extent: Its floor plan; None: as its solids have it.
-        place: x and y of a place that is free; None: to be found.
+        free_position: x and y of a place that is free; None: to be found.
         warnings: What of the file is not taken, in words.
     """
 
     shapes: tuple[Shape, ...] = ()
-    loose: tuple[Loose, ...] = ()
+    loose: tuple[LooseObject, ...] = ()
     doors: tuple[Door, ...] = ()
     floor: bool | None = None
     extent: Rectangle | None = None
-    place: tuple[float, float] | None = None
+    free_position: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
 
-def joined(parts: Sequence[Content]) -> Content:
+def merge_contents(parts: Sequence[Content]) -> Content:
     """Return the content of several files as one."""
     floors = [part.floor for part in parts if part.floor is not None]
     extents = [part.extent for part in parts if part.extent is not None]
@@ -62,7 +62,7 @@ def joined(parts: Sequence[Content]) -> Content:
         doors=tuple(door for part in parts for door in part.doors),
         floor=any(floors) if floors else None,
         extent=_around(np.array(extents).swapaxes(1, 2).reshape(-1, 2)) if extents else None,
-        place=next((part.place for part in parts if part.place is not None), None),
+        free_position=next((part.free_position for part in parts if part.free_position is not None), None),
         warnings=tuple(warning for part in parts for warning in part.warnings),
     )
 
@@ -86,11 +86,11 @@ def surface_of(shape: Shape) -> str:
     """Return what a solid of a file is that does not say: "wall" if it stands upright, else "ground"."""
     low, high = corners_of(shape)
     length, width, height = high - low
-    upright = mat_from_angles(*np.array(shape.rotation))[2, 2] > np.cos(TILT)
-    return "wall" if upright and height >= UPRIGHT and min(length, width) < height else "ground"
+    upright = mat_from_angles(*np.array(shape.rotation))[2, 2] > np.cos(UPRIGHT_TOLERANCE)
+    return "wall" if upright and height >= MIN_WALL_HEIGHT and min(length, width) < height else "ground"
 
 
-def moved(content: Content, at: Vec3, yaw: float) -> Content:
+def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
     """Return content turned about the vertical through the origin, and then moved."""
     if at == (0.0, 0.0, 0.0) and yaw == 0.0:
         return content
@@ -109,13 +109,13 @@ def moved(content: Content, at: Vec3, yaw: float) -> Content:
         loose=tuple(replace(o, at=there(o.at), rotation=turned(o.rotation)) for o in content.loose),
         doors=tuple(replace(door, at=there(door.at), yaw=door.yaw + yaw) for door in content.doors),
         extent=None,
-        place=None if content.place is None else there((*content.place, 0.0))[:2],
+        place=None if content.free_position is None else there((*content.free_position, 0.0))[:2],
     )
 
 
-def extent_of(shapes: Sequence[Shape], loose: Sequence[Loose] = ()) -> Rectangle:
+def extent_of(shapes: Sequence[Shape], loose: Sequence[LooseObject] = ()) -> Rectangle:
     """Return x and y limits of solids with a margin round them."""
-    solids = [*shapes, *(shape for one in loose for shape in placed(one))]
+    solids = [*shapes, *(shape for one in loose for shape in shapes_in_arena(one))]
     if not solids:
         return EMPTY
     points = np.concatenate([corners_of(shape) for shape in solids])[:, :2]
@@ -127,7 +127,7 @@ def _around(points: np.ndarray) -> Rectangle:
     return ((x0, x1), (y0, y1))
 
 
-def free_place(arena: ArenaSpec, wish: tuple[float, float] | None = None) -> StartPose | None:
+def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -> StartPose | None:
     """Return a start pose on level ground with room round it: in the largest free area, near its middle.
 
     Args:
@@ -135,9 +135,9 @@ def free_place(arena: ArenaSpec, wish: tuple[float, float] | None = None) -> Sta
         wish: x and y of where it should be; taken if there is room.
     """
     nowhere = StartPose(tag=TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
-    found = reach_map(replace(arena, starts=(nowhere,)), *ROOM, slope=LEVEL)
+    found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=PREFERRED_START_SLOPE)
     if found.area.max() < 0:
-        found = reach_map(replace(arena, starts=(nowhere,)), *ROOM, slope=STEEPEST)
+        found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=MAX_START_SLOPE)
     layers, i, j = np.nonzero(found.area >= 0)
     if not len(layers):
         return None

@@ -7,12 +7,12 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.build.doors import DOOR_GAP
-from usarmjx.models.files.mjcf_solids import Placed
+from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.spec.arena import Door
 
-UPRIGHT = 1e-3
+AXIS_TOLERANCE = 1e-3
 """How far a hinge or an edge may lean [rad]."""
-OFF = 0.02
+HINGE_OFFSET_TOLERANCE = 0.02
 """How far a hinge may lie from the door's end; the door is moved to it [m]."""
 FULL_TURN = (-math.pi, math.pi)
 """Limits of a hinge that has none."""
@@ -36,13 +36,13 @@ class Hinge:
 
 
 def door_of(
-    name: str, place: Placed, half: np.ndarray, hinge: Hinge, mass: float, rgba: tuple[float, ...]
+    name: str, pose: Pose, half: np.ndarray, hinge: Hinge, mass: float, rgba: tuple[float, ...]
 ) -> Door:
     """Return a box that turns about a hinge as a door.
 
     Args:
         name: Its name.
-        place: Where the box is while the door is closed, in the arena's axes.
+        pose: Where the box is while the door is closed, in the arena's axes.
         half: Its half lengths [m] (3,).
         hinge: The hinge.
         mass: Mass of the door [kg].
@@ -51,26 +51,26 @@ def door_of(
     Raises:
         ArenaFileError: The hinge or the box does not stand upright, or the hinge is not at the box's end.
     """
-    if abs(hinge.axis[2]) < 1 - UPRIGHT:
+    if abs(hinge.axis[2]) < 1 - AXIS_TOLERANCE:
         raise ArenaFileError(f"body {name!r}: its hinge is not upright; a door's is (axis 0 0 1)")
-    up = int(np.abs(place.mat[2]).argmax())
-    if abs(place.mat[2, up]) < 1 - UPRIGHT:
+    up = int(np.abs(pose.mat[2]).argmax())
+    if abs(pose.mat[2, up]) < 1 - AXIS_TOLERANCE:
         raise ArenaFileError(f"body {name!r}: its box does not stand upright; a door does")
     flat = [i for i in range(3) if i != up]
     long = max(flat, key=lambda i: float(half[i]))
     thin = next(i for i in flat if i != long)
-    offset = place.pos[:2] - hinge.anchor[:2]
-    along = place.mat[:2, long]
-    reach, aside = float(along @ offset), float(place.mat[:2, thin] @ offset)
+    offset = pose.pos[:2] - hinge.anchor[:2]
+    along = pose.mat[:2, long]
+    reach, aside = float(along @ offset), float(pose.mat[:2, thin] @ offset)
     if reach < 0:
         along, reach = -along, -reach
-    if abs(reach - half[long]) > OFF or abs(aside) > OFF + half[thin]:
+    if abs(reach - half[long]) > HINGE_OFFSET_TOLERANCE or abs(aside) > HINGE_OFFSET_TOLERANCE + half[thin]:
         raise ArenaFileError(f"body {name!r}: its hinge is not at a narrow side of its box; a door's is")
     low, high = hinge.limits or FULL_TURN
     if hinge.axis[2] < 0:
         low, high = -high, -low
     x, y = hinge.anchor[:2].tolist()
-    foot = float(place.pos[2] - half[up]) - DOOR_GAP
+    foot = float(pose.pos[2] - half[up]) - DOOR_GAP
     red, green, blue, alpha = rgba
     return Door(
         name=name,

@@ -9,16 +9,16 @@ from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from usarmjx.models.files.rules import problem
-from usarmjx.models.files.values import Value
+from usarmjx.models.files.values import YamlValue
 
 T = TypeVar("T")
-Special = Mapping[type, Callable[[Value], Any]]
+Special = Mapping[type, Callable[[YamlValue], Any]]
 """How types are read that a YAML file gives in another way, as meshes by the name of a file."""
 DEGREES = "deg"
 """What may follow an angle; without it, it is in radians."""
 
 
-def read_record(kind: type[T], value: Value, special: Special, **defaults: object) -> T:
+def read_record(kind: type[T], value: YamlValue, special: Special, **defaults: object) -> T:
     """Return a dataclass from a mapping with its field names as keys.
 
     Args:
@@ -44,7 +44,7 @@ def read_record(kind: type[T], value: Value, special: Special, **defaults: objec
     return record
 
 
-def read(hint: Any, value: Value, special: Special) -> Any:  # noqa: ANN401 - as the hint says
+def read(hint: Any, value: YamlValue, special: Special) -> Any:  # noqa: ANN401 - as the hint says
     """Return a value as what a type hint says: scalars, tuples, unions with None, dataclasses.
 
     Raises:
@@ -81,7 +81,7 @@ def hints_of(kind: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def check_keys(value: Value, allowed: list[str]) -> None:
+def check_keys(value: YamlValue, allowed: list[str]) -> None:
     """Refuse keys of a mapping that nobody reads.
 
     Raises:
@@ -94,7 +94,7 @@ def check_keys(value: Value, allowed: list[str]) -> None:
             raise item.error(f"unknown key {key!r}{hint} (allowed: {', '.join(allowed)})")
 
 
-def _number(value: Value) -> float:
+def _number(value: YamlValue) -> float:
     data = value.data
     if isinstance(data, str):  # YAML takes 1e-3 for a word
         word = data.removesuffix(DEGREES)
@@ -113,8 +113,8 @@ def _number(value: Value) -> float:
     return number
 
 
-def _exactly(kind: type[T]) -> Callable[[Value], T]:
-    def read_one(value: Value) -> T:
+def _exactly(kind: type[T]) -> Callable[[YamlValue], T]:
+    def read_one(value: YamlValue) -> T:
         if type(value.data) is not kind:
             raise value.error(f"{value.shown} is not {_said(kind)}")
         return value.data
@@ -122,7 +122,7 @@ def _exactly(kind: type[T]) -> Callable[[Value], T]:
     return read_one
 
 
-SCALARS: dict[Any, Callable[[Value], Any]] = {
+SCALARS: dict[Any, Callable[[YamlValue], Any]] = {
     float: _number,
     int: _exactly(int),
     bool: _exactly(bool),
@@ -146,7 +146,7 @@ def _said(hint: Any) -> str:  # noqa: ANN401 - a type hint
     return "a mapping" if is_dataclass(hint) else "a value"
 
 
-def required(value: Value, key: str) -> Value:
+def required(value: YamlValue, key: str) -> YamlValue:
     """Return what a mapping has under a key.
 
     Raises:
@@ -158,7 +158,7 @@ def required(value: Value, key: str) -> Value:
     return given[key]
 
 
-def option(hint: Any, value: Value, key: str, default: Any) -> Any:  # noqa: ANN401 - as the hint says
+def option(hint: Any, value: YamlValue, key: str, default: Any) -> Any:  # noqa: ANN401 - as the hint says
     """Return what a mapping has under a key, as the hint says, else the default."""
     given = value.mapping()
     return read(hint, given[key], {}) if key in given else default

@@ -7,20 +7,20 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles, flip_vector
-from usarmjx.models.files.meshes import pieces
-from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Placed, usarsim_angles, usarsim_vector, volume
+from usarmjx.models.files.meshes import convex_pieces
+from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Pose, usarsim_angles, usarsim_vector, volume
 from usarmjx.models.spec.robot import HeightField, Mesh, Shape
 
 GeomType = mujoco.mjtGeom
 
 
-def geom_shapes(model: mujoco.MjModel, geom: int, place: Placed, surface: str, name: str) -> list[Shape]:
+def geom_shapes(model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name: str) -> list[Shape]:
     """Return a geom as shapes without mass; a mesh gives one for each of its pieces.
 
     Args:
         model: The compiled model.
         geom: The geom's id.
-        place: Where it is, in the axes that the shapes shall be in.
+        pose: Where it is, in the axes that the shapes shall be in.
         surface: Their surface.
         name: What errors call it.
 
@@ -32,8 +32,8 @@ def geom_shapes(model: mujoco.MjModel, geom: int, place: Placed, surface: str, n
     red, green, blue, alpha = colour.tolist()
     like = Shape(
         kind="box",
-        at=flip_vector(usarsim_vector(place.pos)),
-        rotation=flip_angles(usarsim_angles(place.mat)),
+        at=flip_vector(usarsim_vector(pose.pos)),
+        rotation=flip_angles(usarsim_angles(pose.mat)),
         surface=surface,
         rgba=(red, green, blue, alpha),
     )
@@ -46,7 +46,8 @@ def geom_shapes(model: mujoco.MjModel, geom: int, place: Placed, surface: str, n
     if kind != GeomType.mjGEOM_MESH:
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
     return [
-        replace(like, kind="mesh", mesh=Mesh(piece.corners)) for piece in pieces(*_mesh(model, geom), name)
+        replace(like, kind="mesh", mesh=Mesh(piece.corners))
+        for piece in convex_pieces(*_mesh(model, geom), name)
     ]
 
 
@@ -56,7 +57,7 @@ def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom) -> fl
         return float(described.mass)
     if GeomType(model.geom_type[geom]) in KINDS:
         return described.density * volume(model, geom)
-    found = pieces(*_mesh(model, geom), described.name, hull=True)
+    found = convex_pieces(*_mesh(model, geom), described.name, hull=True)
     return described.density * sum(piece.volume for piece in found)
 
 

@@ -11,7 +11,7 @@ MOST_PIXELS = 16_000_000
 """Of a map."""
 MOST_HEIGHTS = 1_000_000
 """Of a terrain."""
-DEEP = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}
+WHITE_BY_MODE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}
 """Modes of Pillow with one grey value, and white in each."""
 
 
@@ -24,13 +24,13 @@ def read_heights(path: Path, height: float) -> np.ndarray:
         ArenaFileError: A file that does not read, has colours, or is too small or too large.
     """
     mode, pixels = _pixels(path, MOST_HEIGHTS)
-    if mode not in DEEP or pixels.ndim != 2:
+    if mode not in WHITE_BY_MODE or pixels.ndim != 2:
         raise ArenaFileError(
             f"{path}: is an image of mode {mode}; heights are grey values of 8 or 16 bits, nothing else"
         )
     if min(pixels.shape) < 2:
         raise ArenaFileError(f"{path}: a terrain has at least 2 x 2 heights")
-    return pixels[::-1].astype(float) / DEEP[mode] * height
+    return pixels[::-1].astype(float) / WHITE_BY_MODE[mode] * height
 
 
 def write_heights(path: Path, heights: np.ndarray) -> float:
@@ -55,7 +55,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
         ArenaFileError: A file that does not read or is too large.
     """
     mode, pixels = _pixels(path, MOST_PIXELS)
-    pixels = pixels[::-1].astype(float) * (255 / DEEP.get(mode, 255))
+    pixels = pixels[::-1].astype(float) * (255 / WHITE_BY_MODE.get(mode, 255))
     if pixels.ndim == 2:
         return pixels, np.ones(pixels.shape, bool)
     clear = mode in ("LA", "RGBA")

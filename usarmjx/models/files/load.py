@@ -13,13 +13,13 @@ from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.files.content import EMPTY, Content
 from usarmjx.models.files.images import image_size
-from usarmjx.models.files.maps import is_map, map_content
+from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.save import save_arena
-from usarmjx.models.files.sources import MeshFile, Terrain, mesh_content, terrain_content
+from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.files.values import Value, read_bytes, read_yaml
-from usarmjx.models.files.yaml_file import arena_of_yaml, finished
+from usarmjx.models.files.values import YamlValue, read_bytes, read_yaml
+from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.spec.arena import ArenaSpec
 
 __all__ = ["SUFFIXES", "find_arena", "load_arena", "read_arena", "save_arena"]
@@ -60,11 +60,11 @@ def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
         value = read_yaml(path)
         if not is_map(value):
             return arena_of_yaml(value)
-        content = map_content(value)
+        content = occupancy_grid_content(value)
     else:
         content = READERS[path.suffix.lower()](path)
     arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY)
-    return finished(arena, content, Value(None, path, 1), set()), content.warnings
+    return complete_arena(arena, content, YamlValue(None, path, 1), set()), content.warnings
 
 
 def find_arena(arena: str | Path) -> ArenaSpec:
@@ -96,7 +96,7 @@ def _mesh(path: Path) -> Content:
 def _terrain(path: Path) -> Content:
     width, height = image_size(path)
     size = (PIXEL * max(width - 1, 1), PIXEL * max(height - 1, 1))
-    return terrain_content(Terrain(file=path, size=size, height=RISE))
+    return terrain_content(TerrainFile(file=path, size=size, height=RISE))
 
 
 def _picture(path: Path) -> Content:

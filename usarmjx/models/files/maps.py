@@ -9,15 +9,15 @@ from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.files.content import Content, Rectangle
 from usarmjx.models.files.fields import check_keys, option, read, required
 from usarmjx.models.files.images import read_grey
-from usarmjx.models.files.values import Value
+from usarmjx.models.files.values import YamlValue
 from usarmjx.models.spec.robot import Shape
 
 KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
-HEIGHT = 1.2
+DEFAULT_WALL_HEIGHT = 1.2
 """Of walls if none is given [m]: the NIST arenas'."""
 MOST_BOXES = 2000
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
-HALF = 50
+GRADED_WALL_VALUE = 50
 """From which of the values 0 to 100 between free and occupied a cell of a graded map is a wall."""
 LAST_RAW = 100
 """Raw values above are unknown, as map_server's -1."""
@@ -25,7 +25,7 @@ Unknown = Literal["free", "occupied"]
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class OccupancyGrid:
     """A map.
 
     Attributes:
@@ -41,12 +41,12 @@ class Plan:
     origin: Vec3
 
 
-def is_map(value: Value) -> bool:
+def is_map(value: YamlValue) -> bool:
     """Return whether a YAML file is one of map_server's."""
     return isinstance(value.data, dict) and {"image", "resolution"} <= set(value.data)
 
 
-def read_plan(value: Value, unknown: Unknown = "free") -> Plan:
+def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> OccupancyGrid:
     """Return the map that a YAML file of map_server describes.
 
     The modes are map_server's: `trinary` and `scale` compare the mean m of a pixel's channels as
@@ -86,13 +86,13 @@ def read_plan(value: Value, unknown: Unknown = "free") -> Plan:
         if mode == "scale":
             lost &= ~opaque
             graded = 1 + 98 * (share - low) / max(high - low, 1e-9)
-            wall |= ~wall & ~free & ~lost & (graded >= HALF)
+            wall |= ~wall & ~free & ~lost & (graded >= GRADED_WALL_VALUE)
     if unknown == "occupied":
         wall = wall | lost
-    return Plan(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)))
+    return OccupancyGrid(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)))
 
 
-def _truth(value: Value) -> bool:
+def _truth(value: YamlValue) -> bool:
     """Return `negate`, which map_server's files have as 0 or 1."""
     given = value.mapping().get("negate")
     if given is None:
@@ -102,13 +102,15 @@ def _truth(value: Value) -> bool:
     raise given.error(f"{given.shown} is not 0 or 1")
 
 
-def map_content(value: Value, height: float = HEIGHT, unknown: Unknown = "free") -> Content:
+def occupancy_grid_content(
+    value: YamlValue, height: float = DEFAULT_WALL_HEIGHT, unknown: Unknown = "free"
+) -> Content:
     """Return a map as walls: as few boxes as are found quickly, `height` metres high.
 
     Raises:
-        ArenaFileError: See `read_plan`; or the map has too many walls.
+        ArenaFileError: See `read_occupancy_grid`; or the map has too many walls.
     """
-    plan = read_plan(value, unknown)
+    plan = read_occupancy_grid(value, unknown)
     boxes = min(rectangles(plan.wall), _turned(rectangles(plan.wall.T)), key=len)
     if len(boxes) > MOST_BOXES:
         raise value.error(
@@ -116,7 +118,9 @@ def map_content(value: Value, height: float = HEIGHT, unknown: Unknown = "free")
             "halve its size and double its resolution"
         )
     return Content(
-        shapes=tuple(_box(plan, box, height) for box in boxes), extent=_extent(plan), place=_place(plan)
+        shapes=tuple(_box(plan, box, height) for box in boxes),
+        extent=_extent(plan),
+        free_position=_free_position(plan),
     )
 
 
@@ -141,7 +145,7 @@ def _turned(found: list[Cells]) -> list[Cells]:
     return [(c0, c1, r0, r1) for r0, r1, c0, c1 in found]
 
 
-def _there(plan: Plan, column: float, row: float) -> tuple[float, float]:
+def _there(plan: OccupancyGrid, column: float, row: float) -> tuple[float, float]:
     """Return x and y of a place on a map, in cells from its first corner."""
     x, y, yaw = plan.origin
     local = np.array([column * plan.resolution, row * plan.resolution, 0.0])
@@ -149,7 +153,7 @@ def _there(plan: Plan, column: float, row: float) -> tuple[float, float]:
     return (round(x + dx, 9), round(y + dy, 9))
 
 
-def _box(plan: Plan, cells: Cells, height: float) -> Shape:
+def _box(plan: OccupancyGrid, cells: Cells, height: float) -> Shape:
     r0, r1, c0, c1 = cells
     half = plan.resolution / 2
     return Shape(
@@ -162,14 +166,14 @@ def _box(plan: Plan, cells: Cells, height: float) -> Shape:
     )
 
 
-def _extent(plan: Plan) -> Rectangle:
+def _extent(plan: OccupancyGrid) -> Rectangle:
     rows, columns = plan.wall.shape
     corners = np.array([_there(plan, c, r) for c in (0, columns) for r in (0, rows)])
     (x0, y0), (x1, y1) = corners.min(0).tolist(), corners.max(0).tolist()
     return ((x0, x1), (y0, y1))
 
 
-def _place(plan: Plan) -> tuple[float, float] | None:
+def _free_position(plan: OccupancyGrid) -> tuple[float, float] | None:
     """Return the known free place that is farthest from all others."""
     from scipy.ndimage import distance_transform_edt
 

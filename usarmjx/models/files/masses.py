@@ -10,11 +10,11 @@ from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.files.mjcf_solids import Inertia, inertia_box, mat_of
 from usarmjx.models.spec.robot import Shape
 
-SAME = 1e-3
+INERTIA_TOLERANCE = 1e-3
 """Relative difference of inertias that counts as none."""
 
 
-def weighed(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
+def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
     """Return solids whose masses make the given inertia, if need be all on one box more, never touched."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
@@ -27,9 +27,9 @@ def weighed(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
         tensor = turn @ np.diag(model.body_inertia[1]) @ turn.T
         reach = np.sqrt(np.trace(whole.tensor) / whole.mass)
         if (
-            abs(model.body_mass[1] - whole.mass) <= SAME * whole.mass
-            and np.abs(model.body_ipos[1] - whole.centre).max() <= SAME * reach
-            and np.abs(tensor - whole.tensor).max() <= SAME * np.trace(whole.tensor)
+            abs(model.body_mass[1] - whole.mass) <= INERTIA_TOLERANCE * whole.mass
+            and np.abs(model.body_ipos[1] - whole.centre).max() <= INERTIA_TOLERANCE * reach
+            and np.abs(tensor - whole.tensor).max() <= INERTIA_TOLERANCE * np.trace(whole.tensor)
         ):
             return tuple(shapes)
     box = inertia_box(whole)

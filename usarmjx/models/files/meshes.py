@@ -17,7 +17,7 @@ from usarmjx.models.spec.robot import Mesh, Shape
 
 MOST_VERTICES = 200
 """Corners of one solid's hull: MJX looks at all of them in every contact."""
-MOST_PIECES = 500
+MAX_MESH_PIECES = 500
 """Pieces of one file."""
 CONVEX = 1.01
 """A hull with less than this times the piece's volume is that of a convex piece."""
@@ -38,7 +38,7 @@ ADVICE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class ConvexPiece:
     """A connected piece of a mesh.
 
     Attributes:
@@ -52,9 +52,9 @@ class Piece:
     volume: float
 
 
-def pieces_of_file(
+def load_convex_pieces(
     path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0), *, hull: bool = False
-) -> list[Piece]:
+) -> list[ConvexPiece]:
     """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
 
     Args:
@@ -66,11 +66,11 @@ def pieces_of_file(
         ArenaFileError: A file that does not read; a piece that is not closed or not convex, flat, or that has
             too many corners; names it.
     """
-    found: list[Piece] = []
+    found: list[ConvexPiece] = []
     for name, vertices, faces in _objects(path):
-        found += pieces(vertices * np.asarray(scale), faces, f"{path}: {name}".rstrip(": "), hull=hull)
-        if len(found) > MOST_PIECES:
-            raise ArenaFileError(f"{path}: more than {MOST_PIECES} pieces; give it in several files")
+        found += convex_pieces(vertices * np.asarray(scale), faces, f"{path}: {name}".rstrip(": "), hull=hull)
+        if len(found) > MAX_MESH_PIECES:
+            raise ArenaFileError(f"{path}: more than {MAX_MESH_PIECES} pieces; give it in several files")
     return found
 
 
@@ -96,8 +96,10 @@ def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
     return vertices
 
 
-def pieces(vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = False) -> list[Piece]:
-    """Return the connected pieces of a mesh (n, 3), (m, 3) as convex solids; see `pieces_of_file`."""
+def convex_pieces(
+    vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = False
+) -> list[ConvexPiece]:
+    """Return the connected pieces of a mesh (n, 3), (m, 3) as convex solids; see `load_convex_pieces`."""
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -105,15 +107,15 @@ def pieces(vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = F
     every = np.arange(len(mesh.faces))
     groups = trimesh.graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
     parts: Any = mesh.submesh(groups, append=False, repair=False)
-    if len(parts) > MOST_PIECES:
-        raise ArenaFileError(f"{name}: {len(parts)} pieces; at most {MOST_PIECES}")
+    if len(parts) > MAX_MESH_PIECES:
+        raise ArenaFileError(f"{name}: {len(parts)} pieces; at most {MAX_MESH_PIECES}")
     names = (
         [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
     )
     return [_piece(part, called, hull) for part, called in zip(parts, names, strict=True)]
 
 
-def _piece(part: Any, name: str, hull: bool) -> Piece:  # noqa: ANN401 - trimesh.Trimesh
+def _piece(part: Any, name: str, hull: bool) -> ConvexPiece:  # noqa: ANN401 - trimesh.Trimesh
     corners, volume = _hull(np.asarray(part.vertices), name)
     if not hull:
         if not part.is_watertight:
@@ -131,7 +133,7 @@ def _piece(part: Any, name: str, hull: bool) -> Piece:  # noqa: ANN401 - trimesh
             f"{name} has a hull with {len(corners)} vertices, at most {MOST_VERTICES} are allowed: "
             "simplify it (Blender's Decimate, MeshLab's quadric edge collapse)"
         )
-    return Piece(name, corners, volume)
+    return ConvexPiece(name, corners, volume)
 
 
 def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
@@ -173,7 +175,7 @@ def _objects(path: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         yield (name if len(found) > 1 else ""), vertices[used], places.reshape(faces.shape)
 
 
-def shapes_of(found: Sequence[Piece], like: Shape, mass: float = 0.0) -> tuple[Shape, ...]:
+def shapes_of(found: Sequence[ConvexPiece], like: Shape, mass: float = 0.0) -> tuple[Shape, ...]:
     """Return pieces as shapes, all where `like` is, sharing a mass by volume.
 
     A piece gets the surface that its form suggests if `like` has none ("").

@@ -12,13 +12,13 @@ from usarmjx.base.transforms import Vec3, flip_angles
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.doors import Hinge, door_of
 from usarmjx.models.files.geoms import geom_mass, geom_shapes
-from usarmjx.models.files.masses import weighed
-from usarmjx.models.files.mjcf_solids import Inertia, Placed, joined, usarsim_angles
-from usarmjx.models.spec.arena import Door, Loose
+from usarmjx.models.files.masses import with_masses
+from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
+from usarmjx.models.spec.arena import Door, LooseObject
 from usarmjx.models.spec.robot import Shape
 
 GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
-LEVEL = 1e-6
+FLOOR_TOLERANCE = 1e-6
 """How far a floor may be from height zero [m], and its normal from the vertical."""
 LOOSE_SURFACE, FIXTURE = "loose", "fixture"
 """Surfaces of what lies loose, and of what is seen but never touched."""
@@ -49,7 +49,7 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
         if count:
             raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
     try:
-        return _Scene(path, spec, model, surface).content()
+        return _MjcfReader(path, spec, model, surface).content()
     except UnicodeDecodeError as error:
         raise ArenaFileError(f"{path}: has a name that is no UTF-8: {error}") from error
 
@@ -58,7 +58,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-class _Scene:
+class _MjcfReader:
     """A compiled file, its bodies sorted by what they are part of.
 
     Args:
@@ -137,55 +137,55 @@ class _Scene:
         """Return a geom of the world as shapes in the world's axes."""
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         if self._kind(geom) == GeomType.mjGEOM_PLANE:
-            if abs(self._data.geom_xpos[geom][2]) > LEVEL or mat[2, 2] < 1 - LEVEL:
+            if abs(self._data.geom_xpos[geom][2]) > FLOOR_TOLERANCE or mat[2, 2] < 1 - FLOOR_TOLERANCE:
                 raise self._error(
                     f"plane {self._name('geom', geom)!r} is unbounded and not the floor at height 0: "
                     "make it a box"
                 )
             return []
-        shapes = self._shapes(geom, Placed(self._data.geom_xpos[geom], mat), "wall")
+        shapes = self._shapes(geom, Pose(self._data.geom_xpos[geom], mat), "wall")
         return [
             shape if shape.surface == FIXTURE else replace(shape, surface=self._surface or surface_of(shape))
             for shape in shapes
         ]
 
-    def _shapes(self, geom: int, place: Placed, surface: str) -> list[Shape]:
-        """Return a geom as shapes where `place` says; those that touch nothing get surface "fixture"."""
+    def _shapes(self, geom: int, pose: Pose, surface: str) -> list[Shape]:
+        """Return a geom as shapes where `pose` says; those that touch nothing get surface "fixture"."""
         touches = bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
         name = f"{self._path}: geom {self._name('geom', geom)!r}"
         try:
-            return geom_shapes(self._model, geom, place, surface if touches else FIXTURE, name)
+            return geom_shapes(self._model, geom, pose, surface if touches else FIXTURE, name)
         except ArenaFileError as error:
             if touches or self._kind(geom) != GeomType.mjGEOM_MESH:
                 raise
             self._warnings.append(f"{error}; nothing touches it: it is left out")
             return []
 
-    def _loose(self, body: int) -> Loose:
+    def _loose(self, body: int) -> LooseObject:
         """Return a body with a free joint, with masses on its solids if those account for its inertia."""
         data, name = self._data, self._name("body", body)
-        frame = Placed(data.xpos[body], data.xmat[body].reshape(3, 3))
+        frame = Pose(data.xpos[body], data.xmat[body].reshape(3, 3))
         shapes: list[Shape] = []
         for geom in self._geoms(body):
             if self._kind(geom) in (GeomType.mjGEOM_PLANE, GeomType.mjGEOM_HFIELD):
                 raise self._error(
                     f"body {name!r} is free and has a plane or terrain; those stay where they are"
                 )
-            found = self._shapes(geom, self._seen_from(frame, geom), LOOSE_SURFACE)
+            found = self._shapes(geom, self._relative_pose(frame, geom), LOOSE_SURFACE)
             share = geom_mass(self._model, geom, self._described[geom]) / max(len(found), 1)
             shapes += [replace(shape, mass=share) for shape in found]
-        return Loose(
+        return LooseObject(
             name=name,
             at=_vec(data.xpos[body]),
             rotation=flip_angles(usarsim_angles(frame.mat)),
-            shapes=weighed(shapes, self._inertia(body, frame)),
+            shapes=with_masses(shapes, self._inertia(body, frame)),
         )
 
-    def _seen_from(self, frame: Placed, geom: int) -> Placed:
+    def _relative_pose(self, frame: Pose, geom: int) -> Pose:
         pos, mat = self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
-        return Placed(frame.mat.T @ (pos - frame.pos), frame.mat.T @ mat)
+        return Pose(frame.mat.T @ (pos - frame.pos), frame.mat.T @ mat)
 
-    def _inertia(self, body: int, frame: Placed) -> Inertia:
+    def _inertia(self, body: int, frame: Pose) -> Inertia:
         """Return mass, centre and inertia of a body with what is fixed to it, in the body's axes."""
         parts = []
         for member in range(self._model.nbody):
@@ -194,7 +194,7 @@ class _Scene:
                 tensor = mat @ np.diag(self._model.body_inertia[member]) @ mat.T
                 centre = frame.mat.T @ (self._data.xipos[member] - frame.pos)
                 parts.append(Inertia(float(self._model.body_mass[member]), centre, tensor))
-        return joined(parts)
+        return combine_inertias(parts)
 
     def _door(self, body: int) -> Door:
         """Return a body with a hinge as a door."""
@@ -204,7 +204,7 @@ class _Scene:
             raise self._error(f"body {name!r} has a hinge and is not one box; a door is")
         (geom,) = geoms
         low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
-        place = Placed(self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3))
+        place = Pose(self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3))
         hinge = Hinge(
             anchor=self._data.xanchor[joint],
             axis=self._data.xaxis[joint],

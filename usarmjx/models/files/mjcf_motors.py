@@ -9,7 +9,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.spec.robot import Motor
 
-HOLD = 20.0
+DEFAULT_STIFFNESS_RATIO = 20.0
 """Stiffness over damping of a motor that has no stiffness of its own [1/s] (a P2AT's)."""
 STIFFNESS, DAMPING = 667.0, 33.0
 """Gains over inertia of one that has neither [1/s2], [1/s] (a P2AT's)."""
@@ -60,7 +60,7 @@ def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -
     drag = 0.0 if np.any(model.jnt_stiffness[joint]) else float(model.dof_damping[dof])
     stiffness, damping = float(bias[0]), float(bias[1]) + drag
     if kind == "velocity":
-        stiffness = HOLD * float(bias[1])
+        stiffness = DEFAULT_STIFFNESS_RATIO * float(bias[1])
     if kind == "motor":
         stiffness, damping = STIFFNESS * inertia, DAMPING * inertia + drag
     limited = bool(model.actuator_ctrllimited[actuator])

@@ -20,22 +20,22 @@ KINDS = {
 SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 THIN = 1e-5
 """Least half edge of a box that stands for an inertia [m]: MuJoCo takes none of 0."""
-SAME = 1e-6
+INERTIA_TOLERANCE = 1e-6
 """Relative difference of masses and inertias that counts as none."""
-STEEP = 1e-7
+GIMBAL_TOLERANCE = 1e-7
 """Cosine of a pitch so near to 90 degrees that roll and yaw are one rotation."""
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class Pose:
     """A frame in another: position (3,) and orientation (3, 3), MuJoCo's axes."""
 
     pos: np.ndarray
     mat: np.ndarray
 
-    def of(self, pos: np.ndarray, quat: np.ndarray) -> "Placed":
+    def compose(self, pos: np.ndarray, quat: np.ndarray) -> "Pose":
         """Return a frame that is given in this one, by position (3,) and quaternion (4,)."""
-        return Placed(self.pos + self.mat @ pos, self.mat @ mat_of(quat))
+        return Pose(self.pos + self.mat @ pos, self.mat @ mat_of(quat))
 
 
 def mat_of(quat: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def usarsim_vector(vector: np.ndarray) -> Vec3:
 def usarsim_angles(mat: np.ndarray) -> Vec3:
     """Return roll, pitch, yaw in USARSim's axes of an orientation (3, 3) in MuJoCo's."""
     angles = angles_from_mat(mat)
-    if np.hypot(mat[0, 0], mat[1, 0]) < STEEP:
+    if np.hypot(mat[0, 0], mat[1, 0]) < GIMBAL_TOLERANCE:
         angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
     roll, pitch, yaw = (np.array(flip_angles(angles.tolist())) + 0.0).tolist()
     return (roll, pitch, yaw)
@@ -69,7 +69,7 @@ class Inertia:
     tensor: np.ndarray
 
 
-def joined(parts: Sequence[Inertia]) -> Inertia:
+def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
     """Return the inertia of several bodies that are one."""
     mass = sum(part.mass for part in parts)
     if mass <= 0:
@@ -98,7 +98,7 @@ def inertia_box(inertia: Inertia) -> Shape:
     )
 
 
-def shape_of(model: mujoco.MjModel, geom: int, frame: Placed, surface: str, mass: float) -> Shape:
+def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: float) -> Shape:
     """Return a geom as a shape of the part in whose axes `frame`, that of its body, is given.
 
     Raises:
@@ -108,7 +108,7 @@ def shape_of(model: mujoco.MjModel, geom: int, frame: Placed, surface: str, mass
     if kind not in KINDS:
         name = model.geom(geom).name or f"number {geom}"
         raise SpecError(f"geom {name} is a {kind.name[7:].lower()}; robots have {', '.join(KINDS.values())}")
-    placed = frame.of(model.geom_pos[geom], model.geom_quat[geom])
+    placed = frame.compose(model.geom_pos[geom], model.geom_quat[geom])
     touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
     red, green, blue, alpha = model.geom_rgba[geom].tolist()
     return Shape(
@@ -122,7 +122,7 @@ def shape_of(model: mujoco.MjModel, geom: int, frame: Placed, surface: str, mass
     )
 
 
-def geom_inertia(model: mujoco.MjModel, geom: int, frame: Placed, mass: float) -> Inertia:
+def geom_inertia(model: mujoco.MjModel, geom: int, frame: Pose, mass: float) -> Inertia:
     """Return the inertia of a solid, even geom of that mass, in the axes in which `frame` is given."""
     x, y, z = model.geom_size[geom]
     kind = mujoco.mjtGeom(model.geom_type[geom])
@@ -139,7 +139,7 @@ def geom_inertia(model: mujoco.MjModel, geom: int, frame: Placed, mass: float) -
         rod, ball = _capsule_shares(x, y)
         side = rod * (x * x / 4 + y * y / 3) + ball * (2 * x * x / 5 + y * y + 3 * x * y / 4)
         moments = np.array([side, side, rod * x * x / 2 + ball * 2 * x * x / 5])
-    placed = frame.of(model.geom_pos[geom], model.geom_quat[geom])
+    placed = frame.compose(model.geom_pos[geom], model.geom_quat[geom])
     return Inertia(mass, placed.pos, placed.mat @ np.diag(mass * moments) @ placed.mat.T)
 
 
@@ -163,8 +163,10 @@ def volume(model: mujoco.MjModel, geom: int) -> float:
 
 def agrees(one: Inertia, other: Inertia) -> bool:
     """Return whether two inertias are the same, as to their sizes."""
-    if abs(one.mass - other.mass) > SAME * other.mass:
+    if abs(one.mass - other.mass) > INERTIA_TOLERANCE * other.mass:
         return False
     reach = np.sqrt(np.trace(other.tensor) / other.mass)
-    near = np.abs(one.centre - other.centre).max() <= SAME * reach
-    return bool(near and np.abs(one.tensor - other.tensor).max() <= SAME * np.trace(other.tensor))
+    near = np.abs(one.centre - other.centre).max() <= INERTIA_TOLERANCE * reach
+    return bool(
+        near and np.abs(one.tensor - other.tensor).max() <= INERTIA_TOLERANCE * np.trace(other.tensor)
+    )

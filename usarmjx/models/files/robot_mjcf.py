@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.measure import measured
+from usarmjx.models.build.measure import with_measurements
 from usarmjx.models.drives import Drive
 from usarmjx.models.files.mjcf_motors import motors_of
 from usarmjx.models.files.mjcf_solids import (
     Inertia,
-    Placed,
+    Pose,
     agrees,
+    combine_inertias,
     geom_inertia,
     inertia_box,
-    joined,
     mat_of,
     shape_of,
     usarsim_angles,
@@ -31,7 +31,7 @@ USUAL_SPEED = 6.2832
 """Highest speed of a joint whose actuator sets none [rad/s or m/s]: the wheel joint's in the UDK version."""
 NO_STIFFNESS = 1e-9
 """Of a joint that has a damper alone: our springs need some [N m/rad]."""
-VELOCITY = 1
+VELOCITY_MODE = 1
 """Order of a joint that DRIVE gives a speed (`Aim`)."""
 TAKEN = ("chassis", "root")
 """Names that the composed model has itself."""
@@ -82,8 +82,8 @@ def robot_from_mjcf(
         if geom.type == MESH:
             geom.type = BOX
     fitted = _compile(boxes, path)
-    tree = _Tree(model, fitted, spec, model.body(root).id)
-    rolling = {aim.joint for aim in drive.aims if aim.order == VELOCITY}
+    tree = _BodyTree(model, fitted, spec, model.body(root).id)
+    rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
     servos = motors_of(model, motors or {}, max_speed)
     parts = tuple(
         tree.part(owner, servos.get(int(model.body_jntadr[owner])), rolling) for owner in tree.owners[1:]
@@ -91,7 +91,7 @@ def robot_from_mjcf(
     taken = [part.name for part in parts if part.name in (*TAKEN, CHASSIS)]
     if taken:
         raise SpecError(f"{path}: a joint is called {', '.join(taken)}: rename it, that name is taken")
-    robot = measured(
+    robot = with_measurements(
         RobotSpec(
             name=name,
             dimensions=(0.0, 0.0, 0.0),
@@ -135,7 +135,7 @@ def _compile(spec: mujoco.MjSpec, path: str | Path) -> mujoco.MjModel:
         raise SpecError(f"{path}: does not compile: {error}") from error
 
 
-class _Tree:
+class _BodyTree:
     """A compiled file, its bodies sorted by the part that they belong to.
 
     Args:
@@ -152,7 +152,7 @@ class _Tree:
         self._model, self._fitted = model, fitted
         self._described = {geom.id: geom for geom in spec.geoms}
         self._owner = {root: root}
-        self._frame = {root: Placed(np.zeros(3), np.eye(3))}  # of a body in the axes of its part
+        self._frame = {root: Pose(np.zeros(3), np.eye(3))}  # of a body in the axes of its part
         for body in range(root + 1, model.nbody):
             self._enter(body)
         self.owners = [body for body, owner in self._owner.items() if body == owner]
@@ -170,10 +170,10 @@ class _Tree:
             )
         if joints:
             self._owner[body] = body
-            self._frame[body] = Placed(-model.jnt_pos[joints[0]], np.eye(3))
+            self._frame[body] = Pose(-model.jnt_pos[joints[0]], np.eye(3))
         else:
             self._owner[body] = self._owner[parent]
-            self._frame[body] = self._frame[parent].of(model.body_pos[body], model.body_quat[body])
+            self._frame[body] = self._frame[parent].compose(model.body_pos[body], model.body_quat[body])
 
     def _members(self, owner: int) -> list[int]:
         return [body for body, mine in self._owner.items() if mine == owner]
@@ -193,7 +193,7 @@ class _Tree:
         model, joint = self._model, int(self._model.body_jntadr[owner])
         parent, name = int(model.body_parentid[owner]), self.name(owner)
         quat = model.body_quat[owner]
-        at = self._frame[parent].of(model.body_pos[owner] + mat_of(quat) @ model.jnt_pos[joint], quat)
+        at = self._frame[parent].compose(model.body_pos[owner] + mat_of(quat) @ model.jnt_pos[joint], quat)
         limits = None
         if model.jnt_limited[joint]:
             low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
@@ -210,17 +210,17 @@ class _Tree:
             limits=limits,
             spring=self._spring(joint, driven=motor is not None),
             shapes=self.shapes(owner, "wheel" if name in rolling else "hull"),
-            rolls=name in rolling,
+            is_wheel=name in rolling,
         )
 
     def _spring(self, joint: int, *, driven: bool) -> Spring | None:
         """Return a joint's spring and damper; a motor has the damper of a joint without a spring."""
-        model, place = self._model, self._model.jnt_qposadr[joint]
+        model, qposadr = self._model, self._model.jnt_qposadr[joint]
         stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
         damping = float(np.ravel(model.dof_damping[model.jnt_dofadr[joint]])[0])
         if stiffness == 0 and (damping == 0 or driven):
             return None
-        rest = float(model.qpos_spring[place] - model.qpos0[place])
+        rest = float(model.qpos_spring[qposadr] - model.qpos0[qposadr])
         return Spring(
             stiffness=stiffness or NO_STIFFNESS, damping=damping, load=-rest * (stiffness or NO_STIFFNESS)
         )
@@ -228,7 +228,7 @@ class _Tree:
     def shapes(self, owner: int, surface: str) -> tuple[Shape, ...]:
         """Return the solids of a part; masses on them, or all on one box more."""
         model, fitted = self._model, self._fitted
-        whole = joined([self._inertia(body) for body in self._members(owner)])
+        whole = combine_inertias([self._inertia(body) for body in self._members(owner)])
         if whole.mass <= 0:
             raise SpecError(
                 f"{self.name(owner)} has no mass: give its body an inertial or its geoms a density"
@@ -244,7 +244,7 @@ class _Tree:
         masses = [self._mass(geom) for geom, _ in geoms]
         solids = [geom_inertia(fitted, *geom, mass) for geom, mass in zip(geoms, masses, strict=True)]
         meshes = any(model.geom_type[geom] == MESH for geom, _ in geoms)
-        if solids and not meshes and agrees(joined(solids), whole):
+        if solids and not meshes and agrees(combine_inertias(solids), whole):
             return tuple(replace(shape, mass=mass) for shape, mass in zip(light, masses, strict=True))
         return (*light, inertia_box(whole))
 
@@ -257,6 +257,6 @@ class _Tree:
 
     def _inertia(self, body: int) -> Inertia:
         model, frame = self._model, self._frame[body]
-        placed = frame.of(model.body_ipos[body], model.body_iquat[body])
+        placed = frame.compose(model.body_ipos[body], model.body_iquat[body])
         tensor = placed.mat @ np.diag(model.body_inertia[body]) @ placed.mat.T
         return Inertia(float(model.body_mass[body]), placed.pos, tensor)

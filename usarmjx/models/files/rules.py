@@ -6,7 +6,7 @@ from typing import Any
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.victim_table import build_table, check
-from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, Loose, Victim, Water
+from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
 from usarmjx.models.spec.robot import FENDER, MATERIALS, SURFACES, Shape
 
 SIZES = {
@@ -22,7 +22,7 @@ SIZES = {
 
 def problem(record: object) -> str:
     """Return what is wrong with a dataclass of an arena, and what is allowed; empty: nothing."""
-    return RULES.get(type(record), _fine)(record)
+    return ARENA_RULES.get(type(record), _fine)(record)
 
 
 def _fine(_: object) -> str:
@@ -53,7 +53,7 @@ def _colour(rgba: tuple[float, ...]) -> str:
     return f"rgba {list(rgba)}: wants red, green, blue and opacity between 0 and 1" if outside else ""
 
 
-def _loose(loose: Loose) -> str:
+def _loose(loose: LooseObject) -> str:
     if sum(shape.mass for shape in loose.shapes) <= 0:
         return f"loose object {loose.name!r} has no mass: give one of its shapes a mass [kg]"
     if any(shape.kind == "hfield" for shape in loose.shapes):
@@ -107,12 +107,12 @@ def _arena(arena: ArenaSpec) -> str:
     return ""
 
 
-RULES: dict[type, Callable[[Any], str]] = {
+ARENA_RULES: dict[type, Callable[[Any], str]] = {
     ArenaSpec: _arena,
     Door: _door,
     FalseAlarm: _alarm,
     Light: _light,
-    Loose: _loose,
+    LooseObject: _loose,
     Shape: _shape,
     Victim: _victim,
     Water: _water,

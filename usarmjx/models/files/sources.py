@@ -8,14 +8,14 @@ from typing import Any
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.files.content import Content, moved
+from usarmjx.models.files.content import Content, transform_content
 from usarmjx.models.files.images import read_heights
-from usarmjx.models.files.maps import HEIGHT, Unknown, map_content
-from usarmjx.models.files.meshes import NO_MESH, pieces_of_file, shapes_of
+from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
+from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.files.values import read_yaml
-from usarmjx.models.spec.arena import Loose
+from usarmjx.models.spec.arena import LooseObject
 from usarmjx.models.spec.robot import OPAQUE, ZERO, HeightField, Shape
 
 Rgba = tuple[float, float, float, float]
@@ -28,7 +28,7 @@ class Scale(tuple[float, float, float]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class ModelFile:
     """An MJCF or URDF file: see `arena_mjcf` and `arena_urdf`.
 
     Attributes:
@@ -76,7 +76,7 @@ class MeshFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Terrain:
+class TerrainFile:
     """Terrain from a grey image.
 
     Attributes:
@@ -101,7 +101,7 @@ class Terrain:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Map:
+class MapFile:
     """A map of ROS' map_server: see `arena_maps`.
 
     Attributes:
@@ -113,7 +113,7 @@ class Map:
     """
 
     file: Path
-    height: float = HEIGHT
+    height: float = DEFAULT_WALL_HEIGHT
     unknown: Unknown = "free"
     at: Vec3 = ZERO
     yaw: float = 0.0
@@ -122,7 +122,7 @@ class Map:
 def mesh_content(mesh: MeshFile) -> Content:
     """Return a mesh file as fixed solids or a loose object."""
     files = mesh.decomposition or (mesh.file,)
-    found = [piece for file in files for piece in pieces_of_file(file, mesh.scale, hull=mesh.hull)]
+    found = [piece for file in files for piece in load_convex_pieces(file, mesh.scale, hull=mesh.hull)]
     like = Shape(kind="mesh", mesh=NO_MESH, material=mesh.material, rgba=mesh.rgba)
     if mesh.mass <= 0:
         like = replace(like, at=mesh.at, rotation=mesh.rotation, surface=mesh.surface)
@@ -130,10 +130,10 @@ def mesh_content(mesh: MeshFile) -> Content:
     like = replace(like, surface=mesh.surface or LOOSE_SURFACE)
     solids = shapes_of(found, like, mesh.mass)
     name = mesh.name or mesh.file.stem
-    return Content(loose=(Loose(name=name, at=mesh.at, rotation=mesh.rotation, shapes=solids),))
+    return Content(loose=(LooseObject(name=name, at=mesh.at, rotation=mesh.rotation, shapes=solids),))
 
 
-def terrain_content(terrain: Terrain) -> Content:
+def terrain_content(terrain: TerrainFile) -> Content:
     """Return a grey image as terrain."""
     if min(*terrain.size, terrain.height, terrain.base) <= 0:
         raise ArenaFileError(f"{terrain.file}: size, height and base of a terrain are above zero [m]")
@@ -150,23 +150,25 @@ def terrain_content(terrain: Terrain) -> Content:
     return Content(shapes=(shape,))
 
 
-def plan_content(plan: Map) -> Content:
+def map_file_content(plan: MapFile) -> Content:
     """Return a map as walls."""
     if plan.height <= 0:
         raise ArenaFileError(f"{plan.file}: the height of its walls is above zero [m]")
-    return moved(map_content(read_yaml(plan.file), plan.height, plan.unknown), plan.at, plan.yaw)
+    return transform_content(
+        occupancy_grid_content(read_yaml(plan.file), plan.height, plan.unknown), plan.at, plan.yaw
+    )
 
 
-def model_content(reader: Callable[[Path, str], Content], model: Model) -> Content:
+def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> Content:
     """Return an MJCF or URDF file's content where it is wanted."""
-    return moved(reader(model.file, model.surface), model.at, model.yaw)
+    return transform_content(reader(model.file, model.surface), model.at, model.yaw)
 
 
-SOURCES: dict[str, tuple[type, Callable[[Any], Content]]] = {
-    "mjcf": (Model, partial(model_content, mjcf_content)),
-    "urdf": (Model, partial(model_content, urdf_content)),
+SOLID_SOURCES: dict[str, tuple[type, Callable[[Any], Content]]] = {
+    "mjcf": (ModelFile, partial(model_content, mjcf_content)),
+    "urdf": (ModelFile, partial(model_content, urdf_content)),
     "meshes": (MeshFile, mesh_content),
-    "heightfield": (Terrain, terrain_content),
-    "map": (Map, plan_content),
+    "heightfield": (TerrainFile, terrain_content),
+    "map": (MapFile, map_file_content),
 }
 """Keys of other files, what they take, and how that becomes content."""

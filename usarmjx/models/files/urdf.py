@@ -11,14 +11,14 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.files.content import Content, surface_of
-from usarmjx.models.files.meshes import NO_MESH, pieces_of_file, shapes_of
-from usarmjx.models.files.mjcf_solids import Placed, usarsim_angles, usarsim_vector
+from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
+from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles, usarsim_vector
 from usarmjx.models.files.values import read_bytes
 from usarmjx.models.spec.robot import Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"
-KINDS = ("box", "sphere", "cylinder", "mesh")
+GEOMETRY_KINDS = ("box", "sphere", "cylinder", "mesh")
 
 
 def urdf_content(path: Path, surface: str = "") -> Content:
@@ -56,7 +56,7 @@ class _Where:
     """What the solids of a link have in common: its name for errors, its place, surface and colour."""
 
     name: str
-    frame: Placed
+    frame: Pose
     surface: str
     rgba: tuple[float, float, float, float]
 
@@ -74,9 +74,9 @@ def _parse(path: Path) -> ElementTree.Element:
     return root
 
 
-def _frames(path: Path, root: ElementTree.Element) -> dict[str, Placed]:
+def _frames(path: Path, root: ElementTree.Element) -> dict[str, Pose]:
     """Return where each link is, all joints at zero."""
-    above: dict[str, tuple[str, Placed]] = {}
+    above: dict[str, tuple[str, Pose]] = {}
     names = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint"):
         where = f"{path}: joint {joint.get('name')!r}"
@@ -88,29 +88,29 @@ def _frames(path: Path, root: ElementTree.Element) -> dict[str, Placed]:
         if child in above:
             raise ArenaFileError(f"{where}: link {child!r} hangs on two joints")
         above[child] = (parent, _origin(joint, where))
-    frames: dict[str, Placed] = {}
+    frames: dict[str, Pose] = {}
 
-    def frame(name: str, depth: int) -> Placed:
+    def frame(name: str, depth: int) -> Pose:
         if depth > len(names):
             raise ArenaFileError(f"{path}: link {name!r} hangs on itself")
         if name not in frames:
-            parent, offset = above.get(name, ("", Placed(np.zeros(3), np.eye(3))))
+            parent, offset = above.get(name, ("", Pose(np.zeros(3), np.eye(3))))
             frames[name] = _then(frame(parent, depth + 1), offset) if parent else offset
         return frames[name]
 
     return {name: frame(name, 0) for name in names}
 
 
-def _then(frame: Placed, offset: Placed) -> Placed:
-    return Placed(frame.pos + frame.mat @ offset.pos, frame.mat @ offset.mat)
+def _then(frame: Pose, offset: Pose) -> Pose:
+    return Pose(frame.pos + frame.mat @ offset.pos, frame.mat @ offset.mat)
 
 
-def _origin(element: ElementTree.Element, where: str) -> Placed:
+def _origin(element: ElementTree.Element, where: str) -> Pose:
     origin = element.find("origin")
     if origin is None:
-        return Placed(np.zeros(3), np.eye(3))
+        return Pose(np.zeros(3), np.eye(3))
     xyz, rpy = (_numbers(origin, key, 3, where, "0 0 0") for key in ("xyz", "rpy"))
-    return Placed(xyz, mat_from_angles(*rpy))
+    return Pose(xyz, mat_from_angles(*rpy))
 
 
 def _numbers(
@@ -131,9 +131,9 @@ def _solid(path: Path, element: ElementTree.Element, where: _Where) -> Iterator[
     """Yield the solids of a collision or visual element."""
     geometry = element.find("geometry")
     form = next(iter(geometry), None) if geometry is not None else None
-    if form is None or form.tag not in KINDS:
+    if form is None or form.tag not in GEOMETRY_KINDS:
         found = "no geometry" if form is None else f"the geometry <{form.tag}>"
-        raise ArenaFileError(f"{where.name}: has {found}; allowed: {', '.join(KINDS)}")
+        raise ArenaFileError(f"{where.name}: has {found}; allowed: {', '.join(GEOMETRY_KINDS)}")
     place = _then(where.frame, _origin(element, where.name))
     like = Shape(
         kind="box",
@@ -145,7 +145,7 @@ def _solid(path: Path, element: ElementTree.Element, where: _Where) -> Iterator[
     if form.tag == "mesh":
         file = _mesh_file(path, form.get("filename", ""), where.name)
         scale = _numbers(form, "scale", 3, where.name, "1 1 1")
-        found = pieces_of_file(file, scale.tolist())
+        found = load_convex_pieces(file, scale.tolist())
         yield from shapes_of(found, replace(like, kind="mesh", mesh=NO_MESH))
         return
     if form.tag == "box":

@@ -13,11 +13,11 @@ MOST_BYTES = 16_000_000
 MOST_VALUES = 500_000
 """In a YAML file, repeated ones counted each time."""
 
-Plain = dict[str, "Value"] | list["Value"] | str | int | float | bool | None
+Plain = dict[str, "YamlValue"] | list["YamlValue"] | str | int | float | bool | None
 
 
 @dataclass(frozen=True, eq=False)
-class Value:
+class YamlValue:
     """A value of a YAML file.
 
     Attributes:
@@ -37,7 +37,7 @@ class Value:
         name = f"{self.name}: " if self.name else ""
         return ArenaFileError(f"{self.path}:{self.line}: {name}{text}")
 
-    def mapping(self) -> dict[str, "Value"]:
+    def mapping(self) -> dict[str, "YamlValue"]:
         """Return the keys and their values.
 
         Raises:
@@ -47,7 +47,7 @@ class Value:
             return self.data
         raise self.error(f"{self.shown} is not a mapping of keys to values")
 
-    def items(self) -> list["Value"]:
+    def items(self) -> list["YamlValue"]:
         """Return the items of a list.
 
         Raises:
@@ -82,7 +82,7 @@ def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
         raise ArenaFileError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def read_yaml(path: Path) -> Value:
+def read_yaml(path: Path) -> YamlValue:
     """Return what a YAML file holds.
 
     Raises:
@@ -94,7 +94,7 @@ def read_yaml(path: Path) -> Value:
         node = loader.get_single_node()
         if node is None:
             raise ArenaFileError(f"{path}: is empty; an arena is a mapping, as `name: mine`")
-        return _Tree(path, loader).value(node, "")
+        return _YamlReader(path, loader).value(node, "")
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark else ""
@@ -109,7 +109,7 @@ def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0]
 
 
-class _Tree:
+class _YamlReader:
     """Turns the nodes of a document into values, and counts them: aliases can make many of few."""
 
     def __init__(self, path: Path, loader: yaml.SafeLoader) -> None:
@@ -117,7 +117,7 @@ class _Tree:
         self._open: set[int] = set()
         self._flat: set[int] = set()
 
-    def value(self, node: yaml.Node, name: str) -> Value:
+    def value(self, node: yaml.Node, name: str) -> YamlValue:
         self._count += 1
         line = node.start_mark.line + 1
         if self._count > MOST_VALUES:
@@ -127,7 +127,7 @@ class _Tree:
         self._open.add(id(node))
         data = self._data(node, name)
         self._open.discard(id(node))
-        return Value(data, self._path, line, name)
+        return YamlValue(data, self._path, line, name)
 
     def _data(self, node: yaml.Node, name: str) -> Plain:
         if isinstance(node, yaml.MappingNode):

@@ -8,33 +8,35 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.files.content import EMPTY, Content, extent_of, free_place, joined
+from usarmjx.models.files.content import EMPTY, Content, extent_of, free_start_pose, merge_contents
 from usarmjx.models.files.fields import check_keys, hints_of, read, read_record, required
 from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.meshes import checked_corners, vertices_of_file
 from usarmjx.models.files.rules import problem
-from usarmjx.models.files.sources import SOURCES, Scale
-from usarmjx.models.files.values import Value
+from usarmjx.models.files.sources import SOLID_SOURCES, Scale
+from usarmjx.models.files.values import YamlValue
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import HeightField, Mesh
 
 
-def arena_of_yaml(value: Value) -> tuple[ArenaSpec, tuple[str, ...]]:
+def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     """Return the arena that a YAML file describes, and what of its other files is left out.
 
     Raises:
         ArenaFileError: Something unknown, missing, of a wrong type or not allowed; names file and line.
     """
     given = value.mapping()
-    check_keys(value, [*hints_of(ArenaSpec), *SOURCES])
-    content = joined([part for key in SOURCES if key in given for part in _contents(key, given[key])])
-    own = replace(value, data={key: item for key, item in given.items() if key not in SOURCES})
+    check_keys(value, [*hints_of(ArenaSpec), *SOLID_SOURCES])
+    content = merge_contents(
+        [part for key in SOLID_SOURCES if key in given for part in _contents(key, given[key])]
+    )
+    own = replace(value, data={key: item for key, item in given.items() if key not in SOLID_SOURCES})
     usual = {"name": value.path.stem, "starts": (), "extent": EMPTY}
     arena = read_record(ArenaSpec, own, SPECIAL, **usual)
-    return finished(arena, content, value, set(given)), content.warnings
+    return complete_arena(arena, content, value, set(given)), content.warnings
 
 
-def finished(arena: ArenaSpec, content: Content, value: Value, given: set[str]) -> ArenaSpec:
+def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: set[str]) -> ArenaSpec:
     """Return an arena with the content of other files, and with what nobody gave found.
 
     Args:
@@ -50,7 +52,7 @@ def finished(arena: ArenaSpec, content: Content, value: Value, given: set[str]) 
     if "extent" not in given:
         arena = replace(arena, extent=content.extent or extent_of(shapes, loose))
     if "starts" not in given:
-        start = free_place(arena, content.place)
+        start = free_start_pose(arena, content.free_position)
         if start is None:
             raise value.error("there is no free place for a robot to start from: give `starts`, or a floor")
         arena = replace(arena, starts=(start,))
@@ -59,9 +61,9 @@ def finished(arena: ArenaSpec, content: Content, value: Value, given: set[str]) 
     return arena
 
 
-def _contents(key: str, value: Value) -> list[Content]:
+def _contents(key: str, value: YamlValue) -> list[Content]:
     """Return the content of the files under a key: one, or a list of them."""
-    kind, action = SOURCES[key]
+    kind, action = SOLID_SOURCES[key]
     contents = []
     for item in value.data if isinstance(value.data, list) else [value]:
         plain = replace(item, data={"file": item}) if isinstance(item.data, str) else item
@@ -73,14 +75,14 @@ def _contents(key: str, value: Value) -> list[Content]:
     return contents
 
 
-def _file(value: Value) -> Path:
+def _file(value: YamlValue) -> Path:
     path = value.path.parent / read(str, value, {})
     if not path.is_file():
         raise value.error(f"there is no file {path}")
     return path
 
 
-def _scale(value: Value) -> Scale:
+def _scale(value: YamlValue) -> Scale:
     if isinstance(value.data, list):
         scale = Scale(read(Vec3, value, {}))
     else:
@@ -90,7 +92,7 @@ def _scale(value: Value) -> Scale:
     return scale
 
 
-def _mesh(value: Value) -> Mesh:
+def _mesh(value: YamlValue) -> Mesh:
     """Read a solid's corners: the name of a file, or a list of them."""
     if isinstance(value.data, str):
         return Mesh(vertices_of_file(_file(value)))
@@ -98,7 +100,7 @@ def _mesh(value: Value) -> Mesh:
     return Mesh(checked_corners(corners, f"{value.path}:{value.line}: {value.name}"))
 
 
-def _heights(value: Value) -> HeightField:
+def _heights(value: YamlValue) -> HeightField:
     """Read a terrain: a file and its height, or a list of rows."""
     if isinstance(value.data, dict):
         check_keys(value, ["file", "height"])
@@ -114,7 +116,7 @@ def _heights(value: Value) -> HeightField:
     return HeightField(np.array(rows))
 
 
-SPECIAL: Mapping[type, Callable[[Value], Any]] = {
+SPECIAL: Mapping[type, Callable[[YamlValue], Any]] = {
     Path: _file,
     Scale: _scale,
     Mesh: _mesh,

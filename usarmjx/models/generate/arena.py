@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.reach import Size, reach_map, size_of, victims_reached
+from usarmjx.models.build.reach import RobotFootprint, footprint_of, reach_map, victims_reached
 from usarmjx.models.generate import contents
-from usarmjx.models.generate.contents import Site, add_victim
+from usarmjx.models.generate.contents import ArenaBuilder, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.kinds import KINDS, budget
-from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, Plan, doubled, edge
+from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, CellGrid, doubled, edge
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
@@ -31,7 +31,7 @@ def generate(
     size: tuple[int, int] = (8, 6),
     seed: int = 0,
     difficulty: Difficulty | None = None,
-    robot: str | Size = "P2AT",
+    robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
     victims: int | None = None,
 ) -> ArenaSpec:
@@ -55,7 +55,7 @@ def generate(
     """
     made, difficulty = KINDS.get(kind), difficulty or Difficulty()
     name = robot if isinstance(robot, str) else ""
-    needs = size_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
+    needs = footprint_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
     _check(size, seed, needs, reachable)
     most = budget(kind, size).victims
     count = min(most, max(1, size[0] * size[1] // 12)) if victims is None else victims
@@ -63,8 +63,12 @@ def generate(
         raise SpecError(f"{count} victims, expected 0 to {most} in {size[0]}x{size[1]} cells")
     for attempt in range(TRIES):
         # Of one stream of draws per attempt; 2**64 seeds do not meet those of the next attempt.
-        site = Site(
-            plan=Plan(size), kind=made, difficulty=difficulty, robot=needs, seed=seed + (attempt << 64)
+        site = ArenaBuilder(
+            plan=CellGrid(size),
+            kind=made,
+            difficulty=difficulty,
+            footprint=needs,
+            seed=seed + (attempt << 64),
         )
         _fill(site, count, reachable)
         arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
@@ -80,7 +84,7 @@ def generate_many(
     *,
     size: tuple[int, int] = (8, 6),
     difficulty: Difficulty | None = None,
-    robot: str | Size = "P2AT",
+    robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
 ) -> list[ArenaSpec]:
     """Return arenas of seeds that follow from one; see `generate`."""
@@ -88,7 +92,7 @@ def generate_many(
     return [generate(kind, size, each, difficulty, robot, reachable) for each in seeds]
 
 
-def _check(size: tuple[int, int], seed: int, needs: Size, reachable: float) -> None:
+def _check(size: tuple[int, int], seed: int, needs: RobotFootprint, reachable: float) -> None:
     if not all(SMALLEST <= n <= LARGEST for n in size):
         raise SpecError(f"size {size[0]}x{size[1]}, expected {SMALLEST} to {LARGEST} cells along each side")
     if seed < 0:
@@ -103,7 +107,7 @@ def _check(size: tuple[int, int], seed: int, needs: Size, reachable: float) -> N
         )
 
 
-def _passes(needs: Size, square: float, strip: float = 0.0) -> bool:
+def _passes(needs: RobotFootprint, square: float, strip: float = 0.0) -> bool:
     """Return whether a robot passes a corridor seen in squares of that size; see `reach_map`."""
     return 2 * needs.radius + 3 * square + strip <= CELL - THICKNESS
 
@@ -112,63 +116,65 @@ def _spelt(kind: str) -> str:
     return next(name for name in KINDS.names() if name.lower() == kind.lower())
 
 
-def _fill(site: Site, count: int, reachable: float) -> None:
+def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
     """Lay out the walls and put everything in its place."""
-    plan, kind = site.plan, site.kind
+    plan, kind = builder.plan, builder.kind
     if kind.second_floor and plan.size[0] >= STOREY_CELLS + 2:
-        _upstairs(site, round(reachable * count) > 0)
+        _upstairs(builder, round(reachable * count) > 0)
     else:
-        kind.layout(plan, site.draw("plan"), site.difficulty)
-    contents.place_victims(site, count, reachable)
-    contents.place_structures(site, kind.structures(plan.size))
-    boards = contents.place_boards(site)
-    free = [cell for cell in plan.ways if cell not in boards]
-    if _passes(site.robot, SQUARES[0], contents.STRIP):
-        draw = site.draw("corner")
-        site.corner = (draw.pick((-1, 1)), draw.pick((-1, 1)))
-        contents.place_clutter(site, free)
-    contents.place_tags(site, free)
-    contents.place_starts(site, free)
+        kind.layout(plan, builder.random_stream("plan"), builder.difficulty)
+    contents.place_victims(builder, count, reachable)
+    contents.place_structures(builder, kind.structures(plan.size))
+    boards = contents.place_boards(builder)
+    free = [cell for cell in plan.tree if cell not in boards]
+    if _passes(builder.footprint, SQUARES[0], contents.STRIP):
+        draw = builder.random_stream("corner")
+        builder.corner = (draw.choice((-1, 1)), draw.choice((-1, 1)))
+        contents.place_clutter(builder, free)
+    contents.place_tags(builder, free)
+    contents.place_starts(builder, free)
 
 
-def _upstairs(site: Site, victim: bool) -> None:
+def _upstairs(builder: ArenaBuilder, victim: bool) -> None:
     """Lay out an arena with a second floor along its last row."""
-    columns, rows = site.plan.size
-    step = site.draw("floor").pick((-1, 1))
+    columns, rows = builder.plan.size
+    step = builder.random_stream("floor").choice((-1, 1))
     landing = (0 if step > 0 else columns - 1, rows - 1)
     landings = [landing]
     if columns >= FERRY:
         landings.append((columns - 1 - landing[0], rows - 1))
     barred = tuple((column, rows - 1) for column in range(columns) if (column, rows - 1) not in landings)
-    site.kind.layout(site.plan, site.draw("plan"), site.difficulty, barred=barred)
-    site.plan.kept.update(landings)
-    site.clear.update(landings)
+    builder.kind.layout(builder.plan, builder.random_stream("plan"), builder.difficulty, barred=barred)
+    builder.plan.kept.update(landings)
+    builder.clear.update(landings)
     for k, cell in enumerate(landings):
         foot: Cell = (cell[0] + (step if k == 0 else -step), cell[1])
-        site.plan.walls.discard(edge(cell, foot))
+        builder.plan.walls.discard(edge(cell, foot))
     slabs = second_floor(landing, step, columns)
-    site.shapes += slabs
+    builder.shapes += slabs
     if victim:
         deck = slabs[-1].at
-        add_victim(site, (deck[0], deck[1]), 0 if step < 0 else 2, "sitting", "on the second floor", STOREY)
+        add_victim(
+            builder, (deck[0], deck[1]), 0 if step < 0 else 2, "sitting", "on the second floor", STOREY
+        )
 
 
-def _arena(site: Site, name: str, robot: str) -> ArenaSpec:
+def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
     """Return what was made, with all numbers rounded."""
-    outer, inner = site.plan.pieces()
-    inner = site.draw("shadow").shuffled(inner)
-    twice = round(site.difficulty.radio_shadow * len(inner))
+    outer, inner = builder.plan.wall_shapes()
+    inner = builder.random_stream("shadow").shuffled(inner)
+    twice = round(builder.difficulty.radio_shadow * len(inner))
     sheets = [sheet for wall in inner[:twice] for sheet in doubled(wall)]
-    columns, rows = site.plan.size
+    columns, rows = builder.plan.size
     return ArenaSpec(
         name=name,
-        about=site.kind.about,
-        shapes=_rounded([*outer, *sheets, *inner[twice:], *site.shapes]),
-        starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DIGITS)) for s in site.starts),
+        about=builder.kind.about,
+        shapes=_rounded([*outer, *sheets, *inner[twice:], *builder.shapes]),
+        starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DIGITS)) for s in builder.starts),
         extent=((0.0, round(columns * CELL, DIGITS)), (0.0, round(rows * CELL, DIGITS))),
-        loose=tuple(replace(o, at=_round(o.at), rotation=_round(o.rotation)) for o in site.loose),
-        victims=tuple(replace(v, at=_round(v.at), rotation=_round(v.rotation)) for v in site.victims),
-        tags=tuple(replace(t, at=_round(t.at)) for t in site.tags),
+        loose=tuple(replace(o, at=_round(o.at), rotation=_round(o.rotation)) for o in builder.loose),
+        victims=tuple(replace(v, at=_round(v.at), rotation=_round(v.rotation)) for v in builder.victims),
+        tags=tuple(replace(t, at=_round(t.at)) for t in builder.tags),
         robots=(robot,) if robot else (),
     )
 
@@ -193,7 +199,7 @@ def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:
     )
 
 
-def _as_stated(arena: ArenaSpec, needs: Size) -> bool:
+def _as_stated(arena: ArenaSpec, needs: RobotFootprint) -> bool:
     """Return whether all starts, and the victims that should be, are reached, and no others."""
     square = SQUARES[0] if _passes(needs, SQUARES[0]) else SQUARES[1]
     there = reach_map(arena, needs.radius, needs.step, height=needs.height, cell=square)

@@ -13,14 +13,31 @@ import numpy as np
 
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.build.raster import half_lengths
-from usarmjx.models.build.reach import Size, placed
+from usarmjx.models.build.reach import RobotFootprint, shapes_in_arena
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.draw import Draw
-from usarmjx.models.generate.kinds import MOST_STARTS, Kind, counts
-from usarmjx.models.generate.plan import BASE, CELL, SIDES, THICKNESS, Cell, Plan, middle
-from usarmjx.models.generate.structures import ROOM, STONE, WOOD, Place, Rgba, block, mixed, void
-from usarmjx.models.spec.arena import START_ELEVATION, HelpSound, Loose, Segment, StartPose, Tag, Victim
+from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.kinds import MOST_STARTS, ArenaKind, counts
+from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, middle
+from usarmjx.models.generate.structures import (
+    STONE,
+    STRUCTURE_SIZE,
+    WOOD,
+    Position2D,
+    Rgba,
+    block,
+    lerp,
+    void,
+)
+from usarmjx.models.spec.arena import (
+    START_ELEVATION,
+    HelpSound,
+    LooseObject,
+    SegmentMotion,
+    StartPose,
+    Tag,
+    Victim,
+)
 from usarmjx.models.spec.robot import Shape
 
 INNER = (CELL - THICKNESS) / 2
@@ -52,38 +69,38 @@ FORMS = {
 
 
 @dataclass
-class Site:
+class ArenaBuilder:
     """An arena while it is made.
 
     Attributes:
         plan: Walls and ways.
         kind: What is made.
         difficulty: How difficult.
-        robot: What the robot needs to pass.
+        footprint: What the robot needs to pass.
         seed: Of the draws.
         shapes: Solids other than walls.
         corner: The sides of cells along which things lie, along x and y; 0: none do.
         clear: Cells where nothing lies: victims, or a second floor, are reached from there.
     """
 
-    plan: Plan
-    kind: Kind
+    plan: CellGrid
+    kind: ArenaKind
     difficulty: Difficulty
-    robot: Size
+    footprint: RobotFootprint
     seed: int
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
     clear: set[Cell] = field(default_factory=set)
     victims: list[Victim] = field(default_factory=list)
-    loose: list[Loose] = field(default_factory=list)
+    loose: list[LooseObject] = field(default_factory=list)
     tags: list[Tag] = field(default_factory=list)
     starts: list[StartPose] = field(default_factory=list)
 
-    def draw(self, purpose: str) -> Draw:
+    def random_stream(self, purpose: str) -> RandomStream:
         """Return the draws for a purpose."""
-        return Draw(self.seed, purpose)
+        return RandomStream(self.seed, purpose)
 
-    def most(self, what: str) -> int:
+    def max_count(self, what: str) -> int:
         """Return the most of something for this size."""
         return counts(self.plan.size)[what]
 
@@ -92,23 +109,27 @@ class Site:
 def outline(posture: str) -> tuple[float, float]:
     """Return from where to where a victim reaches along the x axis of its pelvis [m]."""
     ends = []
-    for part in placed(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
+    for part in shapes_in_arena(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
         mat = mat_from_angles(*np.array(part.rotation))
         reach = float(np.abs(mat[0]) @ half_lengths(part))
         ends += [part.at[0] - reach, part.at[0] + reach]
     return min(ends), max(ends)
 
 
-def add_victim(site: Site, at: Place, facing: int, posture: str, where: str, ground: float = 0.0) -> None:
+def add_victim(
+    builder: ArenaBuilder, at: Position2D, facing: int, posture: str, where: str, ground: float = 0.0
+) -> None:
     """Add a victim whose body's middle is at a place; `facing` in quarter turns from x."""
-    number = len(site.victims) + 1
-    ahead, (back, front) = SIDES[facing], outline(posture)
+    number = len(builder.victims) + 1
+    ahead, (back, front) = DIRECTIONS[facing], outline(posture)
     shift = -(back + front) / 2
     waves = posture == "sitting" and number % 2 == 0
     segments = (
-        Segment(name="LeftArm", initial=(-0.8, 0.0, 0.1), final=(-2.6, 0.0, 0.1), rates=(1.5, 0.0, 0.0)),
+        SegmentMotion(
+            name="LeftArm", initial=(-0.8, 0.0, 0.1), final=(-2.6, 0.0, 0.1), rates=(1.5, 0.0, 0.0)
+        ),
     )
-    site.victims.append(
+    builder.victims.append(
         Victim(
             name=f"Victim{number}",
             at=(at[0] + shift * ahead[0], at[1] + shift * ahead[1], ground + rest_height(posture)),
@@ -121,75 +142,80 @@ def add_victim(site: Site, at: Place, facing: int, posture: str, where: str, gro
     )
 
 
-def place_victims(site: Site, count: int, reachable: float) -> None:
+def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
     """Place victims at tips of the ways, which they bar; the others in cells of four walls."""
-    plan, draw, walled_in = site.plan, site.draw("victims"), 0
-    while len(site.victims) < count and len(plan.ways) > FEWEST:
-        tips = plan.tips()
+    plan, draw, walled_in = builder.plan, builder.random_stream("victims"), 0
+    while len(builder.victims) < count and len(plan.tree) > FEWEST:
+        tips = plan.leaves()
         if not tips:
             break
-        cell, lies, facing = draw.pick(tips), draw.below(2), draw.below(4)
-        before = plan.take(cell)
-        number = len(site.victims) + 1
+        cell, lies, facing = draw.choice(tips), draw.randint(2), draw.randint(4)
+        before = plan.remove_leaf(cell)
+        number = len(builder.victims) + 1
         if walled_in < number - round(reachable * number):
             walled_in += 1
             plan.seal(cell)
-            add_victim(site, middle(cell), facing, "sitting", "walled in")
+            add_victim(builder, middle(cell), facing, "sitting", "walled in")
             continue
-        toward = SIDES.index((before[0] - cell[0], before[1] - cell[1]))
-        highest = site.robot.height + site.robot.step if site.kind.voids else math.inf
-        if lies and before in plan.tips() and len(plan.ways) > FEWEST:
-            last = plan.take(before)
+        toward = DIRECTIONS.index((before[0] - cell[0], before[1] - cell[1]))
+        highest = builder.footprint.height + builder.footprint.step if builder.kind.voids else math.inf
+        if lies and before in plan.leaves() and len(plan.tree) > FEWEST:
+            last = plan.remove_leaf(before)
             (x0, y0), (x1, y1) = middle(cell), middle(before)
-            at, posture, length, roof = ((x0 + x1) / 2, (y0 + y1) / 2), "lying", ROOM + CELL, LOW_ROOF
+            at, posture, length, roof = (
+                ((x0 + x1) / 2, (y0 + y1) / 2),
+                "lying",
+                STRUCTURE_SIZE + CELL,
+                LOW_ROOF,
+            )
         else:
             last = before
-            at, posture, length, roof = middle(cell), "sitting", ROOM, ROOF
+            at, posture, length, roof = middle(cell), "sitting", STRUCTURE_SIZE, ROOF
         low = highest < roof
         plan.kept.add(last)
-        site.clear.add(last)
+        builder.clear.add(last)
         if low:
-            site.shapes += void(at, toward, length, roof)
+            builder.shapes += void(at, toward, length, roof)
         if low or posture == "lying":
             facing = (toward + 2 * (facing % 2) * (posture == "lying")) % 4
-        add_victim(site, at, facing, posture, "in a void" if low else "in the open")
+        add_victim(builder, at, facing, posture, "in a void" if low else "in the open")
 
 
-def place_structures(site: Site, count: int) -> None:
+def place_structures(builder: ArenaBuilder, count: int) -> None:
     """Put what bars the way at tips of the ways."""
-    maker, draw = site.kind.structure, site.draw("structures")
+    maker, draw = builder.kind.structure, builder.random_stream("structures")
     for _ in range(count if maker else 0):
-        tips = site.plan.tips()
-        if not tips or len(site.plan.ways) <= FEWEST:
+        tips = builder.plan.leaves()
+        if not tips or len(builder.plan.tree) <= FEWEST:
             return
-        cell = draw.pick(tips)
-        site.plan.take(cell)
-        site.shapes += maker(draw, middle(cell), site.difficulty.roughness) if maker else []
+        cell = draw.choice(tips)
+        builder.plan.remove_leaf(cell)
+        builder.shapes += maker(draw, middle(cell), builder.difficulty.roughness) if maker else []
 
 
-def place_boards(site: Site) -> set[Cell]:
+def place_boards(builder: ArenaBuilder) -> set[Cell]:
     """Put boards across the ways, which the robot can drive over; return their cells."""
-    draw = site.draw("boards")
-    cells = [cell for cell in site.plan.ways if cell != BASE and cell not in site.clear]
-    count = max(0, min(site.most("boards"), len(site.plan.ways) - ENOUGH))
-    height = mixed(0.25, 0.95, site.difficulty.roughness) * site.robot.step
+    draw = builder.random_stream("boards")
+    cells = [cell for cell in builder.plan.tree if cell != START_CELL and cell not in builder.clear]
+    count = max(0, min(builder.max_count("boards"), len(builder.plan.tree) - ENOUGH))
+    height = lerp(0.25, 0.95, builder.difficulty.roughness) * builder.footprint.step
     taken = draw.shuffled(cells)[:count]
     for cell in taken:
-        size = (0.09, 1.0, height) if draw.below(2) else (1.0, 0.09, height)
-        site.shapes.append(block(middle(cell), size))
+        size = (0.09, 1.0, height) if draw.randint(2) else (1.0, 0.09, height)
+        builder.shapes.append(block(middle(cell), size))
     return set(taken)
 
 
-def place_clutter(site: Site, free: list[Cell]) -> None:
+def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
     """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first.
 
     The forms of loose objects take turns, so that the arenas of a batch need few of each.
     """
-    draw, clutter, corner = site.draw("clutter"), site.difficulty.clutter, site.corner
-    cells = draw.shuffled([cell for cell in free if cell not in site.clear])
-    height = mixed(0.1, 0.3, site.difficulty.roughness)
-    spots = [_spot(site, cell, draw) for cell in cells]
-    for i in range(min(round(clutter * site.most("loose")), len(cells))):
+    draw, clutter, corner = builder.random_stream("clutter"), builder.difficulty.clutter, builder.corner
+    cells = draw.shuffled([cell for cell in free if cell not in builder.clear])
+    height = lerp(0.1, 0.3, builder.difficulty.roughness)
+    spots = [_spot(builder, cell, draw) for cell in cells]
+    for i in range(min(round(clutter * builder.max_count("loose")), len(cells))):
         form = tuple(FORMS)[i % len(FORMS)]
         spot = next((spot for spot in spots if spot.strip or form == "Brick"), None)
         if spot is None:
@@ -198,14 +224,16 @@ def place_clutter(site: Site, free: list[Cell]) -> None:
         half = FORMS[form][0].size
         x, y = _beside(spot.cell, corner, half, spot.turned, spot.along)
         at, yaw = (x, y, half[2] + GAP / 5), spot.turned * math.pi / 2
-        site.loose.append(Loose(name=f"{form}{i + 1}", at=at, rotation=(0.0, 0.0, yaw), shapes=FORMS[form]))
-    for spot in spots[max(0, len(spots) - round(clutter * site.most("blocks"))) :]:
+        builder.loose.append(
+            LooseObject(name=f"{form}{i + 1}", at=at, rotation=(0.0, 0.0, yaw), shapes=FORMS[form])
+        )
+    for spot in spots[max(0, len(spots) - round(clutter * builder.max_count("blocks"))) :]:
         half = (0.15, 0.095, height / 2) if spot.strip else (0.1, 0.05, height / 2)
         at = _beside(spot.cell, corner, half, spot.turned, spot.along)
-        site.shapes.append(block(at, (2 * half[0], 2 * half[1], height), yaw=spot.turned * math.pi / 2))
+        builder.shapes.append(block(at, (2 * half[0], 2 * half[1], height), yaw=spot.turned * math.pi / 2))
 
 
-class _Spot(NamedTuple):
+class _ClutterSpot(NamedTuple):
     """Where something may lie in a cell: in a strip along a side that no way leads across, or in a corner."""
 
     cell: Cell
@@ -214,19 +242,19 @@ class _Spot(NamedTuple):
     along: float
 
 
-def _spot(site: Site, cell: Cell, draw: Draw) -> _Spot:
+def _spot(site: ArenaBuilder, cell: Cell, draw: RandomStream) -> _ClutterSpot:
     corner = site.corner
-    along = draw.below(101) / 100
+    along = draw.randint(101) / 100
     sides = [k for k, d in enumerate(((0, corner[1]), (corner[0], 0))) if _closed(site.plan, cell, d)]
-    turned = draw.pick(sides) if sides else 0
-    return _Spot(cell, bool(sides), turned, along if sides else 1.0)
+    turned = draw.choice(sides) if sides else 0
+    return _ClutterSpot(cell, bool(sides), turned, along if sides else 1.0)
 
 
-def _closed(plan: Plan, cell: Cell, side: Cell) -> bool:
-    return (cell[0] + side[0], cell[1] + side[1]) not in plan.ways[cell]
+def _closed(plan: CellGrid, cell: Cell, side: Cell) -> bool:
+    return (cell[0] + side[0], cell[1] + side[1]) not in plan.tree[cell]
 
 
-def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Place:
+def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Position2D:
     """Return where something lies in a strip: `along` is 1 in the corner, 0 as far from it as it may be."""
     x, y = middle(cell)
     far = INNER - GAP - half[0]
@@ -237,23 +265,23 @@ def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, alon
     return x + site_x, y + site_y
 
 
-def place_tags(site: Site, free: list[Cell]) -> None:
+def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
     """Lay tags on the floor beside where robots start, short of the strips."""
-    draw = site.draw("tags")
-    side = 0.3 if any(site.corner) else 0.42
-    for cell in draw.shuffled(free)[: site.most("tags")]:
+    draw = builder.random_stream("tags")
+    side = 0.3 if any(builder.corner) else 0.42
+    for cell in draw.shuffled(free)[: builder.max_count("tags")]:
         x, y = middle(cell)
-        dx, dy = (way or draw.pick((-1, 1)) for way in site.corner)
-        site.tags.append(Tag(at=(x + side * dx, y + side * dy, 0.0)))
+        dx, dy = (way or draw.choice((-1, 1)) for way in builder.corner)
+        builder.tags.append(Tag(at=(x + side * dx, y + side * dy, 0.0)))
 
 
-def place_starts(site: Site, free: list[Cell]) -> None:
+def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
     """Put the first start pose into the base, others into free cells, all looking along a way."""
-    others = site.draw("starts").shuffled([cell for cell in free if cell != BASE])
-    for number, cell in enumerate([BASE, *others][:MOST_STARTS]):
+    others = builder.random_stream("starts").shuffled([cell for cell in free if cell != START_CELL])
+    for number, cell in enumerate([START_CELL, *others][:MOST_STARTS]):
         x, y = middle(cell)
-        x, y = x - ASIDE * site.corner[0], y - ASIDE * site.corner[1]
-        toward = site.plan.ways[cell][0] if site.plan.ways[cell] else (cell[0] + 1, cell[1])
-        yaw = (SIDES.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
+        x, y = x - ASIDE * builder.corner[0], y - ASIDE * builder.corner[1]
+        toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])
+        yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
         tag = f"Start{number}" if number else "PlayerStart"
-        site.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))
+        builder.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))

@@ -12,11 +12,11 @@ import numpy as np
 
 T = TypeVar("T")
 
-POOL = 512
+POOL_SIZE = 512
 """So many draws are made at once."""
 
 
-class Draw:
+class RandomStream:
     """A stream of draws.
 
     Args:
@@ -28,24 +28,24 @@ class Draw:
         self._bits = np.random.PCG64(np.random.SeedSequence([seed, crc32(purpose.encode())]))
         self._pool: list[int] = []
 
-    def below(self, count: int) -> int:
+    def randint(self, count: int) -> int:
         """Return an integer from 0 to below `count`."""
         if not self._pool:
-            self._pool = self._bits.random_raw(POOL).tolist()
+            self._pool = self._bits.random_raw(POOL_SIZE).tolist()
         return self._pool.pop() % count  # 2**64 is so much more that no rest is favoured noticeably
 
-    def between(self, low: int, high: int) -> int:
+    def randint_between(self, low: int, high: int) -> int:
         """Return an integer from `low` to `high`, both included."""
-        return low + self.below(high - low + 1)
+        return low + self.randint(high - low + 1)
 
-    def pick(self, options: Sequence[T]) -> T:
+    def choice(self, options: Sequence[T]) -> T:
         """Return one of the options."""
-        return options[self.below(len(options))]
+        return options[self.randint(len(options))]
 
     def shuffled(self, items: Sequence[T]) -> list[T]:
         """Return the items in a random order."""
         mixed = list(items)
         for i in range(len(mixed) - 1, 0, -1):
-            j = self.below(i + 1)
+            j = self.randint(i + 1)
             mixed[i], mixed[j] = mixed[j], mixed[i]
         return mixed

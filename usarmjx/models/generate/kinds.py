@@ -13,15 +13,15 @@ MOST_LOOSE, MOST_VICTIMS, MOST_STARTS, MOST_TAGS = 12, 16, 24, 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class ArenaKind:
     """A kind of generated arena.
 
     Attributes:
         about: What it is, in a sentence.
         layout: Lays out walls and ways, from a plan, draws and a difficulty.
         structure: Makes what bars the way in some cells; None: nothing does.
-        share: Of cells with that [%].
-        most: Solids of one of them.
+        structure_percent: Of cells with that [%].
+        max_solids: Solids of one of them.
         voids: Whether victims lie under slabs.
         second_floor: Whether there is one, along the last row.
     """
@@ -29,58 +29,58 @@ class Kind:
     about: str
     layout: Callable[..., None]
     structure: Maker | None = None
-    share: int = 0
-    most: int = 0
+    structure_percent: int = 0
+    max_solids: int = 0
     voids: bool = False
     second_floor: bool = False
 
     def structures(self, size: tuple[int, int]) -> int:
         """Return in how many cells something bars the way."""
-        return size[0] * size[1] * self.share // 100
+        return size[0] * size[1] * self.structure_percent // 100
 
 
-KINDS: Registry[Kind] = Registry("kind of arena")
-KINDS.add("maze", Kind(about="Corridors one cell wide.", layout=layouts.maze))
-KINDS.add("building", Kind(about="Rooms with doorways, and a corridor.", layout=layouts.building))
+KINDS: Registry[ArenaKind] = Registry("kind of arena")
+KINDS.add("maze", ArenaKind(about="Corridors one cell wide.", layout=layouts.maze))
+KINDS.add("building", ArenaKind(about="Rooms with doorways, and a corridor.", layout=layouts.building))
 KINDS.add(
     "rubble",
-    Kind(
+    ArenaKind(
         about="An open field with heaps of slabs and blocks.",
-        layout=layouts.field,
+        layout=layouts.open_field,
         structure=structures.rubble,
-        share=25,
-        most=4,
+        structure_percent=25,
+        max_solids=4,
     ),
 )
 KINDS.add(
     "steps",
-    Kind(
+    ArenaKind(
         about="Step fields of posts between some walls.",
-        layout=layouts.field,
+        layout=layouts.open_field,
         structure=structures.steps,
-        share=12,
-        most=structures.POSTS**2,
+        structure_percent=12,
+        max_solids=structures.POSTS**2,
     ),
 )
 KINDS.add(
     "ramps",
-    Kind(
+    ArenaKind(
         about="Ramps of 15 degrees, and a second floor along one side.",
-        layout=layouts.field,
+        layout=layouts.open_field,
         structure=structures.ramps,
-        share=20,
-        most=1,
+        structure_percent=20,
+        max_solids=1,
         second_floor=True,
     ),
 )
 KINDS.add(
     "collapsed",
-    Kind(
+    ArenaKind(
         about="A building whose ceiling has come down in places; victims in voids.",
         layout=layouts.building,
         structure=structures.collapsed,
-        share=20,
-        most=3,
+        structure_percent=20,
+        max_solids=3,
         voids=True,
     ),
 )
@@ -118,7 +118,7 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
     made, most, (columns, rows) = KINDS.get(kind), counts(size), size
     outer = 2 * (-(-columns // LONGEST) - (-rows // LONGEST))
     inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))  # every wall of two sheets
-    shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.most
+    shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.max_solids
     shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor
     return Budget(
         shapes=shapes,

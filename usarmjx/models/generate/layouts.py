@@ -1,8 +1,8 @@
 """How walls are laid out: mazes, open fields with some walls, and buildings."""
 
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.draw import Draw
-from usarmjx.models.generate.plan import Cell, Edge, Plan, edge
+from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.plan import Cell, CellGrid, Edge, edge
 
 SPARSEST = {"maze": 40, "field": 10}
 DENSEST = {"maze": 100, "field": 45}
@@ -11,29 +11,35 @@ CORRIDOR_WIDTH = 5
 """Buildings with at least so many cells across have a corridor."""
 
 
-def share(low: int, high: int, level: float, count: int) -> int:
+def wall_count(low: int, high: int, level: float, count: int) -> int:
     """Return which part of `count` a level between 0 and 1 makes, from `low` to `high` percent."""
     return round((low + (high - low) * level) * count / 100)
 
 
-def maze(plan: Plan, draw: Draw, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()) -> None:
+def maze(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()
+) -> None:
     """Lay out a maze: perfect at wall density and dead ends 1."""
-    plan.grow(draw, bushy=False, barred=barred)
+    plan.grow_tree(draw, bushy=False, barred=barred)
     _thin(plan, draw, difficulty, "maze", barred)
 
 
-def field(plan: Plan, draw: Draw, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()) -> None:
+def open_field(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()
+) -> None:
     """Lay out an open field with some pieces of wall."""
-    plan.grow(draw, bushy=True, barred=barred)
+    plan.grow_tree(draw, bushy=True, barred=barred)
     _thin(plan, draw, difficulty, "field", barred)
 
 
-def _thin(plan: Plan, draw: Draw, difficulty: Difficulty, kind: str, barred: tuple[Cell, ...]) -> None:
+def _thin(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, kind: str, barred: tuple[Cell, ...]
+) -> None:
     """Put walls wherever no way leads, then open dead ends and take away walls.
 
     Which ones, and in which order, does not depend on how many.
     """
-    ways = plan.ways
+    ways = plan.tree
     closed = [(a, b) for a, b in plan.edges() if b not in ways.get(a, ())]
     fixed = [(a, b) for a, b in closed if (a in barred) != (b in barred)]
     closed = [(a, b) for a, b in closed if a not in barred and b not in barred]
@@ -42,10 +48,10 @@ def _thin(plan: Plan, draw: Draw, difficulty: Difficulty, kind: str, barred: tup
     for rank, cell in enumerate(ends):
         sides = [n for n in plan.around(cell) if n not in ways[cell] and n in ways]
         if sides:
-            side = draw.pick(sides)
+            side = draw.choice(sides)
             if rank >= round(difficulty.dead_ends * len(ends)):
                 opened.add(edge(cell, side))
-    keep = share(SPARSEST[kind], DENSEST[kind], difficulty.wall_density, len(closed))
+    keep = wall_count(SPARSEST[kind], DENSEST[kind], difficulty.wall_density, len(closed))
     plan.walls = {*fixed, *draw.shuffled(closed)[:keep]} - opened
 
 
@@ -53,23 +59,23 @@ Room = tuple[int, int, int, int]
 """Columns from, to (not included), rows from, to."""
 
 
-def building(plan: Plan, draw: Draw, difficulty: Difficulty) -> None:
+def building(plan: CellGrid, draw: RandomStream, difficulty: Difficulty) -> None:
     """Lay out rooms and, where there is space, a corridor; every wall between rooms has a doorway.
 
     The largest room is parted, again and again; the wall density says for how long.
     """
     walls = _partitions(plan, draw)
-    keep = share(25, 100, difficulty.wall_density, len(walls))
+    keep = wall_count(25, 100, difficulty.wall_density, len(walls))
     ranks = draw.shuffled(range(len(walls)))
     for wall, rank in zip(walls[:keep], ranks, strict=False):
         plan.walls.update(wall)
         doors = draw.shuffled(wall)
         both = len(doors) > 2 and rank >= round(difficulty.dead_ends * len(walls))
         plan.walls.difference_update(doors[: 1 + both])
-    plan.grow(draw, bushy=True)
+    plan.grow_tree(draw, bushy=True)
 
 
-def _partitions(plan: Plan, draw: Draw) -> list[list[Edge]]:
+def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
     """Return the walls that part a building, each as its edges, the first ones first."""
     columns, rows = plan.size
     rooms: list[Room] = [(0, columns, 0, rows)]
@@ -77,7 +83,7 @@ def _partitions(plan: Plan, draw: Draw) -> list[list[Edge]]:
     if min(columns, rows) >= CORRIDOR_WIDTH:
         tall = rows > columns
         length = columns if tall else rows
-        at = draw.between(2, length - 3)
+        at = draw.randint_between(2, length - 3)
         for line in (at, at + 1):
             walls.append(_line(rooms[0], line, tall))
         rooms = [_part(rooms[0], 0, at, tall), _part(rooms[0], at + 1, length, tall)]
@@ -90,7 +96,7 @@ def _partitions(plan: Plan, draw: Draw) -> list[list[Edge]]:
         if length < 4:
             continue
         start = room[0] if upright else room[2]
-        at = start + draw.between(2, length - 2)
+        at = start + draw.randint_between(2, length - 2)
         walls.append(_line(room, at, upright))
         rooms += [_part(room, start, at, upright), _part(room, at, start + length, upright)]
     return walls

@@ -7,16 +7,16 @@ everything left is reached by every robot that fits between two walls.
 
 from collections.abc import Iterable, Iterator
 
-from usarmjx.models.generate.draw import Draw
+from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.spec.robot import Shape
 
 CELL = 1.2
 """Side of a cell of the NIST arenas' grid [m]."""
-HEIGHT, THICKNESS = 1.2, 0.05
+WALL_HEIGHT, THICKNESS = 1.2, 0.05
 """Of walls [m]."""
 LONGEST = 4
 """Cells along the longest piece of wall."""
-BASE = (0, 0)
+START_CELL = (0, 0)
 """The cell of the first start pose."""
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 DOUBLE_RGBA = (0.6, 0.6, 0.62, 1.0)
@@ -24,7 +24,7 @@ DOUBLE_RGBA = (0.6, 0.6, 0.62, 1.0)
 Cell = tuple[int, int]
 Edge = tuple[Cell, Cell]
 """Two neighbouring cells, the one with the lower column or row first."""
-SIDES: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
+DIRECTIONS: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 def edge(a: Cell, b: Cell) -> Edge:
@@ -37,7 +37,7 @@ def middle(cell: Cell) -> tuple[float, float]:
     return (cell[0] + 0.5) * CELL, (cell[1] + 0.5) * CELL
 
 
-class Plan:
+class CellGrid:
     """Walls and ways of an arena.
 
     Args:
@@ -45,15 +45,15 @@ class Plan:
 
     Attributes:
         walls: Where there are inner walls.
-        ways: The tree: which cells hang together with which.
+        tree: The tree: which cells hang together with which.
         kept: Cells that are not taken away.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
         self.walls: set[Edge] = set()
-        self.ways: dict[Cell, list[Cell]] = {}
-        self.kept: set[Cell] = {BASE}
+        self.tree: dict[Cell, list[Cell]] = {}
+        self.kept: set[Cell] = {START_CELL}
 
     def cells(self) -> Iterator[Cell]:
         """Yield all cells, column by column."""
@@ -63,7 +63,7 @@ class Plan:
     def around(self, cell: Cell) -> list[Cell]:
         """Return the neighbours of a cell."""
         columns, rows = self.size
-        places = [(cell[0] + dx, cell[1] + dy) for dx, dy in SIDES]
+        places = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
         return [(c, r) for c, r in places if 0 <= c < columns and 0 <= r < rows]
 
     def edges(self) -> list[Edge]:
@@ -72,11 +72,11 @@ class Plan:
         return [
             ((c, r), (c + dx, r + dy))
             for c, r in self.cells()
-            for dx, dy in SIDES[:2]
+            for dx, dy in DIRECTIONS[:2]
             if c + dx < columns and r + dy < rows
         ]
 
-    def grow(self, draw: Draw, *, bushy: bool, barred: Iterable[Cell] = ()) -> None:
+    def grow_tree(self, draw: RandomStream, *, bushy: bool, barred: Iterable[Cell] = ()) -> None:
         """Grow the tree over all cells that walls do not part from the base.
 
         Args:
@@ -84,37 +84,37 @@ class Plan:
             bushy: Whether it has many short branches rather than few long ones.
             barred: Cells that do not belong to it.
         """
-        taken: set[Cell] = {BASE, *barred}
-        self.ways = {BASE: []}
-        tips: list[Cell] = [BASE]
+        taken: set[Cell] = {START_CELL, *barred}
+        self.tree = {START_CELL: []}
+        tips: list[Cell] = [START_CELL]
         while tips:
-            at = draw.below(len(tips)) if bushy else -1
+            at = draw.randint(len(tips)) if bushy else -1
             cell = tips[at]
             free = [n for n in self.around(cell) if n not in taken and edge(cell, n) not in self.walls]
             if not free:
                 tips.pop(at)
                 continue
-            new = draw.pick(free)
+            new = draw.choice(free)
             taken.add(new)
             tips.append(new)
-            self.ways[cell].append(new)
-            self.ways[new] = [cell]
+            self.tree[cell].append(new)
+            self.tree[new] = [cell]
 
-    def tips(self) -> list[Cell]:
+    def leaves(self) -> list[Cell]:
         """Return the cells that can be taken away."""
-        return [cell for cell, next_to in self.ways.items() if len(next_to) == 1 and cell not in self.kept]
+        return [cell for cell, next_to in self.tree.items() if len(next_to) == 1 and cell not in self.kept]
 
-    def take(self, cell: Cell) -> Cell:
+    def remove_leaf(self, cell: Cell) -> Cell:
         """Take a tip away and return the cell that it hung on."""
-        (neighbour,) = self.ways.pop(cell)
-        self.ways[neighbour].remove(cell)
+        (neighbour,) = self.tree.pop(cell)
+        self.tree[neighbour].remove(cell)
         return neighbour
 
     def seal(self, cell: Cell) -> None:
         """Wall a cell in."""
         self.walls.update(edge(cell, neighbour) for neighbour in self.around(cell))
 
-    def pieces(self) -> tuple[list[Shape], list[Shape]]:
+    def wall_shapes(self) -> tuple[list[Shape], list[Shape]]:
         """Return outer and inner walls, straight runs as one box each."""
         columns, rows = self.size
         outer, inner = [], []
@@ -146,8 +146,8 @@ def _wall(x0: int, x1: int, y0: int, y1: int) -> Shape:
     """Return a wall along a grid line; its ends reach into the corners by half its thickness."""
     return Shape(
         kind="box",
-        size=((x1 - x0) * CELL / 2 + THICKNESS / 2, (y1 - y0) * CELL / 2 + THICKNESS / 2, HEIGHT / 2),
-        at=((x0 + x1) * CELL / 2, (y0 + y1) * CELL / 2, HEIGHT / 2),
+        size=((x1 - x0) * CELL / 2 + THICKNESS / 2, (y1 - y0) * CELL / 2 + THICKNESS / 2, WALL_HEIGHT / 2),
+        at=((x0 + x1) * CELL / 2, (y0 + y1) * CELL / 2, WALL_HEIGHT / 2),
         surface="wall",
         rgba=WALL_RGBA,
     )

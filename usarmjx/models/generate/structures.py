@@ -1,6 +1,6 @@
 """What stands in cells that bar the way: rubble, step fields, ramps, slabs; and a second floor.
 
-Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within `ROOM` about
+Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within `STRUCTURE_SIZE` about
 the middle, so that it never meets a wall. Which solids there are, and how they lie, does not depend on the
 roughness; how high they are, does.
 """
@@ -8,11 +8,11 @@ roughness; how high they are, does.
 import math
 from collections.abc import Callable
 
-from usarmjx.models.generate.draw import Draw
+from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
 from usarmjx.models.spec.robot import Shape
 
-ROOM = 1.1
+STRUCTURE_SIZE = 1.1
 """Side of the square that a structure stays within [m]."""
 RAMP = math.radians(15)
 """Slope of ramps, as in the NIST arenas."""
@@ -29,18 +29,18 @@ WOOD = (0.7, 0.55, 0.35, 1.0)
 STONE = (0.6, 0.6, 0.6, 1.0)
 CONCRETE = (0.55, 0.53, 0.5, 1.0)
 
-Place = tuple[float, float]
+Position2D = tuple[float, float]
 Rgba = tuple[float, float, float, float]
-Maker = Callable[[Draw, Place, float], list[Shape]]
+Maker = Callable[[RandomStream, Position2D, float], list[Shape]]
 
 
-def mixed(low: float, high: float, roughness: float) -> float:
+def lerp(low: float, high: float, roughness: float) -> float:
     """Return what lies between `low` at roughness 0 and `high` at 1."""
     return low + (high - low) * roughness
 
 
 def block(
-    at: Place, size: tuple[float, float, float], *, z: float = 0.0, yaw: float = 0.0, rgba: Rgba = STONE
+    at: Position2D, size: tuple[float, float, float], *, z: float = 0.0, yaw: float = 0.0, rgba: Rgba = STONE
 ) -> Shape:
     """Return a box of full lengths `size` that stands at height `z` [m]."""
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
@@ -49,7 +49,7 @@ def block(
     )
 
 
-def slope(at: Place, run: float, width: float, angle: float, uphill: int, rgba: Rgba = WOOD) -> Shape:
+def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, rgba: Rgba = WOOD) -> Shape:
     """Return a slab whose upper face rises out of the floor.
 
     Args:
@@ -73,24 +73,24 @@ def slope(at: Place, run: float, width: float, angle: float, uphill: int, rgba: 
     )
 
 
-def rubble(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+def rubble(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """A slab that leans, and three blocks around it, all turned at random."""
     shapes = []
     for i, (sx, sy) in enumerate(draw.shuffled(((1, 1), (1, -1), (-1, 1), (-1, -1)))):
         spot = (at[0] + 0.27 * sx, at[1] + 0.27 * sy)
-        yaw = math.radians(draw.below(180))
+        yaw = math.radians(draw.randint(180))
         # Within a circle of 0.28 m about the middle of a quarter.
-        length, width = draw.between(25, 45) / 100, draw.between(15, 30) / 100
-        height = mixed(0.06, 0.4, roughness) * draw.between(50, 100) / 100
+        length, width = draw.randint_between(25, 45) / 100, draw.randint_between(15, 30) / 100
+        height = lerp(0.06, 0.4, roughness) * draw.randint_between(50, 100) / 100
         if i == 0:
-            tilt = mixed(0.1, 0.6, roughness) * draw.between(60, 100) / 100
+            tilt = lerp(0.1, 0.6, roughness) * draw.randint_between(60, 100) / 100
             shapes.append(_slab(spot, (0.44, 0.3, 0.06), tilt, yaw))
         else:
             shapes.append(block(spot, (length, width, height), yaw=yaw))
     return shapes
 
 
-def _slab(at: Place, size: tuple[float, float, float], tilt: float, yaw: float) -> Shape:
+def _slab(at: Position2D, size: tuple[float, float, float], tilt: float, yaw: float) -> Shape:
     """A slab that lies on one of its lower edges."""
     lift = size[0] / 2 * math.sin(tilt) + size[2] / 2 * math.cos(tilt)
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
@@ -99,41 +99,41 @@ def _slab(at: Place, size: tuple[float, float, float], tilt: float, yaw: float) 
     )
 
 
-def steps(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+def steps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """A field of square posts of four heights, higher towards one side, one corner or the middle."""
-    pitch, unit = ROOM / POSTS, mixed(0.03, 0.08, roughness)
-    sx, sy = draw.pick(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
+    pitch, unit = STRUCTURE_SIZE / POSTS, lerp(0.03, 0.08, roughness)
+    sx, sy = draw.choice(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
     shapes = []
     for i in range(POSTS):
         for j in range(POSTS):
             x, y = i - (POSTS - 1) / 2, j - (POSTS - 1) / 2
             trend = 1.5 + (sx * x + sy * y) / 2 if sx or sy else 2.5 - max(abs(x), abs(y))
-            level = 1 + max(0, min(3, round(trend) + draw.below(2)))
+            level = 1 + max(0, min(3, round(trend) + draw.randint(2)))
             spot = (at[0] + x * pitch, at[1] + y * pitch)
             shapes.append(block(spot, (pitch - 0.005, pitch - 0.005, level * unit), rgba=WOOD))
     return shapes
 
 
-def ramps(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+def ramps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """A ramp of 15 degrees, the longer the rougher, up to a drop."""
-    run = mixed(0.45, 1.0, roughness)
-    return [slope(at, run, ROOM, RAMP, draw.below(4))]
+    run = lerp(0.45, 1.0, roughness)
+    return [slope(at, run, STRUCTURE_SIZE, RAMP, draw.randint(4))]
 
 
-def collapsed(draw: Draw, at: Place, roughness: float) -> list[Shape]:
+def collapsed(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """A floor slab fallen down on one side, propped up by a block, and another block on the floor."""
-    uphill = draw.below(4)
-    angle = mixed(math.radians(8), math.radians(30), roughness)
+    uphill = draw.randint(4)
+    angle = lerp(math.radians(8), math.radians(30), roughness)
     slab = slope(at, 0.8, 1.0, angle, uphill, CONCRETE)
     # The block stands where the slab's lower face is just above it.
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
     prop = max(0.02, 0.7 * math.tan(angle) - DECK / math.cos(angle))
     spots = [(at[0] + d * ahead[0], at[1] + d * ahead[1]) for d in (0.35, -0.47)]
-    flat = [(0.1, 0.6, prop), (0.1, 0.4, mixed(0.05, 0.25, roughness) * draw.between(50, 100) / 100)]
+    flat = [(0.1, 0.6, prop), (0.1, 0.4, lerp(0.05, 0.25, roughness) * draw.randint_between(50, 100) / 100)]
     return [slab, *(block(s, size, yaw=uphill * math.pi / 2) for s, size in zip(spots, flat, strict=True))]
 
 
-def void(at: Place, facing: int, length: float, roof: float) -> list[Shape]:
+def void(at: Position2D, facing: int, length: float, roof: float) -> list[Shape]:
     """A slab over a victim, on two walls beside it.
 
     Args:
@@ -144,7 +144,7 @@ def void(at: Place, facing: int, length: float, roof: float) -> list[Shape]:
     """
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[facing]
     yaw = facing * math.pi / 2
-    shapes = [block(at, (length, ROOM, DECK), z=roof, yaw=yaw, rgba=CONCRETE)]
+    shapes = [block(at, (length, STRUCTURE_SIZE, DECK), z=roof, yaw=yaw, rgba=CONCRETE)]
     back = length / 2 - 0.4
     for side in (-1, 1):
         x = at[0] - back * ahead[0] - side * 0.52 * ahead[1]

@@ -8,7 +8,7 @@ the type of the base, as an inherited ItemType is.
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from usarmjx.models.ini.items import Notes, Settings, kind_of, merged, read_settings
+from usarmjx.models.ini.items import Settings, WarningLog, kind_of, merged, read_settings
 from usarmjx.models.ini.parse import IniFile, Line, Section
 from usarmjx.models.ini.read import as_class
 from usarmjx.models.spec.robot import Options
@@ -34,7 +34,7 @@ ItemClasses = Mapping[str, ItemClass]
 
 
 def read_classes(
-    files: Sequence[IniFile], robots: Iterable[str], settings: Settings | None, notes: Notes
+    files: Sequence[IniFile], robots: Iterable[str], settings: Settings | None, notes: WarningLog
 ) -> dict[str, ItemClass]:
     """Return the item classes that sections derive from others, in whatever order they stand.
 
@@ -83,6 +83,6 @@ def _base(parts: Sequence[Section], found: ItemClasses, settings: Settings | Non
     return found.get(name.lower()) if kind is None else ItemClass(kind, ())
 
 
-def _options(kind: str, parts: Sequence[Section], settings: Settings | None, notes: Notes) -> Options:
+def _options(kind: str, parts: Sequence[Section], settings: Settings | None, notes: WarningLog) -> Options:
     lines = [line for part in parts for line in part.lines if line.key.lower() != BASE_KEY.lower()]
     return read_settings(kind, [(line.key, line, line.value) for line in lines], settings, notes)

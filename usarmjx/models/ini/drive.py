@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from usarmjx.models.drives import Drive, NoDrive, SkidSteer, Tracks
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.ini.items import Notes
-from usarmjx.models.ini.pairs import Pair
+from usarmjx.models.ini.items import WarningLog
+from usarmjx.models.ini.pairs import JointPair
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import as_name, as_struct, fail, number_of, reject_unknown
-from usarmjx.models.spec.robot import STEER, Part, RobotSpec
+from usarmjx.models.spec.robot import STEER_SUFFIX, Part, RobotSpec
 
 POWER_TYPES = ("Holo_Powered", "Left_Powered", "Right_Powered", "Not_Powered")
 STEER_TYPES = ("Holo_Steered", "Front_Steered", "Rear_Steered", "Not_Steered")
@@ -22,7 +22,7 @@ MIDDLE = 1e-3
 
 
 @dataclass(frozen=True)
-class Role:
+class WheelRole:
     """What a `Wheels` line says of the wheel of that number; None: nothing."""
 
     line: Line
@@ -36,7 +36,7 @@ class Role:
         return self.steer not in (None, "Not_Steered")
 
 
-def read_roles(lines: Sequence[Line]) -> dict[int, Role]:
+def read_roles(lines: Sequence[Line]) -> dict[int, WheelRole]:
     """Return what wheels are for, by their Number; a later line of a number counts.
 
     Raises:
@@ -56,12 +56,12 @@ def read_roles(lines: Sequence[Line]) -> dict[int, Role]:
             types.append(None if value is None else spelt[as_name(line, value, field).lower()])
         given = struct.get("MaxSteerAngle") is not None
         max_steer = number_of(line, struct, "MaxSteerAngle", above=0.0) if given else None
-        roles[number] = Role(line, types[0], types[1], max_steer)
+        roles[number] = WheelRole(line, types[0], types[1], max_steer)
     return roles
 
 
 def drive_of(
-    pairs: Sequence[Pair], parts: Sequence[Part], roles: Mapping[int, Role], notes: Notes
+    pairs: Sequence[JointPair], parts: Sequence[Part], roles: Mapping[int, WheelRole], notes: WarningLog
 ) -> tuple[tuple[Part, ...], Drive]:
     """Return the parts, those that are not driven without their motor, and the drive of the others.
 
@@ -78,8 +78,8 @@ def drive_of(
     driven = {pair.name for pair in wheels if _is_driven(pair, roles, notes)}
     if not driven:
         fail(wheels[0].line, "no wheel is driven", "wheels beside the middle line, without Not_Powered")
-    kept = tuple(replace(p, motor=None) if p.rolls and p.name not in driven else p for p in parts)
-    radii = {part.name: part.shapes[0].size[0] for part in kept if part.rolls}
+    kept = tuple(replace(p, motor=None) if p.is_wheel and p.name not in driven else p for p in parts)
+    radii = {part.name: part.shapes[0].size[0] for part in kept if part.is_wheel}
     radius = radii[next(pair.name for pair in wheels if pair.name in driven)]
     motors = {part.name: part.motor for part in kept if part.name in driven and part.motor}
     spin = min(motor.max_speed * radii[name] / radius for name, motor in motors.items())
@@ -90,7 +90,7 @@ def drive_of(
     return kept, _skid(wheels, driven, roles, radii, spin, radius)
 
 
-def change_wheels(robot: RobotSpec, roles: Mapping[int, Role]) -> RobotSpec:
+def change_wheels(robot: RobotSpec, roles: Mapping[int, WheelRole]) -> RobotSpec:
     """Return an omnidirectional robot with other wheels powered and steered (manual 12.18.2).
 
     Raises:
@@ -126,11 +126,11 @@ def change_wheels(robot: RobotSpec, roles: Mapping[int, Role]) -> RobotSpec:
     return replace(robot, parts=tuple(parts.values()), drive=drive)
 
 
-def _is_holonomic(roles: Mapping[int, Role]) -> bool:
+def _is_holonomic(roles: Mapping[int, WheelRole]) -> bool:
     return any("Holo" in f"{role.power}{role.steer}" for role in roles.values())
 
 
-def _check_roles(wheels: Sequence[Pair], roles: Mapping[int, Role]) -> None:
+def _check_roles(wheels: Sequence[JointPair], roles: Mapping[int, WheelRole]) -> None:
     numbers = {pair.number: pair for pair in wheels}
     for number, role in roles.items():
         if number not in numbers:
@@ -140,39 +140,41 @@ def _check_roles(wheels: Sequence[Pair], roles: Mapping[int, Role]) -> None:
             fail(role.line, f"wheel {number} steers, but its joint is locked", "bSteeringLocked=False")
 
 
-def _is_driven(pair: Pair, roles: Mapping[int, Role], notes: Notes) -> bool:
+def _is_driven(pair: JointPair, roles: Mapping[int, WheelRole], notes: WarningLog) -> bool:
     role = roles.get(pair.number)
     if role is not None and role.power is not None:
         return role.power != "Not_Powered"
     if _is_holonomic(roles):
         return False
-    aside = abs(pair.place[1]) > MIDDLE
+    aside = abs(pair.chassis_position[1]) > MIDDLE
     if not aside:
         notes.add(pair.line, f"wheel {pair.name} is in the middle and has no PowerType: it rolls freely")
     return aside
 
 
-def _steers(pair: Pair, roles: Mapping[int, Role]) -> bool:
+def _steers(pair: JointPair, roles: Mapping[int, WheelRole]) -> bool:
     role = roles.get(pair.number)
     if role is not None and role.power is not None and role.steer is None:
         return False
     return pair.steers and (role is None or role.steer != "Not_Steered")
 
 
-def _steered(wheels: Sequence[Pair], driven: set[str], roles: Mapping[int, Role]) -> tuple[Wheel, ...]:
+def _steered(
+    wheels: Sequence[JointPair], driven: set[str], roles: Mapping[int, WheelRole]
+) -> tuple[Wheel, ...]:
     return tuple(
         Wheel(
             joint=pair.name,
-            steer=pair.name + STEER if _steers(pair, roles) else "",
-            x=pair.place[0],
-            y=pair.place[1],
+            steer=pair.name + STEER_SUFFIX if _steers(pair, roles) else "",
+            x=pair.chassis_position[0],
+            y=pair.chassis_position[1],
             powered=pair.name in driven,
         )
         for pair in wheels
     )
 
 
-def _largest(pairs: Sequence[Pair], roles: Mapping[int, Role]) -> float:
+def _largest(pairs: Sequence[JointPair], roles: Mapping[int, WheelRole]) -> float:
     """Return the largest steering angle of some wheels [rad]; 0 if none steers."""
     given = [roles[pair.number].max_steer if pair.number in roles else None for pair in pairs]
     angles = [a or MAX_STEER for a, pair in zip(given, pairs, strict=True) if _steers(pair, roles)]
@@ -180,7 +182,7 @@ def _largest(pairs: Sequence[Pair], roles: Mapping[int, Role]) -> float:
 
 
 def _omni(
-    wheels: Sequence[Pair], driven: set[str], roles: Mapping[int, Role], spin: float, radius: float
+    wheels: Sequence[JointPair], driven: set[str], roles: Mapping[int, WheelRole], spin: float, radius: float
 ) -> OmniDrive:
     if [pair.number for pair in wheels] != list(range(len(wheels))):
         fail(wheels[0].line, "DRIVE knows omni wheels by their numbers", "wheels as the first JointParts")
@@ -193,12 +195,12 @@ def _omni(
 
 
 def _ackermann(
-    wheels: Sequence[Pair], driven: set[str], roles: Mapping[int, Role], spin: float, radius: float
+    wheels: Sequence[JointPair], driven: set[str], roles: Mapping[int, WheelRole], spin: float, radius: float
 ) -> Ackermann:
-    xs = [pair.place[0] for pair in wheels]
+    xs = [pair.chassis_position[0] for pair in wheels]
     middle = (min(xs) + max(xs)) / 2
-    front = [pair for pair in wheels if pair.place[0] > middle]
-    rear = [pair for pair in wheels if pair.place[0] < middle]
+    front = [pair for pair in wheels if pair.chassis_position[0] > middle]
+    rear = [pair for pair in wheels if pair.chassis_position[0] < middle]
     if not front or not rear:
         fail(
             wheels[0].line,
@@ -215,18 +217,18 @@ def _ackermann(
 
 
 def _skid(
-    wheels: Sequence[Pair],
+    wheels: Sequence[JointPair],
     driven: set[str],
-    roles: Mapping[int, Role],
+    roles: Mapping[int, WheelRole],
     radii: Mapping[str, float],
     spin: float,
     radius: float,
 ) -> SkidSteer:
-    def on_left(pair: Pair) -> bool:
+    def on_left(pair: JointPair) -> bool:
         role = roles.get(pair.number)
         if role is not None and role.power in ("Left_Powered", "Right_Powered"):
             return role.power == "Left_Powered"
-        return pair.place[1] < 0
+        return pair.chassis_position[1] < 0
 
     left = tuple(pair.name for pair in wheels if pair.name in driven and on_left(pair))
     right = tuple(pair.name for pair in wheels if pair.name in driven and not on_left(pair))

@@ -6,17 +6,17 @@ from dataclasses import fields, replace
 import numpy as np
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.ini.items import Notes
+from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_number, as_vector
-from usarmjx.models.spec.robot import STEER, SUSPENSION, UP, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Part, RobotSpec, Shape
 
 MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
 """The original's defaults (manual 14.4.2.3): what our robots' own figures stand for."""
 KARMA_SCALE = 50.0
 """Unreal units in one of Karma's (manual 14.4.2.3)."""
 
-TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
+DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
 """What the original lets a suspension move that says nothing of it [m]."""
 
 Figures = Mapping[str, Line]
@@ -133,7 +133,7 @@ LENGTHS: dict[str, Callable[[RobotSpec, float, float], RobotSpec]] = {
 
 
 def apply_figures(
-    robot: RobotSpec, figures: Figures, units: Units, notes: Notes, skip: set[str]
+    robot: RobotSpec, figures: Figures, units: Units, notes: WarningLog, skip: set[str]
 ) -> RobotSpec:
     """Return a robot with the figures of its section; one that changes nothing about it becomes a warning.
 
@@ -159,7 +159,7 @@ def apply_figures(
         if robot == before and not _is_set(before, key, value):
             notes.add(line, f"{key} changes nothing: {robot.name} has no joint that it is about")
     if (line := figures.get("centerofmass")) is not None:
-        robot = set_centre(robot, units.place(as_vector(line, line.value, "CenterOfMass")))
+        robot = set_centre(robot, units.position(as_vector(line, line.value, "CenterOfMass")))
     return robot
 
 
@@ -170,15 +170,15 @@ def _is_set(robot: RobotSpec, key: str, value: float) -> bool:
 
 
 def _is_wheel(part: Part) -> bool:
-    return part.rolls and part.motor is not None
+    return part.is_wheel and part.motor is not None
 
 
 def _is_steering(part: Part) -> bool:
-    return part.name.endswith(STEER)
+    return part.name.endswith(STEER_SUFFIX)
 
 
 def _is_hinge(part: Part) -> bool:
-    return part.motor is not None and not part.rolls and not _is_steering(part)
+    return part.motor is not None and not part.is_wheel and not _is_steering(part)
 
 
 def _each_part(robot: RobotSpec, pick: Callable[[Part], bool], change: Callable[[Part], Part]) -> RobotSpec:
@@ -212,14 +212,14 @@ def _springs(robot: RobotSpec, stiffness: float = 1.0, damping: float = 1.0) -> 
 
 
 def _is_suspension(part: Part) -> bool:
-    return part.name.endswith(SUSPENSION)
+    return part.name.endswith(SUSPENSION_SUFFIX)
 
 
 def _travel(robot: RobotSpec, limit: float, *, upper: bool) -> RobotSpec:
     """Return a robot whose suspensions have one limit of their travel changed [m], up positive."""
 
     def changed(part: Part) -> Part:
-        low, high = part.limits or TRAVEL
+        low, high = part.limits or DEFAULT_SUSPENSION_TRAVEL
         if np.dot(part.axis, UP) > 0:
             return replace(part, limits=(low, limit) if upper else (limit, high))
         return replace(part, limits=(-limit, high) if upper else (low, -limit))

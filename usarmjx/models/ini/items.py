@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.ini.keys import ITEM_CLASSES, ITEM_IGNORED, OLD_PARTS, SETTINGS_IGNORED, UU_ANGLES
-from usarmjx.models.ini.parse import Line, Struct, Value
+from usarmjx.models.ini.parse import IniValue, Line, Struct
 from usarmjx.models.ini.read import (
     UU_PER_RADIAN,
     Units,
@@ -31,7 +31,7 @@ Settings = Mapping[str, type]
 
 
 @dataclass
-class Notes:
+class WarningLog:
     """Warnings, in the order in which they arose, each once."""
 
     texts: list[str] = field(default_factory=list)
@@ -50,7 +50,7 @@ def kind_of(name: str, settings: Settings | None) -> str | None:
     return kinds.get(name.lower())
 
 
-def read_setting(kind: str, key: str, line: Line, value: Value, settings: Settings | None) -> Options:
+def read_setting(kind: str, key: str, line: Line, value: IniValue, settings: Settings | None) -> Options:
     """Return one key of an item as the option it stands for.
 
     Args:
@@ -75,7 +75,7 @@ def read_setting(kind: str, key: str, line: Line, value: Value, settings: Settin
     return option
 
 
-def _setting_value(line: Line, key: str, value: Value) -> object:
+def _setting_value(line: Line, key: str, value: IniValue) -> object:
     """Return a value as settings have it: curves as points, other structs as options, angles in radians."""
     if isinstance(value, Struct) and (points := value.get("Points")) is not None:
         return tuple(_point(line, point) for point in (points if isinstance(points, tuple) else ()))
@@ -86,7 +86,7 @@ def _setting_value(line: Line, key: str, value: Value) -> object:
     return value
 
 
-def _point(line: Line, point: Value) -> tuple[float, float]:
+def _point(line: Line, point: IniValue) -> tuple[float, float]:
     if not isinstance(point, Struct):
         fail(line, f"a point of {line.key} is {point!r}", "(InVal=number,OutVal=number)")
     first, second = (as_number(line, point.get(name), name) for name in ("InVal", "OutVal"))
@@ -94,7 +94,7 @@ def _point(line: Line, point: Value) -> tuple[float, float]:
 
 
 def read_settings(
-    kind: str, pairs: Iterable[tuple[str, Line, Value]], settings: Settings | None, notes: Notes
+    kind: str, pairs: Iterable[tuple[str, Line, IniValue]], settings: Settings | None, notes: WarningLog
 ) -> Options:
     """Return keys of an item as options; those that it does not have become warnings."""
     found: list[tuple[str, object]] = []
@@ -114,7 +114,7 @@ def read_mount(
     line: Line,
     units: Units,
     settings: Settings | None,
-    notes: Notes,
+    notes: WarningLog,
     classes: Mapping[str, tuple[str, Options]] = MappingProxyType({}),
 ) -> Mount | None:
     """Return the item that a line of Sensors, Effecters or Cameras mounts (manual 12.1.2, 14.4.2.5).
@@ -148,7 +148,7 @@ def read_mount(
     return Mount(
         kind=kind,
         name=name,
-        at=units.place(vector_of(line, struct, "Position")),
+        at=units.position(vector_of(line, struct, "Position")),
         direction=units.angles(vector_of(line, struct, "Direction")),
         parent=_parent(line, struct),
         options=merged(inherited, read_settings(kind, own, settings, notes)),
@@ -176,7 +176,7 @@ def _parent(line: Line, struct: Struct) -> str:
     return CHASSIS if name.lower() in ("none", CHASSIS.lower()) else name
 
 
-def settle_parent(mount: Mount, line: Line, names: Sequence[str], notes: Notes) -> Mount:
+def resolve_parent(mount: Mount, line: Line, names: Sequence[str], notes: WarningLog) -> Mount:
     """Return a mount with its parent spelt as the robot does, older names replaced.
 
     Raises:

@@ -11,11 +11,11 @@ import numpy as np
 
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import GRAVITY
-from usarmjx.models.ini.figures import TRAVEL
-from usarmjx.models.ini.pairs import Pair, spin_axis, steering_axis, turn_of, unit_of
-from usarmjx.models.ini.read import as_class, fail, number_of, shown, vector_of
+from usarmjx.models.ini.figures import DEFAULT_SUSPENSION_TRAVEL
+from usarmjx.models.ini.pairs import JointPair, part_rotation, spin_axis, steering_axis, unit_of
+from usarmjx.models.ini.read import as_class, fail, key_text, number_of, vector_of
 from usarmjx.models.robots.kit import BLACK, car_wheel, wheel
-from usarmjx.models.spec.robot import STEER, Motor, Part, RobotSpec, Shape, Spring
+from usarmjx.models.spec.robot import STEER_SUFFIX, Motor, Part, RobotSpec, Shape, Spring
 
 # All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
 # a P2AT's (667 and 33 times the inertia), and torque for a friction coefficient of 1.
@@ -28,7 +28,7 @@ SUSPENSION_RATE, SUSPENSION_SHARE = 2 * np.pi * 2.0, 0.4  # rad/s, of critical d
 WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
 
 
-def build_parts(pairs: Sequence[Pair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:
+def build_parts(pairs: Sequence[JointPair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:
     """Return the parts of a robot that weighs so much; every wheel has a motor."""
     wheels = sum(pair.joint == "wheel" for pair in pairs)
     parts: list[Part] = []
@@ -40,7 +40,7 @@ def build_parts(pairs: Sequence[Pair], weight: float, robots: Registry[RobotSpec
     return tuple(parts)
 
 
-def _wheel_parts(pair: Pair, weight: float, wheels: int, robots: Registry[RobotSpec]) -> list[Part]:
+def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[RobotSpec]) -> list[Part]:
     """Return suspension, steering and wheel, as far as they are free."""
     line, struct = pair.line, pair.struct
     model = _model_of(pair, robots)
@@ -68,15 +68,15 @@ def _wheel_parts(pair: Pair, weight: float, wheels: int, robots: Registry[RobotS
         tyre,
         hub=mass * HUB_SHARE,
         spring=spring if pair.sprung else None,
-        travel=TRAVEL[1],
+        travel=DEFAULT_SUSPENSION_TRAVEL[1],
         steer=_servo(motor.armature, STEER_SPEED, load * GRAVITY * radius) if pair.steers else None,
         lock=np.pi,
     )
     axis = steering_axis(pair)
-    return [replace(part, axis=axis) if part.name.endswith(STEER) else part for part in parts]
+    return [replace(part, axis=axis) if part.name.endswith(STEER_SUFFIX) else part for part in parts]
 
 
-def _model_of(pair: Pair, robots: Registry[RobotSpec]) -> Part | None:
+def _model_of(pair: JointPair, robots: Registry[RobotSpec]) -> Part | None:
     """Return the wheel that a PartClass stands for: P2ATTire is a P2AT's."""
     written = pair.struct.get("PartClass")
     name = as_class(pair.line, written, "PartClass") if written is not None else ""
@@ -111,12 +111,12 @@ def _servo(armature: float, speed: float, torque: float) -> Motor:
     )
 
 
-def _hinge_part(pair: Pair) -> Part:
+def _hinge_part(pair: JointPair) -> Part:
     """Return a part on a hinge or a slider: a box of the given Size around its own middle."""
     line, struct = pair.line, pair.struct
     if struct.get("Size") is None:
-        fail(line, f"{shown(line)} has no Size", "Size=(X=length,Y=width,Z=height) of the part's box")
-    x, y, z = (abs(edge) / 2 for edge in pair.units.place(vector_of(line, struct, "Size")))
+        fail(line, f"{key_text(line)} has no Size", "Size=(X=length,Y=width,Z=height) of the part's box")
+    x, y, z = (abs(edge) / 2 for edge in pair.units.position(vector_of(line, struct, "Size")))
     mass = number_of(line, struct, "Mass", PART_MASS, above=0.0)
     if min(x, y, z) == 0:
         fail(line, "Size has an edge of no length", "three lengths")
@@ -132,7 +132,7 @@ def _hinge_part(pair: Pair) -> Part:
     if struct.get("MinRange") is not None or struct.get("MaxRange") is not None:
         low, high = (number_of(line, struct, name) for name in ("MinRange", "MaxRange"))
         limits = None if low > high else (low, high)
-    turn = turn_of(pair)
+    turn = part_rotation(pair)
     axis = unit_of(pair, "SelfAxis" if struct.get("SelfAxis") is not None else "ParentAxis")
     a, b, c = (axis + 0.0).tolist()
     return Part(

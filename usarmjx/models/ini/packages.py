@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.ini.items import Notes
+from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.keys import LINK_IGNORED
-from usarmjx.models.ini.parse import IniFile, Line, Struct, Value
+from usarmjx.models.ini.parse import IniFile, IniValue, Line, Struct
 from usarmjx.models.ini.read import (
     Units,
     as_bool,
@@ -24,7 +24,7 @@ from usarmjx.models.ini.read import (
     reject_unknown,
     vector_of,
 )
-from usarmjx.models.robots.packages import PACKAGES, mounted
+from usarmjx.models.robots.packages import PACKAGES, mount_package
 from usarmjx.models.spec.robot import ZERO, Link, MissionPackage, RobotSpec, Shape
 
 PREFIX = "usarmispkg."
@@ -36,7 +36,7 @@ SYNONYMS = {"linknumber": "Number", "parentlinknumber": "Parent"}
 """The original's names of two fields (KRobot.uc)."""
 JOINT_TYPES = ("Revolute", "Prismatic")
 # A link that nothing is known of: captured figures of CameraPanTilt; size and mass chosen.
-UNKNOWN = Link(
+DEFAULT_LINK = Link(
     number=0, parent=-1, location=ZERO, orientation=ZERO, max_speed=0.17, max_torque=20.0, min_range=1.0,
     max_range=0.0, shapes=(Shape(kind="box", size=(0.02, 0.02, 0.02), mass=0.2, surface="fixture"),),
 )  # fmt: skip
@@ -56,7 +56,7 @@ Definitions = Mapping[str, tuple[LinkLine, ...]]
 """The links of each package class, by its name in lower case."""
 
 
-def read_packages(files: Sequence[IniFile], uu_per_metre: float, notes: Notes) -> Definitions:
+def read_packages(files: Sequence[IniFile], uu_per_metre: float, notes: WarningLog) -> Definitions:
     """Return the packages that `[USARMisPkg.X]` sections define; a later file's Links replace all before.
 
     Raises:
@@ -82,9 +82,9 @@ def read_packages(files: Sequence[IniFile], uu_per_metre: float, notes: Notes) -
     return found
 
 
-def _link_line(line: Line, units: Units, notes: Notes) -> LinkLine:
+def _link_line(line: Line, units: Units, notes: WarningLog) -> LinkLine:
     struct = as_struct(line)
-    fields: list[tuple[str, Value]] = []
+    fields: list[tuple[str, IniValue]] = []
     for key, value in struct.fields:
         if reason := {name.lower(): text for name, text in LINK_IGNORED.items()}.get(key.lower()):
             notes.add(line, f"{key} is ignored: {reason}")
@@ -118,7 +118,7 @@ def _shapes(link: LinkLine, before: Link) -> tuple[Shape, ...]:
     if link.fields.get("Size") is None:
         share = mass / sum(shape.mass for shape in before.shapes)
         return tuple(replace(shape, mass=shape.mass * share) for shape in before.shapes)
-    x, y, z = (abs(edge) / 2 for edge in link.units.place(vector_of(link.line, link.fields, "Size")))
+    x, y, z = (abs(edge) / 2 for edge in link.units.position(vector_of(link.line, link.fields, "Size")))
     return (Shape(kind="box", size=(x, y, z), mass=mass, surface="fixture", rgba=(0.1, 0.1, 0.1, 1.0)),)
 
 
@@ -126,10 +126,10 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
     """Return a link: as before, but for what its line says; `base` is where the package is mounted."""
     line, fields, units = link.line, link.fields, link.units
     parent = int(number_of(line, fields, "Parent", before.parent if before else -1))
-    before = before or replace(UNKNOWN, location=base if parent == -1 else ZERO)
+    before = before or replace(DEFAULT_LINK, location=base if parent == -1 else ZERO)
     location = before.location
     if fields.get("Location") is not None:
-        own = units.place(vector_of(line, fields, "Location"))
+        own = units.position(vector_of(line, fields, "Location"))
         location = _sum(base, own) if parent == -1 else own
     orientation = before.orientation
     if fields.get("Orientation") is not None:
@@ -184,7 +184,7 @@ def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> d
     """Return packages by class name in lower case, as the ini files have them, mounted at the origin."""
     found = {}
     for package in packages:
-        bare = mounted(package, _sum(ZERO, base_of(package), -1))
+        bare = mount_package(package, _sum(ZERO, base_of(package), -1))
         found[package.name.lower()] = redefine(bare, definitions)
     return found
 
@@ -211,4 +211,4 @@ def read_package(line: Line, known: Mapping[str, MissionPackage]) -> MissionPack
     if kind.lower() not in known:
         names = sorted({package.name for package in known.values()})
         fail(line, f"unknown PkgClass {kind!r}", f"one of {', '.join(names)}")
-    return mounted(known[kind.lower()], vector_of(line, struct, "Location"), name)
+    return mount_package(known[kind.lower()], vector_of(line, struct, "Location"), name)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usarmjx.base.transforms import Vec3, angles_from_mat
-from usarmjx.models.ini.items import Notes
+from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.keys import JOINT_IGNORED
 from usarmjx.models.ini.parse import Line, Struct
 from usarmjx.models.ini.read import (
@@ -42,7 +42,7 @@ CHASSIS_NAMES = ("", "none", CHASSIS.lower())
 
 
 @dataclass(frozen=True)
-class Pair:
+class JointPair:
     """A part-joint pair, read.
 
     Attributes:
@@ -55,7 +55,7 @@ class Pair:
         parent: The part it hangs on, or `HARD`.
         at: Where the joint is in the axes of the parent's joint [m].
         middle: Where the part's own middle is in the axes of its joint [m].
-        place: Where the joint is on the chassis, parts unturned [m].
+        chassis_position: Where the joint is on the chassis, parts unturned [m].
     """
 
     line: Line
@@ -67,7 +67,7 @@ class Pair:
     parent: str
     at: Vec3
     middle: Vec3
-    place: Vec3
+    chassis_position: Vec3
 
     @property
     def steers(self) -> bool:
@@ -84,14 +84,14 @@ class Pair:
         return value is not None and as_bool(self.line, value, name)
 
 
-def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: Notes) -> list[Pair]:
+def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> list[JointPair]:
     """Return the pairs in the order of their numbers.
 
     Raises:
         SpecError: A field that is missing, unknown or wrong, a name that is there twice, or a parent that is
             not defined before; names file and line.
     """
-    pairs: dict[str, Pair] = {}
+    pairs: dict[str, JointPair] = {}
     for number, (line, units) in sorted(lines.items()):
         struct = as_struct(line)
         reject_unknown(line, struct, (*FIELDS, *OURS))
@@ -105,11 +105,11 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: Notes) -> list[Pa
         if wanted.lower() not in JOINT_CLASSES:
             fail(line, f"unknown JointClass {wanted!r}", "KCarWheelJoint, KDHinge or KSlider")
         parent = _parent_of(line, struct, pairs)
-        self_pos = units.place(vector_of(line, struct, "SelfPos"))
+        self_pos = units.position(vector_of(line, struct, "SelfPos"))
         middle = _add(ZERO, self_pos, -1)
-        at = units.place(vector_of(line, struct, "ParentPos"))
+        at = units.position(vector_of(line, struct, "ParentPos"))
         at = _add(at, parent.middle) if parent else at
-        pairs[name.lower()] = Pair(
+        pairs[name.lower()] = JointPair(
             line=line,
             struct=struct,
             units=units,
@@ -119,12 +119,12 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: Notes) -> list[Pa
             parent=parent.name if parent else CHASSIS,
             at=at,
             middle=middle,
-            place=_add(parent.place, at) if parent else at,
+            chassis_position=_add(parent.chassis_position, at) if parent else at,
         )
     return list(pairs.values())
 
 
-def _parent_of(line: Line, struct: Struct, pairs: Mapping[str, Pair]) -> Pair | None:
+def _parent_of(line: Line, struct: Struct, pairs: Mapping[str, JointPair]) -> JointPair | None:
     wanted = struct.get("Parent", "")
     name = "" if wanted == "" else as_name(line, wanted, "Parent")
     if name.lower() in CHASSIS_NAMES:
@@ -140,18 +140,18 @@ def _add(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
     return (x, y, z)
 
 
-def spin_axis(pair: Pair) -> Vec3:
+def spin_axis(pair: JointPair) -> Vec3:
     """Return a wheel's spin axis, which must be lateral, on its left: positive turns roll it forward."""
     _near(pair, "ParentAxis2", LEFT, 0.99)
     return LEFT
 
 
-def steering_axis(pair: Pair) -> Vec3:
+def steering_axis(pair: JointPair) -> Vec3:
     """Return a wheel's steering axis, which may lean, on its upper side: positive turns it to the left."""
     return _near(pair, "ParentAxis", UP, 0.5)
 
 
-def _near(pair: Pair, field: str, towards: Vec3, least: float) -> Vec3:
+def _near(pair: JointPair, field: str, towards: Vec3, least: float) -> Vec3:
     if pair.struct.get(field) is None:
         return towards
     axis = unit_of(pair, field)
@@ -163,7 +163,7 @@ def _near(pair: Pair, field: str, towards: Vec3, least: float) -> Vec3:
     return (x, y, z)
 
 
-def unit_of(pair: Pair, field: str) -> np.ndarray:
+def unit_of(pair: JointPair, field: str) -> np.ndarray:
     """Return a unit vector of a pair in USARSim's axes (3,)."""
     x, y, z = as_vector(pair.line, pair.struct.get(field), field)
     length = float(np.linalg.norm((x, y, z)))
@@ -172,7 +172,7 @@ def unit_of(pair: Pair, field: str) -> np.ndarray:
     return np.array([x, y, -z]) / length
 
 
-def turn_of(pair: Pair) -> Vec3:
+def part_rotation(pair: JointPair) -> Vec3:
     """Return how a part is turned on its parent: so that its SelfAxis meets the parent's ParentAxis."""
     struct = pair.struct
     if struct.get("SelfAxis") is None:
@@ -189,7 +189,7 @@ def turn_of(pair: Pair) -> Vec3:
     return (roll, pitch, yaw)
 
 
-def _frame(pair: Pair, first: np.ndarray, field: str) -> np.ndarray:
+def _frame(pair: JointPair, first: np.ndarray, field: str) -> np.ndarray:
     """Return a right-handed frame (3, 3) whose x axis is `first` and whose y axis is nearest to a field's."""
     second = unit_of(pair, field)
     second = second - first * (first @ second)

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.ini.values import Cursor, Reference, Struct, Value, clip
+from usarmjx.models.ini.values import IniValue, LineParser, Reference, Struct, quote_short
 
-__all__ = ["IniFile", "Line", "Reference", "Section", "Struct", "Value", "parse_ini", "read_ini"]
+__all__ = ["IniFile", "IniValue", "Line", "Reference", "Section", "Struct", "parse_ini", "read_ini"]
 
 _HEADER = re.compile(r"\[([^\[\]]*)\]")
 _KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s*([0-9]{1,9})\s*\])?")
@@ -48,7 +48,7 @@ class Line:
     """
 
     key: str
-    value: Value
+    value: IniValue
     file: str
     line: int
     index: int | None
@@ -132,12 +132,12 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
         bare = text_line.strip()
         if not bare or bare.startswith((";", "//")):
             continue
-        cursor = Cursor(text_line, f"{path}:{number}")
+        cursor = LineParser(text_line, f"{path}:{number}")
         if bare.startswith("["):
             blocks.append((_header(cursor), []))
             continue
         if not blocks:
-            cursor.fail(f"{clip(bare)} stands before the first section", "a [Section] above it")
+            cursor.fail(f"{quote_short(bare)} stands before the first section", "a [Section] above it")
         prefix, key, index = _key(cursor)
         line = Line(key, cursor.value(), path, number, index)
         if prefix in _REMOVES:
@@ -147,26 +147,26 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
     return IniFile(path, tuple(Section(name, tuple(lines)) for name, lines in blocks))
 
 
-def _header(cursor: Cursor) -> str:
+def _header(cursor: LineParser) -> str:
     """Take a whole `[Section]` line and return the name."""
     text = cursor.text.lstrip()
     found = _HEADER.match(text)
     if not found or not found.group(1).strip():
-        cursor.fail(f"{clip(text)} is no section header", "[Name]")
+        cursor.fail(f"{quote_short(text)} is no section header", "[Name]")
     cursor.pos = len(cursor.text) - len(text) + found.end()
     cursor.end("the section header", "each key=value on a line of its own")
     return found.group(1).strip()
 
 
-def _key(cursor: Cursor) -> tuple[str, str, int | None]:
+def _key(cursor: LineParser) -> tuple[str, str, int | None]:
     """Take `+key(index)=` and return prefix, key and index."""
     left, equals, _ = cursor.text.partition("=")
     if not equals:
-        cursor.fail(f"{clip(left.strip())} has no '='", "key=value, [Section] or a ; comment")
+        cursor.fail(f"{quote_short(left.strip())} has no '='", "key=value, [Section] or a ; comment")
     found = _KEY.fullmatch(left.strip())
     if not found:
         cursor.fail(
-            f"{clip(left.strip())} is no key", "one word before the '=', as in +Sensors= or Wheels(0)="
+            f"{quote_short(left.strip())} is no key", "one word before the '=', as in +Sensors= or Wheels(0)="
         )
     cursor.pos = len(left) + 1
     prefix, key, round_index, square_index = found.groups()

@@ -7,8 +7,8 @@ from typing import NoReturn
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.ini.parse import Line, Reference, Struct, Value
-from usarmjx.models.ini.values import clip
+from usarmjx.models.ini.parse import IniValue, Line, Reference, Struct
+from usarmjx.models.ini.values import quote_short
 
 UU_PER_METRE = 250.0
 UU_PER_RADIAN = 32768 / math.pi
@@ -27,7 +27,7 @@ class Units:
     by_uu: bool = False
     uu_per_metre: float = UU_PER_METRE
 
-    def place(self, vector: Vec3) -> Vec3:
+    def position(self, vector: Vec3) -> Vec3:
         """Return a position in metres, z down."""
         if not self.by_uu:
             return vector
@@ -47,12 +47,12 @@ def fail(line: Line, problem: str, expected: str) -> NoReturn:
     raise SpecError(f"{line.file}:{line.line}: {problem}; expected {expected}")
 
 
-def shown(line: Line) -> str:
+def key_text(line: Line) -> str:
     """Return how a key is written: `Wheels(2)`."""
     return line.key if line.index is None else f"{line.key}({line.index})"
 
 
-def as_number(line: Line, value: Value | None, name: str, *, above: float = -math.inf) -> float:
+def as_number(line: Line, value: IniValue | None, name: str, *, above: float = -math.inf) -> float:
     """Return a finite number, which must be greater than `above`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         fail(line, f"{name} is {_say(value)}", "a number")
@@ -69,14 +69,14 @@ def as_whole(line: Line, least: int, most: int) -> int:
     return int(value)
 
 
-def as_bool(line: Line, value: Value | None, name: str) -> bool:
+def as_bool(line: Line, value: IniValue | None, name: str) -> bool:
     """Return a truth value; 1 and 0 will do."""
     if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):
         return bool(value)
     return fail(line, f"{name} is {_say(value)}", "True or False")
 
 
-def as_name(line: Line, value: Value | None, name: str) -> str:
+def as_name(line: Line, value: IniValue | None, name: str) -> str:
     """Return a word: an item's or a part's name."""
     if isinstance(value, int) and not isinstance(value, bool):
         return str(value)
@@ -85,7 +85,7 @@ def as_name(line: Line, value: Value | None, name: str) -> str:
     return value.strip()
 
 
-def as_class(line: Line, value: Value | None, name: str) -> str:
+def as_class(line: Line, value: IniValue | None, name: str) -> str:
     """Return the name of a class without its package: SonarSensor of class'USARBot.SonarSensor'."""
     text = value.name if isinstance(value, Reference) else value
     if not isinstance(text, str) or not text.strip():
@@ -96,11 +96,11 @@ def as_class(line: Line, value: Value | None, name: str) -> str:
 def as_struct(line: Line) -> Struct:
     """Return the value of a line that lists something."""
     if not isinstance(line.value, Struct) or not line.value.fields:
-        fail(line, f"{shown(line)} is {_say(line.value)}", "(Name=value,Name=value,...)")
+        fail(line, f"{key_text(line)} is {_say(line.value)}", "(Name=value,Name=value,...)")
     return line.value
 
 
-def as_vector(line: Line, value: Value | None, name: str) -> Vec3:
+def as_vector(line: Line, value: IniValue | None, name: str) -> Vec3:
     """Return (X, Y, Z); an axis that is left out is 0."""
     if not isinstance(value, Struct):
         fail(line, f"{name} is {_say(value)}", "(X=number,Y=number,Z=number)")
@@ -124,7 +124,7 @@ def number_of(
     if value is None and default is not None:
         return default
     if value is None:
-        fail(line, f"{shown(line)} has no {name}", f"{name}=number")
+        fail(line, f"{key_text(line)} has no {name}", f"{name}=number")
     return as_number(line, value, name, above=above)
 
 
@@ -134,9 +134,9 @@ def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
     lowered = {name.lower() for name in known}
     unknown = [key for key, _ in struct.fields if key.lower() not in lowered]
     if unknown:
-        fail(line, f"{shown(line)} has no {', '.join(unknown)}", f"some of {', '.join(known)}")
+        fail(line, f"{key_text(line)} has no {', '.join(unknown)}", f"some of {', '.join(known)}")
 
 
-def _say(value: Value | None) -> str:
+def _say(value: IniValue | None) -> str:
     """Return a value fit for a message."""
-    return "not given" if value is None else clip(str(value))
+    return "not given" if value is None else quote_short(str(value))

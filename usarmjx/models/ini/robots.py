@@ -12,31 +12,31 @@ from pathlib import Path
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.classes import read_classes
-from usarmjx.models.ini.items import Notes, Settings, examples, with_defaults
+from usarmjx.models.ini.items import Settings, WarningLog, examples, with_defaults
 from usarmjx.models.ini.packages import known_packages, read_packages, redefine
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.read import UU_PER_METRE, as_class, fail
 from usarmjx.models.ini.sort import sort_sections
-from usarmjx.models.ini.spec import Orders, Sources, build_robot
+from usarmjx.models.ini.spec import BuildContext, RobotSection, build_robot
 from usarmjx.models.ini.tracks import read_tracks
 from usarmjx.models.spec.robot import Options, RobotSpec
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedRobots:
     """What ini files say, ready to be put in force.
 
     Attributes:
         robots: Robot classes that they change or define.
         defaults: Defaults of item classes: type and options.
         warnings: Unknown keys, and known ones that change nothing and why, each with file and line.
-        places: Where each robot class of a section is first told of: name, file and line.
+        source_lines: Where each robot class of a section is first told of: name, file and line.
     """
 
     robots: tuple[RobotSpec, ...] = ()
     defaults: tuple[tuple[str, Options], ...] = ()
     warnings: tuple[str, ...] = ()
-    places: tuple[tuple[str, str], ...] = ()
+    source_lines: tuple[tuple[str, str], ...] = ()
 
     def apply(self, robots: Registry[RobotSpec]) -> None:
         """Put the robot classes into a registry, in place of those of the same name."""
@@ -49,14 +49,14 @@ def load_robots(
     robots: Registry[RobotSpec],
     uu_per_metre: float = UU_PER_METRE,
     settings: Settings | None = None,
-) -> Loaded:
+) -> LoadedRobots:
     """Read ini files; nothing is changed by that.
 
     Args:
         paths: USARBot.ini and USARMisPkg.ini files, in any order; a later one overrides.
         robots: The robot classes there are, and whose wheels and packages new ones may use.
         uu_per_metre: Length of a metre in Unreal units; 52.5 reads the excerpt of manual 12.1.2.
-        settings: What each type of item can be set to, as `usarmjx.sim.configure.item_settings` gives it;
+        settings: What each type of item can be set to, as `usarmjx.sim.configure.settings_by_kind` gives it;
             None takes any key, which then fails where the robot's sensors are built.
 
     Raises:
@@ -67,16 +67,16 @@ def load_robots(
     if not uu_per_metre > 0:
         raise UsageError(f"Unreal units per metre are {uu_per_metre:g}, expected a number above 0")
     files = [read_ini(Path(path)) for path in paths]
-    notes = Notes()
+    notes = WarningLog()
     definitions = read_packages(files, uu_per_metre, notes)
     classes = read_classes(files, robots.names(), settings, notes)
     found = sort_sections(files, robots, settings, uu_per_metre, notes, classes)
-    sources = Sources(
+    sources = BuildContext(
         robots=robots,
         definitions=definitions,
         packages=known_packages(robots, definitions),
         settings=settings,
-        notes=notes,
+        warnings=notes,
         classes=classes,
     )
     builder = _Builder(found.robots, sources)
@@ -95,10 +95,10 @@ def load_robots(
     for (kind, key), items in kept.items():
         notes.add(found.lines[kind, key], f"{key} leaves alone what has its own: {examples(items)}")
     places = tuple((built[key].name, orders.where) for key, orders in found.robots.items())
-    return Loaded(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), places)
+    return LoadedRobots(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), places)
 
 
-def _with_packages(robot: RobotSpec, sources: Sources) -> RobotSpec:
+def _with_packages(robot: RobotSpec, sources: BuildContext) -> RobotSpec:
     packages = tuple(redefine(package, sources.definitions) for package in robot.packages)
     return replace(robot, packages=packages)
 
@@ -111,7 +111,7 @@ class _Builder:
         sources: What to build from.
     """
 
-    def __init__(self, orders: Mapping[str, Orders], sources: Sources) -> None:
+    def __init__(self, orders: Mapping[str, RobotSection], sources: BuildContext) -> None:
         self.orders, self.sources = orders, sources
         self.built: dict[str, RobotSpec] = {}
 
@@ -123,7 +123,7 @@ class _Builder:
             self.built[name] = build_robot(order, base, self.sources)
         return self.built[name]
 
-    def _base(self, order: Orders, waiting: tuple[str, ...]) -> RobotSpec | None:
+    def _base(self, order: RobotSection, waiting: tuple[str, ...]) -> RobotSpec | None:
         """Return the class as it was, or the one a new class is based on; None for one made of parts."""
         robots, line = self.sources.robots, order.figures.get("baseclass")
         if order.name in robots and line is not None:

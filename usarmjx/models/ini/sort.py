@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.classes import ItemClasses
 from usarmjx.models.ini.figures import LENGTHS, SETTERS
-from usarmjx.models.ini.items import ITEM_LISTS, Notes, Settings, kind_of, read_settings
+from usarmjx.models.ini.items import ITEM_LISTS, Settings, WarningLog, kind_of, read_settings
 from usarmjx.models.ini.keys import KNOWN_IGNORED, SECTIONS_ELSEWHERE
 from usarmjx.models.ini.packages import PREFIX
 from usarmjx.models.ini.parse import IniFile, Line, Section
 from usarmjx.models.ini.read import Units, as_bool
-from usarmjx.models.ini.spec import Orders
+from usarmjx.models.ini.spec import RobotSection
 from usarmjx.models.ini.stereo import STEREO_KEYS
 from usarmjx.models.ini.tracks import TRACKS
 from usarmjx.models.spec.robot import Options, RobotSpec
@@ -24,7 +24,7 @@ OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU")
 
 
 @dataclass
-class Sorted:
+class SortedSections:
     """The sections of all files, by what they are about.
 
     Attributes:
@@ -34,7 +34,7 @@ class Sorted:
         tracks: Lines with the number of tires, by robot, then by end.
     """
 
-    robots: dict[str, Orders] = field(default_factory=dict)
+    robots: dict[str, RobotSection] = field(default_factory=dict)
     defaults: dict[str, Options] = field(default_factory=dict)
     lines: dict[tuple[str, str], Line] = field(default_factory=dict)
     tracks: dict[str, dict[str, Line]] = field(default_factory=dict)
@@ -45,9 +45,9 @@ def sort_sections(
     robots: Registry[RobotSpec],
     settings: Settings | None,
     uu_per_metre: float,
-    notes: Notes,
+    notes: WarningLog,
     classes: ItemClasses,
-) -> Sorted:
+) -> SortedSections:
     """Return what the files say, in order; sections and keys that mean nothing become warnings.
 
     The sections of item classes of the files' own are left out.
@@ -55,7 +55,7 @@ def sort_sections(
     Raises:
         SpecError: A value of the wrong kind; names file and line.
     """
-    found = Sorted()
+    found = SortedSections()
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
             section = file.section(name)
@@ -71,12 +71,12 @@ def sort_sections(
 
 
 def _take_section(
-    found: Sorted,
+    found: SortedSections,
     section: Section,
     robots: Registry[RobotSpec],
     settings: Settings | None,
     units: Units,
-    notes: Notes,
+    notes: WarningLog,
 ) -> None:
     name = section.name[len(ROBOT_PREFIX) :]
     robot, end = _track_of(name, robots)
@@ -90,7 +90,7 @@ def _take_section(
         _take_orders(found, name, section, units, notes)
 
 
-def _take_track(tracks: dict[str, Line], end: str, section: Section, notes: Notes) -> None:
+def _take_track(tracks: dict[str, Line], end: str, section: Section, notes: WarningLog) -> None:
     for line in section.lines:
         if line.key.lower() == "numtires":
             tracks[end] = line
@@ -108,7 +108,7 @@ def _track_of(name: str, robots: Registry[RobotSpec]) -> tuple[str, str]:
 
 
 def _take_defaults(
-    found: Sorted, kind: str, lines: Sequence[Line], settings: Settings | None, notes: Notes
+    found: SortedSections, kind: str, lines: Sequence[Line], settings: Settings | None, notes: WarningLog
 ) -> None:
     if settings is not None and kind not in settings:
         notes.add(lines[0], f"there is no {kind} yet: its settings are ignored")
@@ -119,9 +119,11 @@ def _take_defaults(
     found.lines |= {(kind, line.key): line for line in lines}
 
 
-def _take_orders(found: Sorted, name: str, section: Section, units: Units, notes: Notes) -> None:
+def _take_orders(found: SortedSections, name: str, section: Section, units: Units, notes: WarningLog) -> None:
     """Take one file's lines about one robot class."""
-    orders = found.robots.setdefault(name.lower(), Orders(name=name, first=section.lines[0], units=units))
+    orders = found.robots.setdefault(
+        name.lower(), RobotSection(name=name, first=section.lines[0], units=units)
+    )
     if (by_uu := section.last("bMountByUU")) is not None:
         orders.units = replace(orders.units, by_uu=as_bool(by_uu, by_uu.value, "bMountByUU"))
     for key in LISTS:

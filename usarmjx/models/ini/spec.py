@@ -6,28 +6,28 @@ from dataclasses import dataclass, field, replace
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.measure import measured
+from usarmjx.models.build.measure import with_measurements
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.ini.classes import ItemClasses
 from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini.figures import apply_figures
-from usarmjx.models.ini.items import ITEM_LISTS, Notes, Settings, read_mount, settle_parent
+from usarmjx.models.ini.items import ITEM_LISTS, Settings, WarningLog, read_mount, resolve_parent
 from usarmjx.models.ini.joints import build_parts
 from usarmjx.models.ini.packages import Definitions, read_package, templates
-from usarmjx.models.ini.pairs import Pair, read_pairs
+from usarmjx.models.ini.pairs import JointPair, read_pairs
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import Units, as_number, as_vector, fail
 from usarmjx.models.ini.stereo import with_stereo
 from usarmjx.models.robots.track_kit import mass_of
 from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Mount, RobotSpec, Shape
 
-PLACED = re.compile(r".+:\d+: ")
+LOCATED_MESSAGE = re.compile(r".+:\d+: ")
 """How a message begins that names file and line."""
 PAINT = (0.2, 0.35, 0.6, 1.0)
 
 
 @dataclass
-class Orders:
+class RobotSection:
     """What the sections of all files say of one robot class.
 
     Attributes:
@@ -53,7 +53,7 @@ class Orders:
 
 
 @dataclass(frozen=True)
-class Sources:
+class BuildContext:
     """What robots are built from, and where warnings go.
 
     Attributes:
@@ -61,7 +61,7 @@ class Sources:
         definitions: Mission packages of the ini files.
         packages: All mission packages, with those definitions.
         settings: Settings of each type of item.
-        notes: Takes the warnings.
+        warnings: Takes the warnings.
         classes: Item classes of the ini files.
     """
 
@@ -69,64 +69,68 @@ class Sources:
     definitions: Definitions
     packages: Mapping[str, MissionPackage]
     settings: Settings | None
-    notes: Notes
+    warnings: WarningLog
     classes: ItemClasses
 
 
-def build_robot(orders: Orders, base: RobotSpec | None, sources: Sources) -> RobotSpec:
+def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildContext) -> RobotSpec:
     """Return the class that a section orders.
 
     Args:
-        orders: The section.
+        section: The section.
         base: The class as it was, or the one that a new class is based on; None: there is none.
         sources: What to build from.
 
     Raises:
         SpecError: A value that is wrong, or a robot that cannot be built; names file and line.
     """
-    pairs = read_pairs(orders.joints, sources.notes)
+    pairs = read_pairs(section.joints, sources.warnings)
     if base is None:
-        robot = _new_robot(orders, pairs, sources)
+        robot = _new_robot(section, pairs, sources)
     else:
-        name = base.name if orders.name in sources.robots else orders.name
-        robot = _changed_robot(orders, replace(base, name=name), pairs, sources)
+        name = base.name if section.name in sources.robots else section.name
+        robot = _changed_robot(section, replace(base, name=name), pairs, sources)
     used = {"weight"} if base is None else set[str]()
-    robot = apply_figures(robot, orders.figures, orders.units, sources.notes, used)
-    robot = _with_packages(orders, robot, sources)
+    robot = apply_figures(robot, section.figures, section.units, sources.warnings, used)
+    robot = _with_packages(section, robot, sources)
     try:
-        robot = _with_items(orders, robot, {pair.name: pair for pair in pairs}, sources)
-        robot = with_stereo(robot, orders.figures, orders.units, sources.notes)
+        robot = _with_items(section, robot, {pair.name: pair for pair in pairs}, sources)
+        robot = with_stereo(robot, section.figures, section.units, sources.warnings)
         parts_of(robot)
-        return replace(measured(robot), mass=robot.mass) if pairs else robot
+        return replace(with_measurements(robot), mass=robot.mass) if pairs else robot
     except UsageError as error:
-        if PLACED.match(str(error)):
+        if LOCATED_MESSAGE.match(str(error)):
             raise
-        raise SpecError(f"{orders.where}: {error}") from error
+        raise SpecError(f"{section.where}: {error}") from error
 
 
-def _changed_robot(orders: Orders, base: RobotSpec, pairs: Sequence[Pair], sources: Sources) -> RobotSpec:
+def _changed_robot(
+    orders: RobotSection, base: RobotSpec, pairs: Sequence[JointPair], sources: BuildContext
+) -> RobotSpec:
     """Return a class that exists with the parts, if any are given, on its own chassis."""
     if (line := orders.figures.get("dimensions")) is not None:
-        sources.notes.add(line, "Dimensions are ignored: they are for a new class, whose chassis they are of")
+        sources.warnings.add(
+            line, "Dimensions are ignored: they are for a new class, whose chassis they are of"
+        )
     roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
     if not pairs:
         return change_wheels(base, roles)
     parts = build_parts(pairs, base.mass, sources.robots)
-    parts, drive = drive_of(pairs, parts, roles, sources.notes)
+    parts, drive = drive_of(pairs, parts, roles, sources.warnings)
     return replace(base, parts=parts, drive=drive, reported=())
 
 
-def _new_robot(orders: Orders, pairs: Sequence[Pair], sources: Sources) -> RobotSpec:
+def _new_robot(orders: RobotSection, pairs: Sequence[JointPair], sources: BuildContext) -> RobotSpec:
     """Return a robot of parts on a box of the given Dimensions; the parts leave it the rest of Weight."""
     line, weight_line = _required(orders, "Dimensions"), _required(orders, "Weight")
     weight = as_number(weight_line, weight_line.value, "Weight", above=0.0)
-    size = orders.units.place(as_vector(line, line.value, "Dimensions"))
+    size = orders.units.position(as_vector(line, line.value, "Dimensions"))
     x, y, z = (abs(edge) / 2 for edge in size)
     if min(x, y, z) == 0:
         fail(line, "Dimensions have an edge of no length", "length, width and height of the chassis")
     parts = build_parts(pairs, weight, sources.robots)
     roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
-    parts, drive = drive_of(pairs, parts, roles, sources.notes)
+    parts, drive = drive_of(pairs, parts, roles, sources.warnings)
     rest = weight - mass_of(parts)
     if rest <= 0:
         fail(weight_line, f"Weight is {weight:g}, the parts alone have {mass_of(parts):g}", "more than that")
@@ -142,7 +146,7 @@ def _new_robot(orders: Orders, pairs: Sequence[Pair], sources: Sources) -> Robot
     )
 
 
-def _required(orders: Orders, key: str) -> Line:
+def _required(orders: RobotSection, key: str) -> Line:
     if key.lower() not in orders.figures:
         expected = {
             "Dimensions": "Dimensions=(X=,Y=,Z=) of its chassis",
@@ -152,7 +156,7 @@ def _required(orders: Orders, key: str) -> Line:
     return orders.figures[key.lower()]
 
 
-def _with_packages(orders: Orders, robot: RobotSpec, sources: Sources) -> RobotSpec:
+def _with_packages(orders: RobotSection, robot: RobotSpec, sources: BuildContext) -> RobotSpec:
     listed, added = orders.lists.get("MisPkgs"), orders.lists.get("AddMisPkgs", [])
     if not listed and not added:
         return robot
@@ -167,16 +171,18 @@ def _with_packages(orders: Orders, robot: RobotSpec, sources: Sources) -> RobotS
     return replace(robot, packages=tuple(packages.values()))
 
 
-def _mounts(orders: Orders, key: str, sources: Sources) -> list[tuple[Line, Mount]]:
+def _mounts(orders: RobotSection, key: str, sources: BuildContext) -> list[tuple[Line, Mount]]:
     """Return what a key lists, with the lines; without what is not built."""
     read = [
-        (line, read_mount(line, units, sources.settings, sources.notes, sources.classes))
+        (line, read_mount(line, units, sources.settings, sources.warnings, sources.classes))
         for line, units in (*orders.lists.get(key, ()), *orders.lists.get(f"Add{key}", ()))
     ]
     return [(line, mount) for line, mount in read if mount is not None]
 
 
-def _with_items(orders: Orders, robot: RobotSpec, places: Mapping[str, Pair], sources: Sources) -> RobotSpec:
+def _with_items(
+    orders: RobotSection, robot: RobotSpec, pairs: Mapping[str, JointPair], sources: BuildContext
+) -> RobotSpec:
     """Return a robot with its items: effecters first, for they bring parts that others sit on."""
     read = {key: _mounts(orders, key, sources) for key in ITEM_LISTS}
     for key in ("Effecters", "Sensors", "Cameras"):
@@ -196,13 +202,13 @@ def _with_items(orders: Orders, robot: RobotSpec, places: Mapping[str, Pair], so
             if item in fresh:
                 fail(line, f"there is a {mount.kind} {mount.name} already", "another ItemName")
             fresh.add(item)
-            settled = settle_parent(mount, line, names, sources.notes)
-            mounts[item] = _shifted(settled, places)
+            settled = resolve_parent(mount, line, names, sources.warnings)
+            mounts[item] = _shifted(settled, pairs)
         robot = replace(robot, **{ITEM_LISTS[key]: tuple(mounts.values())})
     return robot
 
 
-def _shifted(mount: Mount, places: Mapping[str, Pair]) -> Mount:
+def _shifted(mount: Mount, places: Mapping[str, JointPair]) -> Mount:
     """Return a mount relative to its part's joint, where the ini counts from the part's middle (14.4.2.5)."""
     if mount.parent not in places:
         return mount

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from usarmjx.models.ini.items import Notes
+from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import Units, as_bool, as_vector, fail
 from usarmjx.models.spec.robot import Options, RobotSpec
@@ -12,7 +12,7 @@ from usarmjx.models.spec.settings import field_name
 STEREO_KEYS = ("isStereo", "stereoSpacing", "uuStereoSpacing")
 
 
-def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, notes: Notes) -> RobotSpec:
+def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, notes: WarningLog) -> RobotSpec:
     """Return a robot whose first camera has the eyes that its section gives it.
 
     As in the original, isStereo switches it on and the spacing is half the way between the eyes; of both
@@ -30,7 +30,7 @@ def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, not
         if not any(spacing):
             fail(line, f"{line.key} is 0 along all axes", "half the distance of the eyes, as (Y=0.05)")
         if metres is None:
-            spacing = replace(units, by_uu=True).place(spacing)
+            spacing = replace(units, by_uu=True).position(spacing)
         told["StereoSpacing"] = tuple(zip("XYZ", spacing, strict=True))
     first = next((line for line in (switch, metres, unreal) if line is not None), None)
     if first is None:

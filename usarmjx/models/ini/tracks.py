@@ -11,7 +11,7 @@ from usarmjx.models.spec.robot import Part, RobotSpec
 
 TRACKS = {"front": ("FRFlipper", "FLFlipper"), "rear": ("RRFlipper", "RLFlipper")}
 """The flippers at each end of a robot."""
-MOST = 12
+MAX_TIRES = 12
 """Most tires of one flipper; more only cost time."""
 
 
@@ -26,7 +26,7 @@ def read_tracks(robot: RobotSpec, lines: Mapping[str, Line]) -> RobotSpec:
         SpecError: A robot without such flippers, or no whole number from 1 to 12; names file and line.
     """
     for end, line in lines.items():
-        count = as_whole(line, 1, MOST)
+        count = as_whole(line, 1, MAX_TIRES)
         for flipper in TRACKS[end]:
             wheels = [part for part in robot.parts if _belongs(part, flipper)]
             if not wheels or not isinstance(robot.drive, Tracks):
@@ -37,7 +37,9 @@ def read_tracks(robot: RobotSpec, lines: Mapping[str, Line]) -> RobotSpec:
 
 def _belongs(part: Part, flipper: str) -> bool:
     return (
-        part.rolls and part.parent == flipper and re.fullmatch(rf"{flipper}Wheel\d+", part.name) is not None
+        part.is_wheel
+        and part.parent == flipper
+        and re.fullmatch(rf"{flipper}Wheel\d+", part.name) is not None
     )
 
 

@@ -10,8 +10,8 @@ from usarmjx.base.errors import SpecError
 MAX_DEPTH = 32
 """Brackets within brackets that are accepted; the manual's deepest example has 3."""
 
-# `Union`, so that `Value | None` can be evaluated: a quoted alias would be a plain str then.
-Value: TypeAlias = Union[str, int, float, bool, "Struct", "Reference", tuple["Value", ...]]
+# `Union`, so that `IniValue | None` can be evaluated: a quoted alias would be a plain str then.
+IniValue: TypeAlias = Union[str, int, float, bool, "Struct", "Reference", tuple["IniValue", ...]]
 
 _NAME = re.compile(r"[^\W\d]\w*")
 _WORD = re.compile(r"[^,()\"'=]*")
@@ -43,15 +43,15 @@ class Struct:
         fields: (name, value), in order and as written.
     """
 
-    fields: tuple[tuple[str, Value], ...]
+    fields: tuple[tuple[str, IniValue], ...]
 
-    def get(self, name: str, default: Value | None = None) -> Value | None:
+    def get(self, name: str, default: IniValue | None = None) -> IniValue | None:
         """Return the last value of that name, case ignored, or the default."""
         wanted = name.lower()
         return next((value for key, value in reversed(self.fields) if key.lower() == wanted), default)
 
 
-class Cursor:
+class LineParser:
     """A place in one line, and the rules of what may follow it (recursive descent).
 
     Args:
@@ -72,9 +72,9 @@ class Cursor:
         """Require that nothing but a comment follows."""
         self._skip()
         if self._peek() not in ("", ";"):
-            self.fail(f"{clip(self.text[self.pos :])} follows {after}", expected)
+            self.fail(f"{quote_short(self.text[self.pos :])} follows {after}", expected)
 
-    def value(self) -> Value:
+    def value(self) -> IniValue:
         """Take the value of a line, to the line's end."""
         self._skip()
         if self._peek() in ("(", *_QUOTES):
@@ -114,7 +114,7 @@ class Cursor:
             self._unclosed(opened[-1])
         return self.text[start : self.pos].strip()
 
-    def _item(self, depth: int) -> Value:
+    def _item(self, depth: int) -> IniValue:
         """Take one value within brackets, or one that starts with a bracket or a quote."""
         if self._peek() == "(":
             return self._group(depth + 1)
@@ -124,10 +124,12 @@ class Cursor:
         if self._peek() != "'":
             return self._scalar(word)
         if not _NAME.fullmatch(word):
-            self.fail(f"{clip(word)} stands before a quote", "a kind, as in class'USARBot.SonarSensor'")
+            self.fail(
+                f"{quote_short(word)} stands before a quote", "a kind, as in class'USARBot.SonarSensor'"
+            )
         return Reference(word, self._quoted())
 
-    def _group(self, depth: int) -> Value:
+    def _group(self, depth: int) -> IniValue:
         """Take a pair of brackets and what is in it."""
         opening = self.pos
         if depth > MAX_DEPTH:
@@ -139,8 +141,8 @@ class Cursor:
         if self._peek() == ")":
             self.pos += 1
             return Struct(())
-        fields: list[tuple[str, Value]] = []
-        values: list[Value] = []
+        fields: list[tuple[str, IniValue]] = []
+        values: list[IniValue] = []
         more = True
         while more:
             name = self._field_name()
@@ -162,7 +164,7 @@ class Cursor:
         if not found:
             self._unclosed(opening)
         if found not in (",", ")"):
-            self.fail(f"{clip(self.text[self.pos :])} follows a value within brackets", "',' or ')'")
+            self.fail(f"{quote_short(self.text[self.pos :])} follows a value within brackets", "',' or ')'")
         self.pos += 1
         self._skip()
         return found
@@ -175,7 +177,9 @@ class Cursor:
             self.pos = start
             return None
         if not _NAME.fullmatch(name):
-            self.fail(f"{clip(name)} is no name of a value", "one word before the '=', as in (X=1,Y=2)")
+            self.fail(
+                f"{quote_short(name)} is no name of a value", "one word before the '=', as in (X=1,Y=2)"
+            )
         self.pos += 1
         self._skip()
         return name
@@ -206,13 +210,13 @@ class Cursor:
             return text
         number = float(found.group(1))
         if not math.isfinite(number):
-            self.fail(f"{clip(text)} is too large for a number", "at most 1.8e308")
+            self.fail(f"{quote_short(text)} is too large for a number", "at most 1.8e308")
         return int(text) if _INTEGER.fullmatch(text) else number
 
     def _unclosed(self, opening: int) -> NoReturn:
         self.fail(f"the '(' in column {opening + 1} is never closed", "a ')' on the same line")
 
 
-def clip(text: str, limit: int = 60) -> str:
+def quote_short(text: str, limit: int = 60) -> str:
     """Return text of a file fit for a message: quoted and cut short."""
     return repr(text if len(text) <= limit else text[:limit] + "...")

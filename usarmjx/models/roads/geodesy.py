@@ -3,17 +3,19 @@
 Places are x (north) and y (west) in the arena's axes [m]; the wire's y, to the right, is east.
 """
 
-LATITUDE_SCALE, LONGITUDE_SCALE = 111200.0, 71670.0
+METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE = 111200.0, 71670.0
 """Metres of a degree (GPSSensor.uc), wherever on earth."""
 
-Place = tuple[float, float]
+LatLon = tuple[float, float]
 """Latitude and longitude [degrees], north and east positive."""
 
 
-SCALES = (LATITUDE_SCALE, LONGITUDE_SCALE)
+METRES_PER_DEGREE = (METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE)
 
 
-def degrees_of(origin: Place, at: tuple[float, float], scales: tuple[float, float] = SCALES) -> Place:
+def to_lat_lon(
+    origin: LatLon, at: tuple[float, float], scales: tuple[float, float] = METRES_PER_DEGREE
+) -> LatLon:
     """Return latitude and longitude [degrees] of a place x, y [m] in an arena whose origin lies there.
 
     Args:
@@ -24,6 +26,6 @@ def degrees_of(origin: Place, at: tuple[float, float], scales: tuple[float, floa
     return origin[0] + at[0] / scales[0], origin[1] - at[1] / scales[1]
 
 
-def metres_of(origin: Place, at: Place) -> tuple[float, float]:
-    """Return x, y [m] of a latitude and longitude [degrees]; the inverse of `degrees_of`."""
-    return (at[0] - origin[0]) * LATITUDE_SCALE, (origin[1] - at[1]) * LONGITUDE_SCALE
+def to_local_xy(origin: LatLon, at: LatLon) -> tuple[float, float]:
+    """Return x, y [m] of a latitude and longitude [degrees]; the inverse of `to_lat_lon`."""
+    return (at[0] - origin[0]) * METRES_PER_LATITUDE_DEGREE, (origin[1] - at[1]) * METRES_PER_LONGITUDE_DEGREE

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.network import Fault, point_name
 
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
@@ -21,7 +21,7 @@ class RoadLines:
         source: A path, or the text itself: a string with a line break.
 
     Attributes:
-        places: The line of each thing that a check of the whole may find wrong, by the first of `Fault`.
+        fault_lines: The line of each thing that a check of the whole may find wrong, by the first of `Fault`.
 
     Raises:
         SpecError: The file cannot be read, or a comment has no end.
@@ -35,7 +35,7 @@ class RoadLines:
                 text = Path(source).read_text(encoding="utf-8-sig", errors="replace")
             except OSError as error:
                 raise SpecError(f"{source}: {error.strerror or error}") from error
-        self.places: dict[tuple[object, ...], int] = {}
+        self.fault_lines: dict[tuple[object, ...], int] = {}
         text = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n") or " ", text)
         lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
         self._lines = [(number, words) for number, words in lines if words]
@@ -64,7 +64,7 @@ class RoadLines:
         """Return an error at a line, by default the next one."""
         return SpecError(f"{self.file}:{self.line if line is None else line}: {text}")
 
-    def expect(self, *allowed: str) -> SpecError:
+    def unexpected(self, *allowed: str) -> SpecError:
         """Return the error that the next line is none of those."""
         found = f"found {self._lines[self._next][1][0]!r}" if self.word else "the file ends"
         return self.fault(f"{found}; allowed here: {', '.join(allowed)}")
@@ -89,19 +89,19 @@ class RoadLines:
             SpecError: The next line is another one.
         """
         if self.word != keyword.lower():
-            raise self.expect(keyword)
+            raise self.unexpected(keyword)
         self.words(0)
 
     def text(self, keyword: str) -> str:
         """Return the text that follows a keyword which must be next."""
         if self.word != keyword.lower():
-            raise self.expect(keyword)
+            raise self.unexpected(keyword)
         return " ".join(self.words(meaning="name"))
 
     def numbers(self, keyword: str, count: int = 1) -> tuple[int, ...]:
         """Return the numbers `1.2` that follow a keyword which must be next; `count` of them."""
         if self.word != keyword.lower():
-            raise self.expect(keyword)
+            raise self.unexpected(keyword)
         line, (word,) = self.line, self.words(1, ".".join("MNP"[:count]))
         return self.parsed(word, count, line)
 
@@ -132,13 +132,13 @@ class RoadLines:
             raise self.fault(f"{what} {word!r}; expected a number from {low:g} to {high:g}", line)
         return value
 
-    def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[Place, ...]:
+    def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[LatLon, ...]:
         """Return latitudes and longitudes of the lines `1.2.3 34.5 -117.3` that follow.
 
         Raises:
             SpecError: Their numbers do not go up from 1, or there are not as many as expected.
         """
-        points: list[Place] = []
+        points: list[LatLon] = []
         while self.numbered:
             self.word_is((*owner, len(points) + 1))
             line, (north, east) = self.line, self.words(2, "latitude longitude")
@@ -165,7 +165,7 @@ class RoadLines:
     def refuse(self, faults: list[Fault]) -> None:
         """Raise the first fault that a check of the whole has found, at its line."""
         for where, text in faults:
-            raise self.fault(text, self.places.get(where, self._end))
+            raise self.fault(text, self.fault_lines.get(where, self._end))
 
 
 Row = tuple[str | int | float | tuple[int, ...] | None, ...]

@@ -31,7 +31,7 @@ def read_mdf(source: str | Path, network: RouteNetwork | None = None) -> Mission
     checkpoints = _checkpoints(lines) if lines.word == "checkpoints" else ()
     limits = _speed_limits(lines) if lines.word == "speed_limits" else ()
     if lines.word != "end_file":
-        raise lines.expect("format_version", "creation_date", "checkpoints", "speed_limits", "end_file")
+        raise lines.unexpected("format_version", "creation_date", "checkpoints", "speed_limits", "end_file")
     lines.take("end_file")
     mission = Mission(name=name, rndf=rndf, checkpoints=checkpoints, speed_limits=limits, **head)
     lines.refuse(mission_faults(mission, network))
@@ -44,7 +44,7 @@ def _checkpoints(lines: RoadLines) -> tuple[int, ...]:
     found: list[int] = []
     while lines.numbered:
         (number,) = lines.parsed(lines.word, 1, lines.line)
-        lines.places.setdefault(("checkpoint", number), lines.line)
+        lines.fault_lines.setdefault(("checkpoint", number), lines.line)
         lines.words(0)
         found.append(number)
     lines.count(len(found), announced, "checkpoints")
@@ -59,7 +59,7 @@ def _speed_limits(lines: RoadLines) -> tuple[SpeedLimit, ...]:
     while lines.numbered:
         line = lines.line
         (number,) = lines.parsed(lines.word, 1, line)
-        lines.places["speed_limit", number] = line
+        lines.fault_lines["speed_limit", number] = line
         low, high = (lines.real(w, "speed", 0.0, FASTEST, line) for w in lines.words(2, "lowest highest"))
         found.append(SpeedLimit(id=number, low=low, high=high))
     lines.count(len(found), announced, "speed limits")

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.geodesy import LatLon
 
 FOOT = 0.3048
 """Metres."""
@@ -40,7 +40,7 @@ class Lane:
         exits: Waypoint of each exit, and the waypoint or perimeter point elsewhere to which it leads.
     """
 
-    waypoints: tuple[Place, ...]
+    waypoints: tuple[LatLon, ...]
     width: float | None = None
     left: str = ""
     right: str = ""
@@ -50,7 +50,7 @@ class Lane:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment:
+class RoadSegment:
     """A road, with its lanes in both directions."""
 
     lanes: tuple[Lane, ...]
@@ -67,7 +67,7 @@ class Spot:
         checkpoints: Waypoint and checkpoint of each checkpoint.
     """
 
-    waypoints: tuple[Place, ...]
+    waypoints: tuple[LatLon, ...]
     width: float | None = None
     checkpoints: tuple[tuple[int, int], ...] = ()
 
@@ -83,7 +83,7 @@ class Zone:
         name: Name; empty: none.
     """
 
-    perimeter: tuple[Place, ...]
+    perimeter: tuple[LatLon, ...]
     exits: tuple[tuple[int, PointId], ...] = ()
     spots: tuple[Spot, ...] = ()
     name: str = ""
@@ -94,12 +94,12 @@ class RouteNetwork:
     """What a route network definition file (RNDF) says."""
 
     name: str
-    segments: tuple[Segment, ...]
+    segments: tuple[RoadSegment, ...]
     zones: tuple[Zone, ...] = ()
     format_version: str = ""
     creation_date: str = ""
 
-    def points(self) -> dict[PointId, Place]:
+    def points(self) -> dict[PointId, LatLon]:
         """Return all waypoints and perimeter points by their numbers."""
         return {(*owner, i): at for owner, part in self.parts() for i, at in enumerate(_points(part), 1)}
 
@@ -157,7 +157,7 @@ class Mission:
     creation_date: str = ""
 
 
-def _points(part: Lane | Zone | Spot) -> tuple[Place, ...]:
+def _points(part: Lane | Zone | Spot) -> tuple[LatLon, ...]:
     return part.perimeter if isinstance(part, Zone) else part.waypoints
 
 
@@ -222,7 +222,7 @@ def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId |
         yield from (("exit", point, entry) for point, entry in part.exits)
 
 
-def _extent(known: dict[PointId, Place], lost: PointId) -> str:
+def _extent(known: dict[PointId, LatLon], lost: PointId) -> str:
     last = max((point[2] for point in known if point[:2] == lost[:2]), default=0)
     return f"points 1 to {last}" if last else "no points"
 

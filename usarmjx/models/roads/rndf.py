@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.lines import RoadLines, Row, written
 from usarmjx.models.roads.network import (
     WIDEST,
     Lane,
+    RoadSegment,
     RouteNetwork,
-    Segment,
     Spot,
     Zone,
     network_faults,
@@ -48,8 +48,8 @@ def read_rndf(source: str | Path) -> RouteNetwork:
         }
     )
     if missing := {"num_segments", "num_zones"} - counts.keys():
-        raise lines.expect(*sorted(missing))
-    segments: list[Segment] = []
+        raise lines.unexpected(*sorted(missing))
+    segments: list[RoadSegment] = []
     while lines.word == "segment":
         segments.append(_segment(lines, len(segments) + 1))
     lines.count(len(segments), counts["num_segments"], "segments")
@@ -71,7 +71,7 @@ def _text(lines: RoadLines, keyword: str, into: dict[str, str]) -> None:
     into[keyword] = lines.text(keyword)
 
 
-def _segment(lines: RoadLines, number: int) -> Segment:
+def _segment(lines: RoadLines, number: int) -> RoadSegment:
     lines.named("segment", number)
     counts: dict[str, int] = {}
     head: dict[str, str] = {}
@@ -82,13 +82,13 @@ def _segment(lines: RoadLines, number: int) -> Segment:
         }
     )
     if not counts:
-        raise lines.expect("num_lanes")
+        raise lines.unexpected("num_lanes")
     lanes: list[Lane] = []
     while lines.word == "lane":
         lanes.append(_lane(lines, (number, len(lanes) + 1)))
     lines.count(len(lanes), counts["num_lanes"], f"lanes of segment {number}")
     lines.take("end_segment")
-    return Segment(lanes=tuple(lanes), name=head.get("segment_name", ""))
+    return RoadSegment(lanes=tuple(lanes), name=head.get("segment_name", ""))
 
 
 class _Head:
@@ -122,16 +122,16 @@ class _Head:
             allowed[count] = partial(_number, self.lines, count, self.counts)
         self.lines.header(allowed)
         if count and count not in self.counts:
-            raise self.lines.expect(count, *others)
+            raise self.lines.unexpected(count, *others)
         if not self.lines.numbered:
-            raise self.lines.expect(*others, f"{point_name((*self.owner, 1))} latitude longitude")
+            raise self.lines.unexpected(*others, f"{point_name((*self.owner, 1))} latitude longitude")
 
     def _width(self, keyword: str) -> None:
         line, (word,) = self.lines.line, self.lines.words(1, "feet")
         self.width = self.lines.real(word, keyword, 0.0, WIDEST, line)
 
     def _boundary(self, keyword: str) -> None:
-        self.lines.places[keyword, self.owner] = self.lines.line
+        self.lines.fault_lines[keyword, self.owner] = self.lines.line
         self.text[keyword] = self.lines.text(keyword)
 
     def _point(self, word: str, line: int) -> int:
@@ -145,19 +145,19 @@ class _Head:
         line, (at, number) = self.lines.line, self.lines.words(2, "M.N.P number")
         point, (checkpoint,) = self._point(at, line), self.lines.parsed(number, 1, line)
         self.marks["checkpoint"].append((point, checkpoint))
-        self.lines.places["checkpoint", (*self.owner, point), checkpoint] = line
+        self.lines.fault_lines["checkpoint", (*self.owner, point), checkpoint] = line
 
     def _stop(self) -> None:
         line, (at,) = self.lines.line, self.lines.words(1, "M.N.P")
         point = self._point(at, line)
         self.marks["stop"].append(point)
-        self.lines.places["stop", (*self.owner, point), None] = line
+        self.lines.fault_lines["stop", (*self.owner, point), None] = line
 
     def _exit(self) -> None:
         line, (at, to) = self.lines.line, self.lines.words(2, "M.N.P M.N.P")
         point, entry = self._point(at, line), self.lines.parsed(to, 3, line)
         self.marks["exit"].append((point, entry))
-        self.lines.places["exit", (*self.owner, point), entry] = line
+        self.lines.fault_lines["exit", (*self.owner, point), entry] = line
 
 
 def _lane(lines: RoadLines, owner: tuple[int, int]) -> Lane:
@@ -189,7 +189,7 @@ def _zone(lines: RoadLines, number: int) -> Zone:
         }
     )
     if not counts:
-        raise lines.expect("num_spots", "zone_name")
+        raise lines.unexpected("num_spots", "zone_name")
     lines.named("perimeter", number, 0)
     head = _Head(lines, (number, 0))
     head.read("num_perimeterpoints", "exit")
@@ -261,5 +261,5 @@ def _lane_rows(owner: tuple[int, int], lane: Lane) -> list[Row]:
     ]
 
 
-def _point_rows(owner: tuple[int, int], points: tuple[Place, ...]) -> list[Row]:
+def _point_rows(owner: tuple[int, int], points: tuple[LatLon, ...]) -> list[Row]:
     return [((*owner, i), *at) for i, at in enumerate(points, 1)]

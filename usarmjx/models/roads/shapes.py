@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from usarmjx.models.roads.geodesy import Place, metres_of
+from usarmjx.models.roads.geodesy import LatLon, to_local_xy
 from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
 from usarmjx.models.spec.robot import Shape
 
@@ -33,7 +33,7 @@ CONCRETE = (0.65, 0.65, 0.62, 1.0)
 Rgba = tuple[float, float, float, float]
 
 
-def road_shapes(network: RouteNetwork, origin: Place) -> tuple[Shape, ...]:
+def road_shapes(network: RouteNetwork, origin: LatLon) -> tuple[Shape, ...]:
     """Return the markings and kerbs of a network in the axes of an arena, whose floor they lie on.
 
     Lanes without a right boundary have a kerb there. Both lanes beside a double line paint one of its lines,
@@ -61,12 +61,12 @@ def lane_width(lane: Lane) -> float:
     return (LANE_WIDTH if lane.width is None else lane.width) * FOOT
 
 
-def lane_path(lane: Lane, origin: Place) -> np.ndarray:
+def lane_path(lane: Lane, origin: LatLon) -> np.ndarray:
     """Return a lane's waypoints x, y in the arena's axes [m] (waypoints, 2)."""
-    return np.array([metres_of(origin, at) for at in lane.waypoints])
+    return np.array([to_local_xy(origin, at) for at in lane.waypoints])
 
 
-def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: Place) -> list[np.ndarray]:
+def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> list[np.ndarray]:
     """Return the paths of a lane between crossings, x, y [m] (points, 2), each of two points at least."""
     lane = network.lane(*owner)
     left = {point for point, _ in lane.exits}
@@ -77,7 +77,7 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: Place) -> l
     return [run for run in np.split(path, ends) if len(run) > 1]
 
 
-def beside(path: np.ndarray, left: float) -> np.ndarray:
+def offset_path(path: np.ndarray, left: float) -> np.ndarray:
     """Return the line at a distance to the left of a path, negative: to its right [m] (points, 2)."""
     along = np.diff(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -115,10 +115,10 @@ def _boundary(run: np.ndarray, edge: float, kind: str) -> Iterator[Shape]:
     """Iterate over the lines of a lane's boundary, which lies that far to the left of its path."""
     inwards, rgba = -math.copysign(1.0, edge), YELLOW if "yellow" in kind else WHITE
     if kind == "broken_white":
-        path = beside(run, edge + inwards * LINE / 4)
+        path = offset_path(run, edge + inwards * LINE / 4)
         yield from (stripe(a, b, LINE / 2, rgba) for a, b in _dashes(path))
     elif kind:
-        path = beside(run, edge + inwards * LINE * (1.0 if kind.startswith("double") else 0.5))
+        path = offset_path(run, edge + inwards * LINE * (1.0 if kind.startswith("double") else 0.5))
         yield from (stripe(a, b, LINE, rgba) for a, b in _pieces(path))
 
 
@@ -135,31 +135,31 @@ def _dashes(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _kerb(run: np.ndarray, edge: float) -> Iterator[Shape]:
-    path = beside(run, edge - KERB_WIDTH / 2)
+    path = offset_path(run, edge - KERB_WIDTH / 2)
     yield from (_bar(a, b, KERB_WIDTH, KERB_HEIGHT, "ground", CONCRETE) for a, b in _pieces(path))
 
 
-def _stop_lines(lane: Lane, origin: Place) -> Iterator[Shape]:
+def _stop_lines(lane: Lane, origin: LatLon) -> Iterator[Shape]:
     path, half = lane_path(lane, origin), lane_width(lane) / 2 - LINE
     if len(path) > 1:
-        across = beside(path, half) - path
+        across = offset_path(path, half) - path
         yield from (
             stripe(path[i - 1] - across[i - 1], path[i - 1] + across[i - 1], STOP_LINE, WHITE)
             for i in lane.stops
         )
 
 
-def _spot_lines(spots: tuple[Spot, ...], origin: Place) -> Iterator[Shape]:
+def _spot_lines(spots: tuple[Spot, ...], origin: LatLon) -> Iterator[Shape]:
     """Iterate over the lines beside spots, twice as long as from the mouth to where one parks.
 
     Neighbours share one.
     """
     drawn: list[np.ndarray] = []
     for spot in spots:
-        mouth, middle = np.array([metres_of(origin, at) for at in spot.waypoints])
+        mouth, middle = np.array([to_local_xy(origin, at) for at in spot.waypoints])
         path = np.array([mouth, 2 * middle - mouth])
         half = (LANE_WIDTH if spot.width is None else spot.width) * FOOT / 2
-        for a, b in (beside(path, half), beside(path, -half)):
+        for a, b in (offset_path(path, half), offset_path(path, -half)):
             if not any(np.linalg.norm((a + b) / 2 - other) < LINE for other in drawn):
                 drawn.append((a + b) / 2)
                 yield stripe(a, b, LINE, WHITE)

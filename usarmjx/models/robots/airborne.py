@@ -8,13 +8,13 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Blimp, RotaryWing
-from usarmjx.models.drives.fluid import AIR, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Colour, camera
+from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, camera
 from usarmjx.models.spec.robot import Link, MissionPackage, Motor, RobotSpec, Shape
 
-WHITE: Colour = (0.9, 0.9, 0.9, 1.0)
-ORANGE: Colour = (0.95, 0.55, 0.1, 1.0)
-ROTOR: Colour = (0.3, 0.3, 0.3, 0.6)
+WHITE: Rgba = (0.9, 0.9, 0.9, 1.0)
+ORANGE: Rgba = (0.95, 0.55, 0.1, 1.0)
+ROTOR: Rgba = (0.3, 0.3, 0.3, 0.6)
 ALONG = (0.0, math.pi / 2, 0.0)
 """Turns a capsule's axis (z) to the front (x)."""
 POSES = tuple(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry")  # there are no wheels to count
@@ -90,7 +90,7 @@ AIRROBOT = RobotSpec(
         *(_rotor(x, y) for x, y in AIRROBOT_ROTORS),
     ),
     drive=RotaryWing(
-        max_speed_of=(5.0, 5.0, 5.0),
+        max_speeds=(5.0, 5.0, 5.0),
         max_turn=1.5708,
         mass=1.0,
         inertia=(0.0358, 0.0355, 0.0673),
@@ -98,7 +98,7 @@ AIRROBOT = RobotSpec(
         drag_areas=(0.06, 0.06, 0.2),
         max_thrust=24.0,  # a bit more than twice its weight with payload
         max_torque=(6.0, 6.0, 1.0),  # enough to get up from its back, with rotors that can reverse
-        lean=math.radians(25),  # the UDK AirRobot's limit of roll and pitch
+        acceleration_tilt=math.radians(25),  # the UDK AirRobot's limit of roll and pitch
     ),
     packages=(tilt_camera((0.0, 0.0, 0.05)),),
     sensors=POSES,
@@ -119,7 +119,9 @@ PASSAROLA_COG = 0.230  # of the 3 kg, below the origin
 
 # 3 kg hang below 10.3 kg of gas and air, which weigh as much as the air outside: the righting moment is
 # that of the 3 kg below the envelope's middle.
-PASSAROLA_ARM = 3.0 * (PASSAROLA_COG - PASSAROLA_TOP) / (AIR * 4 / 3 * math.pi * math.prod(PASSAROLA_RADII))
+PASSAROLA_ARM = (
+    3.0 * (PASSAROLA_COG - PASSAROLA_TOP) / (AIR_DENSITY * 4 / 3 * math.pi * math.prod(PASSAROLA_RADII))
+)
 
 
 def _thruster(y: float) -> Shape:
@@ -162,11 +164,11 @@ PASSAROLA = RobotSpec(
     drive=Blimp(
         hull=Hull(
             radii=PASSAROLA_RADII,
-            density=AIR,
+            density=AIR_DENSITY,
             mass=3.0,
             inertia=(1.42, 3.10, 2.46),
             drag=(0.3, 0.8, 0.8),  # along, with gondola and fins; across
-            arm=PASSAROLA_ARM,
+            cog_depth=PASSAROLA_ARM,
         ),
         max_angle=math.pi / 2,
         max_thrust_speed=2.0,

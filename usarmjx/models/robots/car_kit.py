@@ -4,8 +4,17 @@ from dataclasses import dataclass
 
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Colour, car_wheel, firm_motor, wheel
-from usarmjx.models.spec.robot import STEER, MissionPackage, Mount, Part, RobotSpec, Shape, Spring, options
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, car_wheel, firm_motor, wheel
+from usarmjx.models.spec.robot import (
+    STEER_SUFFIX,
+    MissionPackage,
+    Mount,
+    Part,
+    RobotSpec,
+    Shape,
+    Spring,
+    options,
+)
 
 MAX_SPIN = 100.0
 """Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""
@@ -14,7 +23,7 @@ MAX_STEER, LOCK = 0.56, 0.7
 9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m of the Cherokee)."""
 STEER_RATE = 1.438
 """How fast wheels steer [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
-BOUNCE, DAMPING, TRAVEL = 11.0, 0.5, 0.12
+SUSPENSION_FREQUENCY, DAMPING, SUSPENSION_TRAVEL = 11.0, 0.5, 0.12
 """Suspension (chosen): frequency [rad/s] and damping ratio of the car on it, and how far it springs [m]; the
 travel of manual 14.4.2.3, SuspHighLimit 1.0 or 0.2 m, would put low cars on their floor."""
 ARMATURE, STEER_ARMATURE = 0.05, 0.02
@@ -32,33 +41,33 @@ class Car:
         name: Class name.
         dimensions: Length, width, height.
         mass: All of it.
-        base: Distance of the axles.
+        wheel_base: Distance of the axles.
         track: Lateral distance of the wheels.
         tyre: Radius and width of a wheel.
         unsprung: Masses of a wheel and of its hub.
         floor: Lowest point of the body.
-        belt: Where the body ends and the cabin begins.
-        balance: Height of the centre of gravity.
-        front: Share of the weight on the front wheels.
+        beltline: Where the body ends and the cabin begins.
+        cog_height: Height of the centre of gravity.
+        front_weight_share: Share of the weight on the front wheels.
         all_wheel: Whether all wheels are powered; else only the front ones are.
-        pull: Acceleration and deceleration that its motors are good for [m/s2].
-        colour: Of the body.
+        max_acceleration: Acceleration and deceleration that its motors are good for [m/s2].
+        rgba: Of the body.
     """
 
     name: str
     dimensions: Vec3
     mass: float
-    base: float
+    wheel_base: float
     track: float
     tyre: tuple[float, float]
     unsprung: tuple[float, float]
     floor: float
-    belt: float
-    balance: float
-    front: float
+    beltline: float
+    cog_height: float
+    front_weight_share: float
     all_wheel: bool
-    pull: float
-    colour: Colour
+    max_acceleration: float
+    rgba: Rgba
 
     @property
     def origin(self) -> float:
@@ -69,13 +78,19 @@ class Car:
 def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
     """Return the parts of an axle, and its wheels as the drive sees them."""
     (radius, _), (mass, hub) = car.tyre, car.unsprung
-    share, x = (car.front, car.base / 2) if front else (1 - car.front, -car.base / 2)
+    share, x = (
+        (car.front_weight_share, car.wheel_base / 2)
+        if front
+        else (1 - car.front_weight_share, -car.wheel_base / 2)
+    )
     carried = car.mass * share / 2 - mass - hub
     spring = Spring(
-        stiffness=BOUNCE**2 * carried, damping=2 * DAMPING * BOUNCE * carried, load=carried * GRAVITY
+        stiffness=SUSPENSION_FREQUENCY**2 * carried,
+        damping=2 * DAMPING * SUSPENSION_FREQUENCY * carried,
+        load=carried * GRAVITY,
     )
     powered = front or car.all_wheel
-    torque = car.pull * car.mass * radius / (4 if car.all_wheel else 2)
+    torque = car.max_acceleration * car.mass * radius / (4 if car.all_wheel else 2)
     motor = firm_motor(
         MAX_SPIN,
         torque if powered else torque / 2,  # that of the brake (chosen): the rear wheels carry less
@@ -89,9 +104,9 @@ def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
         name = f"{side}{'F' if front else 'R'}Wheel"
         tyre = wheel(name, at=(x, y, car.origin - radius), size=car.tyre, mass=mass, motor=motor)
         parts += car_wheel(
-            tyre, hub=hub, spring=spring, travel=TRAVEL, steer=steer if front else None, lock=LOCK
+            tyre, hub=hub, spring=spring, travel=SUSPENSION_TRAVEL, steer=steer if front else None, lock=LOCK
         )
-        steers = name + STEER if front else ""
+        steers = name + STEER_SUFFIX if front else ""
         wheels.append(Wheel(joint=name, steer=steers, x=x, y=y, powered=powered, brakes=True))
     return parts, wheels
 
@@ -101,21 +116,21 @@ def _body(car: Car, head: float) -> tuple[Shape, ...]:
     length, width, height = car.dimensions
     unsprung = 4 * sum(car.unsprung)
     sprung = car.mass - unsprung
-    body, cabin = (car.belt - car.floor) / 2, (height - car.belt) / 2
-    ahead = car.base * (car.front - 0.5) * car.mass / sprung
-    balance = (car.balance * car.mass - car.tyre[0] * unsprung) / sprung
+    body, cabin = (car.beltline - car.floor) / 2, (height - car.beltline) / 2
+    ahead = car.wheel_base * (car.front_weight_share - 0.5) * car.mass / sprung
+    balance = (car.cog_height * car.mass - car.tyre[0] * unsprung) / sprung
     return (
         Shape(
             kind="box",
             size=(length / 2, width / 2, body),
             at=(0.0, 0.0, car.origin - car.floor - body),
-            rgba=car.colour,
+            rgba=car.rgba,
         ),
         Shape(
             kind="box",
             size=(0.27 * length, 0.45 * width, cabin),
             at=(-0.05 * length, 0.0, cabin - car.origin),
-            rgba=car.colour,
+            rgba=car.rgba,
         ),
         Shape(
             kind="box",
@@ -170,8 +185,8 @@ def build_car(
         cameras=cameras,
         wheel_radius=car.tyre[0],
         wheel_separation=car.track,
-        wheel_base=car.base,
-        cog=(car.base * (car.front - 0.5), 0.0, car.origin - car.balance),
+        wheel_base=car.wheel_base,
+        cog=(car.wheel_base * (car.front_weight_share - 0.5), 0.0, car.origin - car.cog_height),
         sources=(
             *sources,
             ("steering", "chosen"),

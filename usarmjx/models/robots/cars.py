@@ -5,7 +5,7 @@ and Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the H
 """
 
 from usarmjx.models.robots.car_kit import Car, build_car
-from usarmjx.models.robots.kit import camera, pan_tilt, sick, sick_housing
+from usarmjx.models.robots.kit import camera, pan_tilt, sick_housing, sick_lms200
 from usarmjx.models.spec.robot import CHASSIS, Mount, options
 
 HUMMER_LENGTH, HUMMER_WIDTH = 3.686, 1.799  # manual 12.5.1; the real one has 4.57 and 2.16
@@ -13,24 +13,24 @@ _HUMMER = Car(
     name="Hummer",
     dimensions=(HUMMER_LENGTH, HUMMER_WIDTH, 2.059),  # manual 12.5.1
     mass=2359.0,  # data sheet: M998, 5200 lb
-    base=3.30 * HUMMER_LENGTH / 4.57,  # data sheet: 130 in; scaled
+    wheel_base=3.30 * HUMMER_LENGTH / 4.57,  # data sheet: 130 in; scaled
     track=1.82 * HUMMER_WIDTH / 2.16,  # data sheet: 71.6 in; scaled
     tyre=(0.3727, 0.26),  # manual 12.5.1; width data sheet (12.5 in), scaled
     unsprung=(55.0, 45.0),  # chosen: tyres with run-flat inserts, geared hubs
     floor=0.33,  # data sheet: 16 in, scaled
-    belt=1.10,  # chosen, as all below
-    balance=0.62,
-    front=0.5,
+    beltline=1.10,  # chosen, as all below
+    cog_height=0.62,
+    front_weight_share=0.5,
     all_wheel=True,  # manual 12.5.1
-    pull=5.0,
-    colour=(0.45, 0.45, 0.3, 1.0),
+    max_acceleration=5.0,
+    rgba=(0.45, 0.45, 0.3, 1.0),
 )
-HUMMER_SCANNER = (1.3, 0.0, _HUMMER.origin - _HUMMER.belt - 0.05)  # chosen: on the bonnet
+HUMMER_SCANNER = (1.3, 0.0, _HUMMER.origin - _HUMMER.beltline - 0.05)  # chosen: on the bonnet
 HUMMER = build_car(
     _HUMMER,
     solids=(sick_housing(HUMMER_SCANNER),),
     packages=(pan_tilt((0.0, 0.0, -_HUMMER.origin)),),  # chosen: on the roof; pans all around
-    sensors=(sick(HUMMER_SCANNER),),
+    sensors=(sick_lms200(HUMMER_SCANNER),),
     cameras=(camera(),),
     sources=(
         ("dimensions, wheel radius, top speed, wheels", "manual 12.5"),
@@ -44,21 +44,21 @@ _SNOWSTORM = Car(
     name="SnowStorm",
     dimensions=(4.239, 1.720, 1.621),  # manual 12.6.1
     mass=1523.0,  # data sheet of the Jeep Cherokee XJ
-    base=2.576,  # data sheet
+    wheel_base=2.576,  # data sheet
     track=1.473,  # data sheet
     tyre=(0.352, 0.215),  # data sheet: 215/75 R15
     unsprung=(25.0, 40.0),  # chosen, as all below
     floor=0.21,
-    belt=0.98,
-    balance=0.58,
-    front=0.53,
+    beltline=0.98,
+    cog_height=0.58,
+    front_weight_share=0.53,
     all_wheel=True,  # chosen; manual 12.6.1: two or four wheel drive
-    pull=5.0,
-    colour=(0.85, 0.85, 0.9, 1.0),
+    max_acceleration=5.0,
+    rgba=(0.85, 0.85, 0.9, 1.0),
 )
 SNOWSTORM_ROOF = -_SNOWSTORM.origin
 SNOWSTORM_SCANNER = (0.75, 0.0, SNOWSTORM_ROOF - 0.05)  # chosen: on the front edge of the roof
-EYES = 0.06  # half the distance of a Bumblebee's lenses (data sheet: 12 cm)
+HALF_STEREO_BASELINE = 0.06  # half the distance of a Bumblebee's lenses (data sheet: 12 cm)
 SNOWSTORM = build_car(
     _SNOWSTORM,
     solids=(sick_housing(SNOWSTORM_SCANNER),),
@@ -69,7 +69,7 @@ SNOWSTORM = build_car(
     ),
     cameras=tuple(
         camera(name, at=(0.9, y, SNOWSTORM_ROOF + 0.1), parent=CHASSIS)
-        for name, y in (("Camera", -EYES), ("Camera2", EYES))
+        for name, y in (("Camera", -HALF_STEREO_BASELINE), ("Camera2", HALF_STEREO_BASELINE))
     ),
     sources=(
         ("dimensions, wheels", "manual 12.6"),
@@ -84,17 +84,17 @@ SEDAN = build_car(
         name="Sedan",
         dimensions=(4.2779, 1.7883, 1.3238),  # manual 12.7.1
         mass=1250.0,  # data sheet of the Nissan Primera P10, about
-        base=2.55,  # data sheet
+        wheel_base=2.55,  # data sheet
         track=1.47,  # data sheet
         tyre=(0.2820, 0.195),  # manual 12.7.1; width data sheet
         unsprung=(18.0, 33.0),  # chosen, as all below
         floor=0.15,
-        belt=0.85,
-        balance=0.50,
-        front=0.6,
+        beltline=0.85,
+        cog_height=0.50,
+        front_weight_share=0.6,
         all_wheel=False,  # manual 12.7.1
-        pull=3.5,
-        colour=(0.3, 0.4, 0.6, 1.0),
+        max_acceleration=3.5,
+        rgba=(0.3, 0.4, 0.6, 1.0),
     ),
     sources=(
         ("dimensions, wheel radius, top speed, wheels", "manual 12.7"),
@@ -108,17 +108,17 @@ COOPER = build_car(
         name="Cooper",
         dimensions=(3.626, 1.688, 1.416),  # data sheet of the Mini Cooper R50, as the next four
         mass=1146.0,
-        base=2.467,
+        wheel_base=2.467,
         track=1.46,
         tyre=(0.304, 0.175),  # 175/65 R15
         unsprung=(18.0, 33.0),  # chosen, as all below
         floor=0.15,
-        belt=0.90,
-        balance=0.52,
-        front=0.6,
+        beltline=0.90,
+        cog_height=0.52,
+        front_weight_share=0.6,
         all_wheel=False,  # manual 12.8.1
-        pull=3.5,
-        colour=(0.7, 0.15, 0.15, 1.0),
+        max_acceleration=3.5,
+        rgba=(0.7, 0.15, 0.15, 1.0),
     ),
     sources=(
         ("top speed, wheels", "manual 12.8"),

@@ -20,9 +20,9 @@ TARANTULA_HEIGHT = 0.1406  # manual 12.10.1; that of the tracks, whose wheels fi
 TARANTULA_WIDTH, TARANTULA_LENGTH = 0.444, 0.6778  # manual 12.10.1; with the flippers out
 TARANTULA_BELT = Belt(
     radius=TARANTULA_HEIGHT / 2,
-    spin=3.1416,  # manual 12.10.1
+    max_spin=3.1416,  # manual 12.10.1
     width=0.06,  # chosen, as all below
-    pull=50.0,
+    max_pull=50.0,
     inertia=1.0,
     wheel_mass=0.12,
 )
@@ -71,7 +71,7 @@ def tarantula(wheels: int = 4) -> RobotSpec:
         wheel_radius=TARANTULA_BELT.radius,
         wheel_separation=TARANTULA_SEPARATION,
         wheel_base=2 * TARANTULA_PIVOT,
-        reported=FLIPPERS,
+        reported_joints=FLIPPERS,
         sources=(
             ("dimensions", "manual 12.10"),
             ("top speed", "manual 12.10"),
@@ -103,9 +103,9 @@ KENAF_WIDTH, KENAF_HEIGHT = 0.429, 0.259  # manual 12.23.1
 KENAF_MASS = 20.0  # manual 12.23.1
 KENAF_BELT = Belt(
     radius=0.0875,  # chosen, as all without a source
-    spin=6.2832,  # the wheel joint's default in the Kenaf of the UDK version: 0.55 m/s
+    max_spin=6.2832,  # the wheel joint's default in the Kenaf of the UDK version: 0.55 m/s
     width=0.14,
-    pull=120.0,
+    max_pull=120.0,
     inertia=2.0,
     wheel_mass=0.3,
 )
@@ -198,7 +198,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
         wheel_radius=KENAF_BELT.radius,
         wheel_separation=KENAF_SEPARATION,
         wheel_base=2 * KENAF_PIVOT,
-        reported=FLIPPERS,
+        reported_joints=FLIPPERS,
         sources=(
             ("dimensions", "manual 12.23"),
             ("mass", "manual 12.23"),

@@ -6,8 +6,8 @@ from dataclasses import replace
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.spec.robot import (
     CHASSIS,
-    STEER,
-    SUSPENSION,
+    STEER_SUFFIX,
+    SUSPENSION_SUFFIX,
     UP,
     ZERO,
     Link,
@@ -20,11 +20,11 @@ from usarmjx.models.spec.robot import (
     options,
 )
 
-Colour = tuple[float, float, float, float]
+Rgba = tuple[float, float, float, float]
 
-RUBBER: Colour = (0.15, 0.15, 0.15, 1.0)
-BLACK: Colour = (0.1, 0.1, 0.1, 1.0)
-AXLE = (-math.pi / 2, 0.0, 0.0)
+RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
+BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
+AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
 """Turns a cylinder's axis (z) to the side (y)."""
 
 
@@ -41,9 +41,14 @@ def wheel(
     """Return a wheel of (radius, width) [m]; without a motor it rolls freely."""
     radius, width = size
     tyre = Shape(
-        kind="cylinder", size=(radius, width / 2), rotation=AXLE, mass=mass, surface=surface, rgba=RUBBER
+        kind="cylinder",
+        size=(radius, width / 2),
+        rotation=AXLE_ROTATION,
+        mass=mass,
+        surface=surface,
+        rgba=RUBBER,
     )
-    return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), rolls=True)
+    return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), is_wheel=True)
 
 
 def firm_motor(max_speed: float, torque: float, inertia: float, armature: float) -> Motor:
@@ -88,7 +93,7 @@ def car_wheel(
     parent, at = tyre.parent, tyre.at
     if spring is not None:
         slide = Part(
-            name=name + SUSPENSION,
+            name=name + SUSPENSION_SUFFIX,
             parent=parent,
             at=at,
             axis=UP,
@@ -101,7 +106,7 @@ def car_wheel(
         parent, at = slide.name, ZERO
     if steer is not None:
         turn = Part(
-            name=name + STEER,
+            name=name + STEER_SUFFIX,
             parent=parent,
             at=at,
             axis=UP,
@@ -171,7 +176,7 @@ def camera(name: str = "Camera", at: Vec3 = (0.0820, 0.0002, 0.0613), **where: o
     return Mount(kind="Camera", name=name, at=at, options=fov, **place)  # type: ignore[arg-type]
 
 
-def sick(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
+def sick_lms200(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
     """Return a SICK LMS200: 181 beams over half a turn, 20 m (captured CONF)."""
     fan = options(MaxRange=20.0, MinRange=0.1, Resolution=math.pi / 180, ScanFov=math.pi)
     return Mount(kind="RangeScanner", name=name, at=at, parent=parent, options=fan)

@@ -9,8 +9,8 @@ from usarmjx.models.robots.kit import (
     POSE_SENSORS,
     camera,
     firm_motor,
-    sick,
     sick_housing,
+    sick_lms200,
     wheel,
 )
 from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec, Shape
@@ -105,7 +105,7 @@ def _kurt(
 KURT2D = _kurt(
     "Kurt2D",
     solids=(sick_housing(SCANNER),),
-    scanner=sick(SCANNER),
+    scanner=sick_lms200(SCANNER),
     cameras=(camera(at=(-0.05, 0.0, -0.05), parent=CHASSIS),),
 )
 
@@ -122,7 +122,7 @@ SIDES = Part(
 KURT3D = _kurt(
     "Kurt3D",
     head=(SIDES,),
-    scanner=sick((0.0, 0.0, 0.0), parent=SIDES.name),
+    scanner=sick_lms200((0.0, 0.0, 0.0), parent=SIDES.name),
     cameras=tuple(
         camera(name, at=(0.05, y, -0.05), parent=SIDES.name)  # chosen: beside the scanner, and turned with it
         for name, y in (("Camera", -0.09), ("Camera2", 0.09))

@@ -10,10 +10,10 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, Colour, camera
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, Rgba, camera
 from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
 
-SILVER: Colour = (0.7, 0.72, 0.75, 1.0)
+SILVER: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
 BEND: Vec3 = (0.0, -1.0, 0.0)
 """Axes to the right and left: what hangs down swings forward about the first, backward about the second."""

@@ -8,7 +8,7 @@ import math
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
-from usarmjx.models.spec.robot import STEER, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import STEER_SUFFIX, Mount, RobotSpec, Shape
 
 ORIGIN = 0.40
 RADIUS, TYRE = 0.125, 0.05
@@ -25,7 +25,7 @@ CORNERS = ((HALF_BASE, HALF_TRACK), (-HALF_BASE, -HALF_TRACK))
 MOTOR = firm_motor(SPIN, torque=15.0, inertia=WHEEL_MASS * RADIUS**2 / 2, armature=0.2)
 STEERING = firm_motor(3.0, torque=30.0, inertia=WHEEL_MASS * RADIUS**2 / 4, armature=0.5)
 WHEELS = tuple(
-    Wheel(joint=f"Wheel{i}", steer=f"Wheel{i}{STEER}", x=x, y=y, powered=True)
+    Wheel(joint=f"Wheel{i}", steer=f"Wheel{i}{STEER_SUFFIX}", x=x, y=y, powered=True)
     for i, (x, y) in enumerate(CORNERS)
 )
 

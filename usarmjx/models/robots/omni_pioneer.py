@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import camera
-from usarmjx.models.robots.packages import PACKAGES, mounted
+from usarmjx.models.robots.packages import PACKAGES, mount_package
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, P2DX, P2DX_SCANNER
 from usarmjx.models.spec.robot import MissionPackage, RobotSpec
 
@@ -15,7 +15,7 @@ ON_SCANNER = -0.11
 
 
 def _omni(base: RobotSpec, package: MissionPackage, link: int, at: Vec3) -> RobotSpec:
-    pillar = mounted(package, (at[0], at[1], at[2] + ON_SCANNER))
+    pillar = mount_package(package, (at[0], at[1], at[2] + ON_SCANNER))
     eye = camera(at=(0.0, 0.0, -0.09), parent=f"{package.name}_Link{link}", direction=LOOKS_UP)
     return replace(
         base,

@@ -55,7 +55,7 @@ def omni_pillar(centre_links: int = 2) -> MissionPackage:
     return MissionPackage(name="OmniCamPillar", links=tuple(links))
 
 
-def mounted(package: MissionPackage, location: Vec3, name: str = "") -> MissionPackage:
+def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> MissionPackage:
     """Return a package somewhere on the chassis, under another name if given."""
     links = tuple(
         replace(link, location=tuple(a + b for a, b in zip(link.location, location, strict=True)))

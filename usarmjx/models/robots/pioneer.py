@@ -13,8 +13,8 @@ from usarmjx.models.robots.kit import (
     POSE_SENSORS,
     camera,
     pan_tilt,
-    sick,
     sick_housing,
+    sick_lms200,
     wheel,
 )
 from usarmjx.models.spec.robot import Motor, Mount, RobotSpec, Shape
@@ -98,7 +98,7 @@ P2AT = RobotSpec(
     sensors=(
         *_front_ring(P2AT_RING_X),
         *_rear_ring(P2AT_RING_X),
-        sick(P2AT_SCANNER),
+        sick_lms200(P2AT_SCANNER),
         *POSE_SENSORS,
         Mount(kind="RFID", name="RFID"),
     ),
@@ -150,7 +150,7 @@ P2DX = RobotSpec(
     packages=(pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT
     sensors=(
         *_front_ring(P2DX_RING_X),
-        sick(P2DX_SCANNER),
+        sick_lms200(P2DX_SCANNER),
         *POSE_SENSORS,
         Mount(kind="Encoder", name="ECLeft", parent="LeftFWheel", direction=ENCODER_AXIS),
         Mount(kind="Encoder", name="ECRight", parent="RightFWheel", direction=ENCODER_AXIS),

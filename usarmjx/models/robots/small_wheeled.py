@@ -10,8 +10,8 @@ from usarmjx.models.robots.kit import (
     camera,
     firm_motor,
     pan_tilt,
-    sick,
     sick_housing,
+    sick_lms200,
     wheel,
 )
 from usarmjx.models.robots.pioneer import P2AT
@@ -21,13 +21,13 @@ GREEN = (0.2, 0.4, 0.25, 1.0)
 YELLOW = (0.85, 0.7, 0.15, 1.0)
 LEFT_WHEELS, RIGHT_WHEELS = ("LeftFWheel", "LeftRWheel"), ("RightFWheel", "RightRWheel")
 
-EYES = 0.05  # half the distance of the eyes: manual 3.2.6.2's example, (eye to eye)/2
+HALF_STEREO_BASELINE = 0.05  # half the distance of the eyes: manual 3.2.6.2's example, (eye to eye)/2
 STEREO_P2AT = replace(
     P2AT,
     name="StereoP2AT",
     cameras=tuple(
         camera(name, at=(0.0820, 0.0002 + y, 0.0613))  # the P2AT's camera between them
-        for name, y in (("Camera", -EYES), ("Camera2", EYES))
+        for name, y in (("Camera", -HALF_STEREO_BASELINE), ("Camera2", HALF_STEREO_BASELINE))
     ),
     sources=(*P2AT.sources, ("stereo camera", "manual 3.2.6")),
 )
@@ -125,7 +125,7 @@ ATRVJR = RobotSpec(
             )
             for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
         ),
-        sick(ATRV_SCANNER),
+        sick_lms200(ATRV_SCANNER),
         *POSE_SENSORS,
     ),
     cameras=(camera(),),

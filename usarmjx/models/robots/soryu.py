@@ -13,9 +13,9 @@ LENGTH, WIDTH, HEIGHT = 1.21, 0.122, 0.145  # manual 12.15.1
 MASS = 10.0  # manual 12.15.1
 BELT = Belt(
     radius=HEIGHT / 2,  # chosen, as all without a source: tracks above and below, as it drives on either
-    spin=0.37 / (HEIGHT / 2),  # manual 12.15.1: 0.37 m/s
+    max_spin=0.37 / (HEIGHT / 2),  # manual 12.15.1: 0.37 m/s
     width=0.055,
-    pull=60.0,
+    max_pull=60.0,
     inertia=1.0,
     wheel_mass=0.06,
 )
@@ -85,7 +85,7 @@ def soryu(wheels: int = 4) -> RobotSpec:
         wheel_radius=BELT.radius,
         wheel_separation=SEPARATION,
         wheel_base=2 * (PITCH + AXLE),
-        reported=tuple(joint.name for joint in joints),
+        reported_joints=tuple(joint.name for joint in joints),
         sources=(
             ("dimensions", "manual 12.15"),
             ("mass", "manual 12.15"),

@@ -1,10 +1,10 @@
 """ComStation, the base station of the wireless simulation (manual 3.2.4.1): it stands where it was put."""
 
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots.kit import BLACK, Colour
+from usarmjx.models.robots.kit import BLACK, Rgba
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
 
-GREY: Colour = (0.6, 0.6, 0.65, 1.0)
+GREY: Rgba = (0.6, 0.6, 0.65, 1.0)
 
 COMSTATION = RobotSpec(
     name="ComStation",

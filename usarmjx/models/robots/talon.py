@@ -3,8 +3,8 @@
 import math
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick, sick_housing
-from usarmjx.models.robots.track_kit import FINGERS, Belt, drive_tracks, mass_of, track_pair
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick_housing, sick_lms200
+from usarmjx.models.robots.track_kit import GRIPPER_FINGERS_MASS, Belt, drive_tracks, mass_of, track_pair
 from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
 
 OLIVE = (0.35, 0.38, 0.22, 1.0)
@@ -15,9 +15,9 @@ TALON_MASS, TALON_PAYLOAD = 34.0, 45.0  # manual 12.12.1
 TALON_ORIGIN = 0.13  # manual 5.3.6
 TALON_BELT = Belt(
     radius=0.14,  # manual 12.12.1: 0.28 (its unit is wrong), taken for a diameter: 0.90 m/s
-    spin=6.43,  # manual 12.12.1
+    max_spin=6.43,  # manual 12.12.1
     width=0.15,  # chosen, as all without a source
-    pull=300.0,
+    max_pull=300.0,
     inertia=4.0,
     wheel_mass=1.0,
 )
@@ -89,7 +89,7 @@ def talon(wheels: int = 10) -> RobotSpec:
             Shape(
                 kind="box",
                 size=(0.35, 0.14, 0.05),
-                mass=TALON_MASS - mass_of(parts, packages) - FINGERS,
+                mass=TALON_MASS - mass_of(parts, packages) - GRIPPER_FINGERS_MASS,
                 surface="fixture",
                 rgba=OLIVE,
             ),
@@ -128,9 +128,9 @@ RUGBOT_LENGTH, RUGBOT_WIDTH, RUGBOT_HEIGHT = 0.385, 0.255, 0.270  # manual 12.22
 RUGBOT_MASS, RUGBOT_PAYLOAD = 34.0, 45.0  # manual 12.22
 RUGBOT_BELT = Belt(
     radius=0.125,  # manual 12.22, its unit read as m
-    spin=6.0,  # manual 12.22
+    max_spin=6.0,  # manual 12.22
     width=0.06,  # chosen, as all without a source
-    pull=60.0,
+    max_pull=60.0,
     inertia=8.0,
     wheel_mass=0.8,
 )
@@ -178,7 +178,7 @@ def rugbot(wheels: int = 3) -> RobotSpec:
         parts=parts,
         drive=drive_tracks(parts, RUGBOT_BELT),
         packages=packages,
-        sensors=(sick(RUGBOT_SCANNER), *POSE_SENSORS),
+        sensors=(sick_lms200(RUGBOT_SCANNER), *POSE_SENSORS),
         cameras=(camera(),),
         wheel_radius=RUGBOT_BELT.radius,
         wheel_separation=RUGBOT_SEPARATION,

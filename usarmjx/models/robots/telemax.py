@@ -6,8 +6,8 @@ from typing import Literal
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
 from usarmjx.models.robots.track_kit import (
-    FINGERS,
     FLIPPERS,
+    GRIPPER_FINGERS_MASS,
     Belt,
     Flippers,
     drive_tracks,
@@ -21,9 +21,9 @@ SILVER = (0.75, 0.75, 0.78, 1.0)
 TELEMAX_LENGTH, TELEMAX_WIDTH, TELEMAX_HEIGHT = 0.80, 0.40, 0.75  # manual 12.19.1, stowed
 TELEMAX_BELT = Belt(
     radius=0.381 / 2,  # manual 12.19.1
-    spin=1.3 / (0.381 / 2),  # manual 12.19.1: 1.3 m/s
+    max_spin=1.3 / (0.381 / 2),  # manual 12.19.1: 1.3 m/s
     width=0.095,  # manual 12.19.1
-    pull=300.0,  # chosen, as all without a source
+    max_pull=300.0,  # chosen, as all without a source
     inertia=10.0,
     wheel_mass=2.0,
 )
@@ -66,7 +66,7 @@ def _motor(torque: float, armature: float) -> Motor:
 
 def _link(
     number: int,
-    place: tuple[Vec3, Vec3],
+    pose: tuple[Vec3, Vec3],
     limits: tuple[float, float],
     motor: Motor,
     bar: Shape,
@@ -76,8 +76,8 @@ def _link(
     return Link(
         number=number,
         parent=number - 1 if number > 1 else -1,
-        location=place[0],
-        orientation=place[1],
+        location=pose[0],
+        orientation=pose[1],
         max_speed=0.17,
         max_torque=300.0,
         min_range=limits[0],
@@ -139,7 +139,7 @@ def telemax(wheels: int = 4) -> RobotSpec:
                 kind="box",
                 size=(0.30, 0.10, 0.08),
                 at=(0.0, 0.0, 0.02),
-                mass=TELEMAX_MASS - mass_of(parts, packages) - FINGERS,
+                mass=TELEMAX_MASS - mass_of(parts, packages) - GRIPPER_FINGERS_MASS,
                 surface="fixture",
                 rgba=SILVER,
             ),
@@ -160,7 +160,7 @@ def telemax(wheels: int = 4) -> RobotSpec:
         wheel_separation=TELEMAX_SEPARATION,
         wheel_base=2 * TELEMAX_PIVOT,
         battery_life=7200.0,
-        reported=FLIPPERS,
+        reported_joints=FLIPPERS,
         sources=(
             ("dimensions", "manual 12.19"),
             ("wheel_radius", "manual 12.19"),

@@ -23,17 +23,17 @@ class Belt:
 
     Attributes:
         radius: Radius of the wheels whose speed DRIVE sets [m].
-        spin: Highest speed of those wheels [rad/s].
+        max_spin: Highest speed of those wheels [rad/s].
         width: Width of the tracks [m].
-        pull: Most that one wheel can pull [N].
+        max_pull: Most that one wheel can pull [N].
         inertia: What a wheel's motor weighs at the belt [kg].
         wheel_mass: Mass of a wheel of that radius [kg]; smaller ones are lighter as their area.
     """
 
     radius: float
-    spin: float
+    max_spin: float
     width: float
-    pull: float
+    max_pull: float
     inertia: float
     wheel_mass: float
 
@@ -41,8 +41,8 @@ class Belt:
         """Return the motor of a wheel of some radius: same pull, same belt speed."""
         armature = self.inertia * radius**2
         return Motor(
-            max_speed=self.spin * self.radius / radius,
-            torque=self.pull * radius,
+            max_speed=self.max_spin * self.radius / radius,
+            torque=self.max_pull * radius,
             stiffness=BELT_STIFFNESS * armature,
             damping=BELT_DAMPING * armature,
             armature=armature,
@@ -164,7 +164,7 @@ class Flippers:
 
 
 FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
-FINGERS = 0.2
+GRIPPER_FINGERS_MASS = 0.2
 """What the two fingers of a gripper weigh [kg]: part of the robot's mass, but not of its own parts."""
 
 
@@ -175,13 +175,13 @@ def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
     def side(part: Part) -> float:
         return part.at[1] + (side(places[part.parent]) if part.parent in places else 0.0)
 
-    wheels = [part for part in parts if part.rolls]
+    wheels = [part for part in parts if part.is_wheel]
     left = [part for part in wheels if side(part) < 0]
     right = [part for part in wheels if side(part) > 0]
     return Tracks(
         left=tuple(part.name for part in left),
         right=tuple(part.name for part in right),
-        max_spin=belt.spin,
+        max_spin=belt.max_spin,
         radius=belt.radius,
         ratios=tuple(belt.radius / part.shapes[0].size[0] for part in (*left, *right)),
     )

@@ -8,16 +8,16 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Underwater
-from usarmjx.models.drives.fluid import WATER, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Colour, camera, pan_tilt
+from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, camera, pan_tilt
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
 
-NAVY: Colour = (0.2, 0.25, 0.35, 1.0)
-GREY: Colour = (0.5, 0.5, 0.55, 1.0)
+NAVY: Rgba = (0.2, 0.25, 0.35, 1.0)
+GREY: Rgba = (0.5, 0.5, 0.55, 1.0)
 
 LENGTH, WIDTH, HEIGHT = 6.5364, 1.1428, 1.9929  # manual
 RADII: Vec3 = (LENGTH / 2, WIDTH / 2, HEIGHT / 2)
-MASS = float(round(WATER * 4 / 3 * math.pi * math.prod(RADII)))  # 7795 kg
+MASS = float(round(WATER_DENSITY * 4 / 3 * math.pi * math.prod(RADII)))  # 7795 kg
 HEAD_MASS = 0.5  # of kit.pan_tilt
 RUDDER_AREA, PLANE_AREA, CHORD = 0.3378, 0.2152, 0.4  # manual; chosen chord
 TUBE = WIDTH / 2  # radius of the pressure hull, which leaves the height to sail, keel and mast (chosen)
@@ -70,20 +70,20 @@ SUBMARINE = RobotSpec(
     drive=Underwater(
         hull=Hull(
             radii=RADII,
-            density=WATER,
+            density=WATER_DENSITY,
             mass=MASS,
             inertia=(1400.0, 16450.0, 16530.0),
             # Along it, with keel, sail and plates; across the flat side; up and down (chosen).
             drag=(0.15, 1.2, 0.5),
-            arm=BALLAST * BALLAST_AT / MASS,
+            cog_depth=BALLAST * BALLAST_AT / MASS,
         ),
-        pitch=0.3048,
+        propeller_pitch=0.3048,
         max_spin=6.28,
         slip=0.1,  # chosen
         rudder_area=RUDDER_AREA,
         plane_area=PLANE_AREA,
         max_angle=0.4363,
-        stern=STERN,
+        stern_arm=STERN,
         slope=math.pi,  # thin plates twice as wide as deep: 2 pi A / (A + 2)
     ),
     packages=(pan_tilt((0.0, 0.0, -0.85), tilt=(-math.pi / 4, math.pi / 4)),),

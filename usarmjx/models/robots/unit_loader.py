@@ -4,7 +4,7 @@ A release of 2011 could spawn a class of that name; of its looks and figures not
 """
 
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.robots.kit import POSE_SENSORS, sick, sick_housing, wheel
+from usarmjx.models.robots.kit import POSE_SENSORS, sick_housing, sick_lms200, wheel
 from usarmjx.models.spec.robot import Motor, Mount, RobotSpec, Shape
 
 RADIUS, TRACK, BASE = 0.12, 0.50, 0.34
@@ -40,7 +40,7 @@ UNIT_LOADER = RobotSpec(
         max_spin=MOTOR.max_speed,
         radius=RADIUS,
     ),
-    sensors=(sick(SCANNER), *POSE_SENSORS),
+    sensors=(sick_lms200(SCANNER), *POSE_SENSORS),
     effecters=(
         Mount(kind="RollerTable", name="Roller", at=(0.0, 0.0, ORIGIN - DECK)),
         Mount(kind="Headlight", name="Headlight", at=(0.30, 0.0, 0.0)),

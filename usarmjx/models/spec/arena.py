@@ -12,7 +12,7 @@ from usarmjx.models.spec.robot import ZERO, Shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loose:
+class LooseObject:
     """A loose object of an arena: what robots push, climb, grip and carry.
 
     Attributes:
@@ -75,7 +75,7 @@ class StartPose:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment:
+class SegmentMotion:
     """How one segment of a victim's body moves (manual 14.1.3).
 
     Its joint turns from the first pose to the last one at the given rates and back again, over and over
@@ -131,7 +131,7 @@ class Victim:
     at: Vec3
     rotation: Vec3 = ZERO
     posture: str = "lying"
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[SegmentMotion, ...] = ()
     anim_timer: float = 1.0
     help_sound: HelpSound | None = None
     breathes: bool = True
@@ -155,7 +155,7 @@ class FalseAlarm:
     scale: float = 1.0
 
 
-AUTOMATIC = -1
+AUTOMATIC_TAG_ID = -1
 """A tag with this ID takes the next free one above 1000, which releasers do not give (manual 10.9, 11.2)."""
 
 
@@ -165,13 +165,13 @@ class Tag:
 
     Attributes:
         at: Where it is, in the arena's axes.
-        id: Its ID, above 1000, or `AUTOMATIC`.
+        id: Its ID, above 1000, or `AUTOMATIC_TAG_ID`.
         memory: What is written on it.
         single_shot: Whether it answers only once.
     """
 
     at: Vec3
-    id: int = AUTOMATIC
+    id: int = AUTOMATIC_TAG_ID
     memory: str = ""
     single_shot: bool = False
 
@@ -223,7 +223,7 @@ class ArenaSpec:
     shapes: tuple[Shape, ...] = ()
     starts: tuple[StartPose, ...]
     extent: tuple[tuple[float, float], tuple[float, float]]
-    loose: tuple[Loose, ...] = ()
+    loose: tuple[LooseObject, ...] = ()
     doors: tuple[Door, ...] = ()
     waters: tuple[Water, ...] = ()
     victims: tuple[Victim, ...] = ()

@@ -20,11 +20,11 @@ UP: Vec3 = (0.0, 0.0, -1.0)
 CHASSIS = "HARD"
 """The wire's name for 'mounted on the chassis' (captured GEO lines)."""
 
-STEER, SUSPENSION = "_Steer", "_Suspension"
+STEER_SUFFIX, SUSPENSION_SUFFIX = "_Steer", "_Suspension"
 """What follows a wheel's name in the names of the joints that steer and spring it: the manual's car-wheel
 joint (14.4.2.4) is one joint for all three."""
 
-HOLD = "/hold"
+HOLD_SUFFIX = "/hold"
 """What follows a joint's name in the name of the actuator that holds it; see `compose`."""
 
 Options = tuple[tuple[str, object], ...]
@@ -56,31 +56,33 @@ class Surface:
     solimp: tuple[float, float, float] = (0.9, 0.95, 0.001)
 
 
-HULL, WHEEL, FIXED = 1, 2, 4
+HULL_BIT, WHEEL_BIT, FIXED_BIT = 1, 2, 4
 """Collision bits. Fixed things do not touch each other; nor do wheels: a robot's hull covers its wheels, and
 cylinder against cylinder is the least reliable pair of MJX-JAX."""
 
 # Friction 0.8 holds a robot on slopes up to 38 degrees. Walls are slick and have the last word, so that
 # a robot that pushes one spins its wheels instead of climbing it.
 SURFACES = {
-    "ground": Surface(friction=0.8, priority=0, contype=FIXED, conaffinity=HULL | WHEEL),
-    "wall": Surface(friction=0.3, priority=2, contype=FIXED, conaffinity=HULL | WHEEL),
-    "hull": Surface(friction=0.3, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
-    "wheel": Surface(friction=0.8, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
+    "ground": Surface(friction=0.8, priority=0, contype=FIXED_BIT, conaffinity=HULL_BIT | WHEEL_BIT),
+    "wall": Surface(friction=0.3, priority=2, contype=FIXED_BIT, conaffinity=HULL_BIT | WHEEL_BIT),
+    "hull": Surface(friction=0.3, priority=0, contype=HULL_BIT, conaffinity=HULL_BIT | WHEEL_BIT | FIXED_BIT),
+    "wheel": Surface(friction=0.8, priority=0, contype=WHEEL_BIT, conaffinity=HULL_BIT | FIXED_BIT),
     # With 0.8 a Talon hangs between its wheels on stairs of 35 degrees; rubber cleats have more (chosen).
-    "track": Surface(friction=1.2, priority=0, contype=WHEEL, conaffinity=HULL | FIXED),
-    "caster": Surface(friction=0.01, priority=1, contype=WHEEL, conaffinity=HULL | FIXED),
+    "track": Surface(friction=1.2, priority=0, contype=WHEEL_BIT, conaffinity=HULL_BIT | FIXED_BIT),
+    "caster": Surface(friction=0.01, priority=1, contype=WHEEL_BIT, conaffinity=HULL_BIT | FIXED_BIT),
     # Under a steady load a soft contact creeps, by 0.5 mm/s with MuJoCo's own figures: a brick would be lost
     # after a minute. These make it 0.2 mm/s; still harder ones need more iterations than the solver has.
     "finger": Surface(
         friction=1.5,
         priority=3,
-        contype=HULL,
-        conaffinity=HULL | WHEEL | FIXED,
+        contype=HULL_BIT,
+        conaffinity=HULL_BIT | WHEEL_BIT | FIXED_BIT,
         solref=(0.01, 1.0),
         solimp=(0.95, 0.98, 0.001),
     ),
-    "loose": Surface(friction=0.6, priority=0, contype=HULL, conaffinity=HULL | WHEEL | FIXED),
+    "loose": Surface(
+        friction=0.6, priority=0, contype=HULL_BIT, conaffinity=HULL_BIT | WHEEL_BIT | FIXED_BIT
+    ),
     "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
 
@@ -190,7 +192,7 @@ class Part:
         spring: Spring and damper.
         geared: Part whose joint this one's is geared to: both have the same position.
         shapes: Its solids; together they need a mass.
-        rolls: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
+        is_wheel: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
     """
 
     name: str
@@ -204,7 +206,7 @@ class Part:
     spring: Spring | None = None
     geared: str | None = None
     shapes: tuple[Shape, ...] = ()
-    rolls: bool = False
+    is_wheel: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,7 +285,7 @@ class RobotSpec:
         max_torque: What CONF reports, in Unreal units.
         battery_life: [s].
         msg_timer: Time between two reports [s].
-        reported: Joints whose positions STA reports (flippers).
+        reported_joints: Joints whose positions STA reports (flippers).
         antenna: Where its radio's antenna is on the chassis; None: half its height above the origin.
         sources: Where its figures are from: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
     """
@@ -307,11 +309,11 @@ class RobotSpec:
     max_torque: float = 60.0
     battery_life: float = 1200.0
     msg_timer: float = 0.2
-    reported: tuple[str, ...] = ()
+    reported_joints: tuple[str, ...] = ()
     antenna: Vec3 | None = None
     sources: tuple[tuple[str, str], ...] = ()
 
     @property
     def wheels(self) -> tuple[Part, ...]:
         """The parts that roll."""
-        return tuple(part for part in self.parts if part.rolls)
+        return tuple(part for part in self.parts if part.is_wheel)

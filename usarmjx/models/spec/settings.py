@@ -16,28 +16,28 @@ from usarmjx.models.spec.robot import Options
 T = TypeVar("T")
 
 
-class Limits(NamedTuple):
+class NumberLimits(NamedTuple):
     """Which numbers a setting takes: from `low` to `high`.
 
     Attributes:
         low: The smallest.
         high: The largest.
-        beyond: Whether `low` itself is too small.
+        low_exclusive: Whether `low` itself is too small.
     """
 
     low: float = -math.inf
     high: float = math.inf
-    beyond: bool = False
+    low_exclusive: bool = False
 
     def __contains__(self, value: object) -> bool:
         """Whether it takes a value."""
         return isinstance(value, int | float) and (
-            self.low < value <= self.high if self.beyond else self.low <= value <= self.high
+            self.low < value <= self.high if self.low_exclusive else self.low <= value <= self.high
         )
 
     def __str__(self) -> str:
         """Return what it takes, for messages."""
-        low = f"above {self.low:g}" if self.beyond else f"from {self.low:g}"
+        low = f"above {self.low:g}" if self.low_exclusive else f"from {self.low:g}"
         return f"a number {low}" + ("" if math.isinf(self.high) else f" to {self.high:g}")
 
 
@@ -55,13 +55,13 @@ class OneOf(tuple[str, ...]):
         return f"one of {', '.join(self)}"
 
 
-NOT_NEGATIVE = Limits(low=0.0)
-POSITIVE = Limits(low=0.0, beyond=True)
-STEP = Limits(low=1e-5)
+NOT_NEGATIVE = NumberLimits(low=0.0)
+POSITIVE = NumberLimits(low=0.0, low_exclusive=True)
+ANGLE_STEP = NumberLimits(low=1e-5)
 """An angle between two of many rays, or of two ticks [rad]."""
-HALF_TURN = Limits(low=0.0, high=math.pi + 1e-5)
+HALF_TURN = NumberLimits(low=0.0, high=math.pi + 1e-5)
 """An angle up to half a turn [rad]; a little more, for those who write 3.1416 (of 3.1415927)."""
-TURN = Limits(low=0.0, high=2 * math.pi + 1e-5, beyond=True)
+TURN = NumberLimits(low=0.0, high=2 * math.pi + 1e-5, low_exclusive=True)
 """An angle up to a full turn [rad]."""
 
 
@@ -72,17 +72,17 @@ def field_name(key: str) -> str:
 
 
 @cache
-def limits_of(kind: type) -> dict[str, Limits | OneOf]:
+def limits_of(kind: type) -> dict[str, NumberLimits | OneOf]:
     """Return what the fields of settings take, by name, where there is anything to say.
 
     A class that gives a field another default keeps the limits of the one that it is derived from.
     """
-    found: dict[str, Limits | OneOf] = {}
+    found: dict[str, NumberLimits | OneOf] = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_type_hints(base, include_extras=True).items():
             notes = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
             for note in notes:
-                if isinstance(note, Limits | OneOf):
+                if isinstance(note, NumberLimits | OneOf):
                     found[name] = note
     return found
 
@@ -116,7 +116,7 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
     return values
 
 
-def resolve(kind: type[T], overrides: Options, owner: str) -> T:
+def resolve_settings(kind: type[T], overrides: Options, owner: str) -> T:
     """Return the settings of `kind` (a dataclass) with a mount's overrides applied.
 
     Raises:

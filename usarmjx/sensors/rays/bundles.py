@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.rotations import turned
-from usarmjx.sensors.rays.kernels import TINY, Three, extent
+from usarmjx.base.rotations import matvec
+from usarmjx.sensors.rays.kernels import TINY, XYZ, bounding_box
 
-SLACK = 1e-3
+CONE_MARGIN = 1e-3
 """Cones are thicker by this, for the rounding of single precision [m]."""
-NARROW = 1e-5
+MIN_SLOPE = 1e-5
 """Cones are at least this steep: their walls are never parallel to a geom's face they go along."""
-WIDE = 0.17
+MIN_COSINE = 0.17
 """Bundles whose rays are farther from the axis than this cosine meet everything."""
 
 
@@ -27,32 +27,32 @@ class Fans(NamedTuple):
     Attributes:
         pos: Origins [m] (fans, 3).
         mat: Orientations (fans, 3, 3).
-        lines: Unit vectors in the frames (fans, lines, 3).
+        directions: Unit vectors in the frames (fans, lines, 3).
     """
 
     pos: jax.Array
     mat: jax.Array
-    lines: np.ndarray
+    directions: np.ndarray
 
     def rays(self) -> tuple[jax.Array, jax.Array]:
         """Return starts [m] and unit vectors in world axes, fan by fan, both (rays, 3)."""
-        along = turned(self.mat[:, None], self.lines)
+        along = matvec(self.mat[:, None], self.directions)
         return jnp.broadcast_to(self.pos[:, None], along.shape).reshape(-1, 3), along.reshape(-1, 3)
 
 
 class Cone(NamedTuple):
-    """A cone about a bundle's rays; components as in `kernels.Three`.
+    """A cone about a bundle's rays; components as in `kernels.XYZ`.
 
     Attributes:
         tip: Middle of the rays' starts [m].
         axis: Unit vector.
-        thick: How far from the tip rays start [m].
+        tip_radius: How far from the tip rays start [m].
         slope: Tangent of the half angle; negative: it is too wide to leave anything out.
     """
 
-    tip: Three
-    axis: Three
-    thick: jax.Array
+    tip: XYZ
+    axis: XYZ
+    tip_radius: jax.Array
     slope: jax.Array
 
 
@@ -62,17 +62,19 @@ def bundled(rays: jax.Array, size: int) -> jax.Array:
     return jnp.concatenate([rays, jnp.broadcast_to(rays[-1:], (missing, 3))]).reshape(-1, size, 3)
 
 
-def cones(origin: jax.Array, direction: jax.Array) -> Cone:
+def bounding_cones(origin: jax.Array, direction: jax.Array) -> Cone:
     """Return the cones about bundles of rays (bundles, size, 3), components (bundles,)."""
     tip, axis = origin.mean(1), direction.mean(1)
     axis /= jnp.maximum(jnp.linalg.norm(axis, axis=-1, keepdims=True), TINY)
     cosine = (direction * axis[:, None]).sum(-1).min(1)
-    slope = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0)) / jnp.maximum(cosine, WIDE) + NARROW
-    thick = jnp.sqrt(((origin - tip[:, None]) ** 2).sum(-1)).max(1) + SLACK
-    return Cone(tuple(tip.T), tuple(axis.T), thick, jnp.where(cosine < WIDE, -1.0, slope))
+    slope = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0)) / jnp.maximum(cosine, MIN_COSINE) + MIN_SLOPE
+    thick = jnp.sqrt(((origin - tip[:, None]) ** 2).sum(-1)).max(1) + CONE_MARGIN
+    return Cone(tuple(tip.T), tuple(axis.T), thick, jnp.where(cosine < MIN_COSINE, -1.0, slope))
 
 
-def entry(kind: int, size: Three, tip: Three, axis: Three, thick: jax.Array, slope: jax.Array) -> jax.Array:
+def cone_box_distance(
+    kind: int, size: XYZ, tip: XYZ, axis: XYZ, tip_radius: jax.Array, slope: jax.Array
+) -> jax.Array:
     """Return how far along its axis a cone meets the box about a geom, infinite for a miss [m] (...).
 
     No ray of the bundle meets the geom any nearer. The box grows along the axis as the cone does, which
@@ -83,39 +85,39 @@ def entry(kind: int, size: Three, tip: Three, axis: Three, thick: jax.Array, slo
         size: Its size numbers [m].
         tip: The cone's, in the geom's frame [m].
         axis: The cone's, in the geom's frame.
-        thick: See `Cone` [m].
+        tip_radius: See `Cone` [m].
         slope: See `Cone`.
     """
-    middle, half = extent(kind, size)
-    near, far = 0.0 * thick, jnp.inf
+    middle, half = bounding_box(kind, size)
+    near, far = 0.0 * tip_radius, jnp.inf
     for i, (at, along) in enumerate(zip(tip, axis, strict=True)):
-        offset, room = at if middle is None else at - middle[i], half[i] + thick
-        place, speed = jnp.where(along >= 0, offset, -offset), jnp.abs(along)
+        offset, room = at if middle is None else at - middle[i], half[i] + tip_radius
+        position, speed = jnp.where(along >= 0, offset, -offset), jnp.abs(along)
         # In at one side, where the cone's wall closes in on it; out at the other, if the cone is that narrow.
         opening, closing = speed + slope, speed - slope
         closing = jnp.where(jnp.abs(closing) < TINY, TINY, closing)
         share = 1.0 / (opening * closing)
-        enter, leave = (-place - room) * closing * share, (room - place) * opening * share
+        enter, leave = (-position - room) * closing * share, (room - position) * opening * share
         near = jnp.maximum(near, jnp.where(closing < 0, jnp.maximum(enter, leave), enter))
         far = jnp.where(closing > 0, jnp.minimum(far, leave), far)
     return jnp.where(slope < 0, 0.0, jnp.where(near <= far, near, jnp.inf))
 
 
-def entry_ball(
-    offset: Three, axis: Three, radius: jax.Array, thick: jax.Array, slope: jax.Array
+def cone_sphere_distance(
+    offset: XYZ, axis: XYZ, radius: jax.Array, tip_radius: jax.Array, slope: jax.Array
 ) -> jax.Array:
-    """As `entry`, for the ball about a geom: says too much of what is long, at a quarter of the work.
+    """As `cone_box_distance`, for the ball about a geom: says too much of what is long, at a quarter of the work.
 
     Args:
         offset: From the cone's tip to the middle of the ball [m].
         axis: The cone's; both in any axes.
         radius: Of the ball [m].
-        thick: See `Cone` [m].
+        tip_radius: See `Cone` [m].
         slope: See `Cone`.
     """
     far = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
     along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
-    reach = radius + thick
+    reach = radius + tip_radius
     width = reach + slope * (along + radius)
     inside = (far - along * along <= width * width) & (along > -reach)
     near = jnp.maximum(jnp.sqrt(far) - reach, 0.0)

@@ -17,9 +17,9 @@ from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
 
 TINY = 1e-12
 """Stands in for a zero component of a direction, so that slabs parallel to a ray divide safely."""
-SEAM = 3e-5
+EDGE_MARGIN = 3e-5
 """By this share of its height a triangle reaches over its edges: no ray slips through where two meet."""
-PITCH, BAR = 0.05, 0.01
+GRID_PITCH, BAR_WIDTH = 0.05, 0.01
 """A grid fender's bars lie this far apart, middle to middle, and are this wide [m] (chosen)."""
 
 UNBOUNDED = 1e9
@@ -27,7 +27,7 @@ UNBOUNDED = 1e9
 
 GeomType = mujoco.mjtGeom
 
-Three = Sequence[Any] | jax.Array
+XYZ = Sequence[Any] | jax.Array
 """Components along x, y and z."""
 
 
@@ -40,7 +40,7 @@ def _nearest(*candidates: jax.Array) -> jax.Array:
     return out
 
 
-def ray_plane(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a plane through the frame's origin with normal z; sizes 0 mean unbounded."""
     t = jnp.where(direction[2] < -TINY, -origin[2] / jnp.where(direction[2] < -TINY, direction[2], -1), -1)
     inside = t >= 0
@@ -49,7 +49,7 @@ def ray_plane(origin: Three, direction: Three, size: Three) -> jax.Array:
     return jnp.where(inside, t, jnp.inf)
 
 
-def ray_box(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a box with half lengths `size`: the slab method."""
     near: Any = -math.inf
     far: Any = math.inf
@@ -60,11 +60,11 @@ def ray_box(origin: Three, direction: Three, size: Three) -> jax.Array:
     return jnp.where(near <= far, _nearest(near, far), jnp.inf)
 
 
-def _dot(a: Three, b: Three) -> jax.Array:
+def _dot(a: XYZ, b: XYZ) -> jax.Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _ball(origin: Three, direction: Three, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _ball(origin: XYZ, direction: XYZ, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Both crossings of a sphere, NaN-free: infinite when the ray misses."""
     middle = -_dot(origin, direction)
     # The squared distance of the centre from the ray, by the foot point: |o|^2 - m^2 would cancel.
@@ -75,12 +75,12 @@ def _ball(origin: Three, direction: Three, radius: jax.Array) -> tuple[jax.Array
     return jnp.where(hit, middle - root, jnp.inf), jnp.where(hit, middle + root, jnp.inf)
 
 
-def ray_sphere(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_sphere(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a sphere of radius `size[0]`."""
     return _nearest(*_ball(origin, direction, size[0]))
 
 
-def _tube(origin: Three, direction: Three, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _tube(origin: XYZ, direction: XYZ, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Both crossings of an unbounded tube about z."""
     flat = direction[0] ** 2 + direction[1] ** 2
     safe = jnp.maximum(flat, TINY)
@@ -96,7 +96,7 @@ def _within(t: jax.Array, z: jax.Array, low: jax.Array | float, high: jax.Array 
     return jnp.where((z >= low) & (z <= high), t, jnp.inf)
 
 
-def ray_cylinder(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
@@ -109,7 +109,7 @@ def ray_cylinder(origin: Three, direction: Three, size: Three) -> jax.Array:
     return _nearest(*sides, *caps)
 
 
-def ray_capsule(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a capsule about z with radius `size[0]` and half length `size[1]` of its tube."""
     radius, half = size[0], size[1]
     hits = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
@@ -120,7 +120,7 @@ def ray_capsule(origin: Three, direction: Three, size: Three) -> jax.Array:
     return _nearest(*hits)
 
 
-def ray_ellipsoid(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to an ellipsoid with radii `size`: a unit ball where every axis is measured in its radius."""
     start = [o / s for o, s in zip(origin, size, strict=True)]
     along = [d / s for d, s in zip(direction, size, strict=True)]
@@ -132,7 +132,7 @@ def ray_ellipsoid(origin: Three, direction: Three, size: Three) -> jax.Array:
     return jnp.where(under >= 0, _nearest(middle - half, middle + half), jnp.inf)
 
 
-def ray_triangle(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a triangle in the plane z = 0, seen from both sides; see `pieces.TRIANGLE_KIND`."""
     length, x3, y3 = size[0], size[1], size[2]
     t = -origin[2] / jnp.where(jnp.abs(direction[2]) < TINY, TINY, direction[2])
@@ -140,19 +140,20 @@ def ray_triangle(origin: Three, direction: Three, size: Three) -> jax.Array:
     # Shares of the second and the third corner, times twice the area.
     second, third = x * y3 - y * x3, y * length
     area = length * y3
-    slack = SEAM * area
+    slack = EDGE_MARGIN * area
     inside = (second >= -slack) & (third >= -slack) & (second + third <= area + slack) & (area > 0)
     return jnp.where(inside & (t >= 0), t, jnp.inf)
 
 
-def in_hole(point: Three, size: Three) -> jax.Array:
+def in_hole(point: XYZ, size: XYZ) -> jax.Array:
     """Whether a point (3, ...) on the surface of a grid fender lies in one of its holes (...).
 
     Bars run along the axes of the box, one of them through the middle of each face. A face narrower than
     the distance of two bars has no holes.
     """
     free = [
-        (jnp.abs(point[i] - PITCH * jnp.floor(point[i] / PITCH + 0.5)) > BAR / 2) & (size[i] >= PITCH / 2)
+        (jnp.abs(point[i] - GRID_PITCH * jnp.floor(point[i] / GRID_PITCH + 0.5)) > BAR_WIDTH / 2)
+        & (size[i] >= GRID_PITCH / 2)
         for i in range(3)
     ]
     over = [jnp.abs(point[i]) - size[i] for i in range(3)]
@@ -161,7 +162,7 @@ def in_hole(point: Three, size: Three) -> jax.Array:
     return jnp.where(on_x, free[1] & free[2], jnp.where(on_y, free[0] & free[2], free[0] & free[1]))
 
 
-def ray_fender(origin: Three, direction: Three, size: Three) -> jax.Array:
+def ray_fender(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     """Distance to a box that is a grid: where a ray meets it first decides whether it passes it whole.
 
     So does, for a ray from inside, where it leaves.
@@ -173,7 +174,7 @@ def ray_fender(origin: Three, direction: Three, size: Three) -> jax.Array:
     return jnp.where(met & ~in_hole(point, size), t, jnp.inf)
 
 
-KERNELS: dict[int, Callable[[Three, Three, Three], jax.Array]] = {
+RAY_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], jax.Array]] = {
     int(GeomType.mjGEOM_PLANE): ray_plane,
     int(GeomType.mjGEOM_BOX): ray_box,
     int(GeomType.mjGEOM_SPHERE): ray_sphere,
@@ -185,7 +186,7 @@ KERNELS: dict[int, Callable[[Three, Three, Three], jax.Array]] = {
 }
 
 
-def extent(kind: int, size: Three) -> tuple[Three | None, Three]:
+def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
     """Middle (None: the frame's origin) and half lengths of the box about a geom, along the frame's axes."""
     zero, middle = 0.0 * size[0], None
     if kind == GeomType.mjGEOM_PLANE:
@@ -203,11 +204,11 @@ def extent(kind: int, size: Three) -> tuple[Three | None, Three]:
     return middle, size
 
 
-def ball(kind: int, size: Three) -> jax.Array:
+def bounding_radius(kind: int, size: XYZ) -> jax.Array:
     """Radius of a ball about a geom's position that holds it."""
     if kind == TRIANGLE_KIND:
         return jnp.maximum(jnp.abs(size[0]), jnp.hypot(size[1], size[2]))
-    _, half = extent(kind, size)
+    _, half = bounding_box(kind, size)
     return jnp.sqrt(_dot(half, half))
 
 

@@ -19,16 +19,23 @@ from flax import struct
 
 from usarmjx.base.transforms import Array
 from usarmjx.models.build.pieces import TRIANGLE_KIND
-from usarmjx.sensors.rays.bundles import Cone, Fans, bundled, cones, entry, entry_ball
-from usarmjx.sensors.rays.kernels import KERNELS, ball, surface_normal
-from usarmjx.sensors.rays.raycast_gpu import Slab, nearest_of_bundles, pack
-from usarmjx.sensors.rays.targets import Block, Geoms
+from usarmjx.sensors.rays.bundles import (
+    Cone,
+    Fans,
+    bounding_cones,
+    bundled,
+    cone_box_distance,
+    cone_sphere_distance,
+)
+from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius, surface_normal
+from usarmjx.sensors.rays.raycast_gpu import GeomBlockInfo, nearest_of_bundles, pack
+from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 
-BUNDLE = 32
+DEFAULT_BUNDLE_SIZE = 32
 """Rays after each other that go about the same way, if nobody says otherwise."""
-ROUND = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
+COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 """Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
-MANY = 100_000
+CULLING_THRESHOLD = 100_000
 """Rays times geoms from which on leaving out geoms pays on a CPU."""
 
 
@@ -49,242 +56,251 @@ NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
 """Of a robot that casts no rays."""
 
 
-class Gaze(NamedTuple):
+class RayQuery(NamedTuple):
     """How rays are cast; static.
 
     Attributes:
-        passes: Materials that they go through, without any cost.
-        bundle: So many rays after each other start and go about the same way. What is nowhere near their cone
+        transparent: Materials that they go through, without any cost.
+        bundle_size: So many rays after each other start and go about the same way. What is nowhere near their cone
             costs them next to nothing.
-        reach: What is farther is not met [m].
+        max_distance: What is farther is not met [m].
         incidence: Whether to find out at which angle they meet surfaces.
     """
 
-    passes: frozenset[str] = frozenset()
-    bundle: int = BUNDLE
-    reach: float = math.inf
+    transparent: frozenset[str] = frozenset()
+    bundle_size: int = DEFAULT_BUNDLE_SIZE
+    max_distance: float = math.inf
     incidence: bool = False
 
 
-ANYTHING = Gaze()
+DEFAULT_QUERY = RayQuery()
 
 
-class First(NamedTuple):
+class GeomHits(NamedTuple):
     """What rays meet first.
 
     Attributes:
         distance: How far away, infinite where there is nothing [m] (rays,).
-        which: Place of the geom among those of all blocks, one block after the other; -1 for none (rays,).
+        geom_index: Place of the geom among those of all blocks, one block after the other; -1 for none (rays,).
     """
 
     distance: jax.Array
-    which: jax.Array
+    geom_index: jax.Array
 
-    def closer(self, distance: jax.Array, which: jax.Array) -> "First":
+    def closer(self, distance: jax.Array, which: jax.Array) -> "GeomHits":
         """Return what is closer, this or something else."""
         better = distance < self.distance
-        return First(jnp.where(better, distance, self.distance), jnp.where(better, which, self.which))
+        return GeomHits(jnp.where(better, distance, self.distance), jnp.where(better, which, self.geom_index))
 
-    def met(self) -> "First":
+    def met(self) -> "GeomHits":
         """Return it with an infinite distance where nothing was met."""
-        return First(jnp.where(self.which < 0, jnp.inf, self.distance), self.which)
+        return GeomHits(jnp.where(self.geom_index < 0, jnp.inf, self.distance), self.geom_index)
 
 
-class Part(NamedTuple):
+class IndexedBlock(NamedTuple):
     """Geoms of a kind that rays do not pass, the place of the first of them, and whether they are compact."""
 
     kind: int
-    block: Block
-    first: int
+    block: GeomBlock
+    first_index: int
     compact: bool
 
 
-def distance_to(kind: int, geom: Block, origin: jax.Array, direction: jax.Array) -> jax.Array:
+def distance_to(kind: int, geom: GeomBlock, origin: jax.Array, direction: jax.Array) -> jax.Array:
     """Distance of rays (..., 3) from geoms, whose axes go before those of the rays' components [m] (...)."""
     # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
     # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
     offset, mat = origin - geom.pos, geom.mat
     local = [sum(mat[..., j, i] * offset[..., j] for j in range(3)) for i in range(3)]
     along = [sum(mat[..., j, i] * direction[..., j] for j in range(3)) for i in range(3)]
-    return KERNELS[kind](local, along, jnp.moveaxis(geom.size, -1, 0))
+    return RAY_KERNELS[kind](local, along, jnp.moveaxis(geom.size, -1, 0))
 
 
-def parts(geoms: Geoms, passes: frozenset[str] = frozenset()) -> list[Part]:
+def indexed_blocks(geoms: Geoms, passes: frozenset[str] = frozenset()) -> list[IndexedBlock]:
     """Return the geoms that rays do not pass; what is compact comes last, as the rest may hide it."""
     firsts = np.cumsum([0, *(len(block.owner) for block in geoms.blocks)]).tolist()
     compact = geoms.compact or (False,) * len(geoms.blocks)
     everything = [
-        (Part(kind, block, first, small or kind in ROUND), material)
+        (IndexedBlock(kind, block, first, small or kind in COMPACT_KINDS), material)
         for kind, block, first, small, material in zip(
-            geoms.types, geoms.blocks, firsts, compact, geoms.materials, strict=False
+            geoms.kinds, geoms.blocks, firsts, compact, geoms.materials, strict=False
         )
     ]
     return sorted((part for part, material in everything if material not in passes), key=lambda p: p.compact)
 
 
-def nearest(
+def nearest_hits(
     geoms: Geoms,
     origin: jax.Array,
     direction: jax.Array,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
+    exclude_owner: jax.Array,
+    query: RayQuery = DEFAULT_QUERY,
     wanted: jax.Array | None = None,
     fans: Fans | None = None,
-) -> First:
+) -> GeomHits:
     """Return what each ray meets first.
 
     Args:
         geoms: What there is to hit.
         origin: Starts of the rays [m] (rays, 3).
         direction: Unit vectors (rays, 3).
-        viewer: Slot of the robot that looks; its own geoms are transparent to it ().
-        gaze: How.
+        exclude_owner: Slot of the robot that looks; its own geoms are transparent to it ().
+        query: How.
         wanted: Whether anybody wants to know (); if not, nothing is met. None: yes.
         fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
-    seen = parts(geoms, gaze.passes)
+    seen = indexed_blocks(geoms, query.transparent)
     if jax.default_backend() == "gpu":
-        return gpu(seen, (origin, direction) if fans is None else fans, viewer, gaze, wanted)
-    how = culled if len(origin) * sum(len(part.block.owner) for part in seen) > MANY else one_by_one
-    return how(seen, origin, direction, viewer, gaze)
+        return gpu_hits(seen, (origin, direction) if fans is None else fans, exclude_owner, query, wanted)
+    how = (
+        culled_hits
+        if len(origin) * sum(len(part.block.owner) for part in seen) > CULLING_THRESHOLD
+        else brute_force_hits
+    )
+    return how(seen, origin, direction, exclude_owner, query)
 
 
-def one_by_one(
-    seen: Sequence[Part],
+def brute_force_hits(
+    seen: Sequence[IndexedBlock],
     origin: jax.Array,
     direction: jax.Array,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
-) -> First:
-    """As `nearest`: all rays against one geom after the other.
+    exclude_owner: jax.Array,
+    query: RayQuery = DEFAULT_QUERY,
+) -> GeomHits:
+    """As `nearest_hits`: all rays against one geom after the other.
 
     On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
     """
-    first = First(jnp.full(len(origin), gaze.reach), jnp.full(len(origin), -1))
+    first = GeomHits(jnp.full(len(origin), query.max_distance), jnp.full(len(origin), -1))
     for kind, block, before, _ in seen:
 
-        def closer(first: First, one: tuple[Block, jax.Array], kind: int = kind) -> tuple[First, None]:
+        def closer(
+            first: GeomHits, one: tuple[GeomBlock, jax.Array], kind: int = kind
+        ) -> tuple[GeomHits, None]:
             geom, place = one
             t = distance_to(kind, geom, origin, direction)
-            return first.closer(jnp.where(geom.owner != viewer, t, jnp.inf), place), None
+            return first.closer(jnp.where(geom.owner != exclude_owner, t, jnp.inf), place), None
 
         first, _ = jax.lax.scan(closer, first, (block, before + jnp.arange(len(block.owner))))
     return first.met()
 
 
-def culled(
-    seen: Sequence[Part],
+def culled_hits(
+    seen: Sequence[IndexedBlock],
     origin: jax.Array,
     direction: jax.Array,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
-) -> First:
-    """As `nearest`: each bundle of rays against the geoms that its cone meets, one after the other."""
-    start, along = bundled(origin, gaze.bundle), bundled(direction, gaze.bundle)
-    cone = cones(start, along)
-    first = First(jnp.full(along.shape[:2], gaze.reach), jnp.full(along.shape[:2], -1))
+    exclude_owner: jax.Array,
+    query: RayQuery = DEFAULT_QUERY,
+) -> GeomHits:
+    """As `nearest_hits`: each bundle of rays against the geoms that its cone meets, one after the other."""
+    start, along = bundled(origin, query.bundle_size), bundled(direction, query.bundle_size)
+    cone = bounding_cones(start, along)
+    first = GeomHits(jnp.full(along.shape[:2], query.max_distance), jnp.full(along.shape[:2], -1))
     for kind, block, before, compact in seen:
         count = len(block.owner)
         near = jax.vmap(partial(_entries, kind, block, compact=compact))(cone)
-        met = (near < gaze.reach) & (block.owner != viewer)
+        met = (near < query.max_distance) & (block.owner != exclude_owner)
         rank = jnp.cumsum(met, 1)
         most = rank[:, -1].max()
 
-        def more(carry: tuple[jax.Array, First], most: jax.Array = most) -> jax.Array:
+        def more(carry: tuple[jax.Array, GeomHits], most: jax.Array = most) -> jax.Array:
             return carry[0] < most
 
         def test(
-            carry: tuple[jax.Array, First],
+            carry: tuple[jax.Array, GeomHits],
             kind: int = kind,
-            block: Block = block,
+            block: GeomBlock = block,
             rank: jax.Array = rank,
             before: int = before,
             count: int = count,
-        ) -> tuple[jax.Array, First]:
+        ) -> tuple[jax.Array, GeomHits]:
             turn, first = carry
             # The geom that is next for each bundle: where the count of those met steps up.
-            place = jax.vmap(lambda row: jnp.searchsorted(row, turn + 1))(rank)
-            geom = jax.tree.map(lambda x: x[jnp.minimum(place, count - 1)][:, None], block)
+            index = jax.vmap(lambda row: jnp.searchsorted(row, turn + 1))(rank)
+            geom = jax.tree.map(lambda x: x[jnp.minimum(index, count - 1)][:, None], block)
             t = distance_to(kind, geom, start, along)
             return turn + 1, first.closer(
-                jnp.where((place < count)[:, None], t, jnp.inf), (before + place)[:, None]
+                jnp.where((index < count)[:, None], t, jnp.inf), (before + index)[:, None]
             )
 
         _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
-    return First(*(x.reshape(-1)[: len(origin)] for x in first)).met()
+    return GeomHits(*(x.reshape(-1)[: len(origin)] for x in first)).met()
 
 
-def _entries(kind: int, block: Block, cone: Cone, *, compact: bool) -> jax.Array:
+def _entries(kind: int, block: GeomBlock, cone: Cone, *, compact: bool) -> jax.Array:
     """Return how far away one cone meets each geom (geoms,)."""
     offset, mat = [cone.tip[j] - block.pos[:, j] for j in range(3)], block.mat
     if compact:
-        radius = ball(kind, tuple(block.size.T))
-        return entry_ball([-x for x in offset], cone.axis, radius, cone.thick, cone.slope)
+        radius = bounding_radius(kind, tuple(block.size.T))
+        return cone_sphere_distance([-x for x in offset], cone.axis, radius, cone.tip_radius, cone.slope)
     tip = [sum(mat[:, j, i] * offset[j] for j in range(3)) for i in range(3)]
     axis = [sum(mat[:, j, i] * cone.axis[j] for j in range(3)) for i in range(3)]
-    return entry(kind, tuple(block.size.T), tip, axis, cone.thick, cone.slope)
+    return cone_box_distance(kind, tuple(block.size.T), tip, axis, cone.tip_radius, cone.slope)
 
 
-def gpu(
-    seen: Sequence[Part],
+def gpu_hits(
+    seen: Sequence[IndexedBlock],
     rays: tuple[jax.Array, jax.Array] | Fans,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
+    exclude_owner: jax.Array,
+    query: RayQuery = DEFAULT_QUERY,
     wanted: jax.Array | None = None,
     interpret: bool = False,
-) -> First:
-    """As `nearest`: see `raycast_gpu`."""
+) -> GeomHits:
+    """As `nearest_hits`: see `raycast_gpu`."""
     slabs = [
-        (Slab(part.kind, len(part.block.owner), part.first, part.compact), pack(part.kind, part.block))
+        (
+            GeomBlockInfo(part.kind, len(part.block.owner), part.first_index, part.compact),
+            pack(part.kind, part.block),
+        )
         for part in seen
     ]
     cast_at_all = jnp.ones((), bool) if wanted is None else wanted
     found = nearest_of_bundles(
         slabs,
         rays,
-        (viewer, cast_at_all),
-        bundle=gaze.bundle,
-        reach=gaze.reach,
+        (exclude_owner, cast_at_all),
+        bundle_size=query.bundle_size,
+        max_distance=query.max_distance,
         interpret=interpret,
     )
-    return First(*found)
+    return GeomHits(*found)
 
 
-def joined(geoms: Geoms) -> Block:
+def concatenated(geoms: Geoms) -> GeomBlock:
     """Return all geoms as one block, one block after the other."""
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *geoms.blocks)
 
 
-def normals(geoms: Geoms, first: First, origin: jax.Array, direction: jax.Array) -> jax.Array:
+def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Array) -> jax.Array:
     """Return the unit normals of the surfaces that rays meet, in world axes and towards the rays (rays, 3).
 
     They are zero where nothing was met.
     """
-    geom = jax.tree.map(lambda x: x[jnp.maximum(first.which, 0)], joined(geoms))
-    reach = jnp.where(first.which >= 0, first.distance, 0.0)[:, None]
+    geom = jax.tree.map(lambda x: x[jnp.maximum(first.geom_index, 0)], concatenated(geoms))
+    reach = jnp.where(first.geom_index >= 0, first.distance, 0.0)[:, None]
     offset = origin + reach * direction - geom.pos
     point = jnp.stack([sum(geom.mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)], -1)
     normal, before = jnp.zeros_like(point), 0
-    for kind, block in zip(geoms.types, geoms.blocks, strict=True):
-        mine = (first.which >= before) & (first.which < before + len(block.owner))
+    for kind, block in zip(geoms.kinds, geoms.blocks, strict=True):
+        mine = (first.geom_index >= before) & (first.geom_index < before + len(block.owner))
         normal = jnp.where(mine[:, None], surface_normal(kind, point, geom.size), normal)
         before += len(block.owner)
     turned = jnp.stack([sum(geom.mat[:, i, j] * normal[:, j] for j in range(3)) for i in range(3)], -1)
     return jnp.where((turned * direction).sum(-1, keepdims=True) > 0, -turned, turned)
 
 
-def cast(
+def cast_rays(
     geoms: Geoms,
     origin: jax.Array,
     direction: jax.Array,
-    viewer: jax.Array,
-    gaze: Gaze = ANYTHING,
+    exclude_owner: jax.Array,
+    query: RayQuery = DEFAULT_QUERY,
     wanted: jax.Array | None = None,
     fans: Fans | None = None,
 ) -> Hits:
-    """Return the first surface that each ray meets, see `nearest`; at which angle, if the gaze asks."""
-    first = nearest(geoms, origin, direction, viewer, gaze, wanted, fans)
+    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the gaze asks."""
+    first = nearest_hits(geoms, origin, direction, exclude_owner, query, wanted, fans)
     cosine = jnp.zeros_like(first.distance)
-    if gaze.incidence:
+    if query.incidence:
         cosine = jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))
     return Hits(distance=first.distance, cosine=cosine)

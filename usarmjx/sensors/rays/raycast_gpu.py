@@ -14,39 +14,47 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
-from usarmjx.sensors.rays.bundles import NARROW, SLACK, WIDE, Cone, Fans, entry, entry_ball
-from usarmjx.sensors.rays.kernels import KERNELS, TINY, ball
+from usarmjx.sensors.rays.bundles import (
+    CONE_MARGIN,
+    MIN_COSINE,
+    MIN_SLOPE,
+    Cone,
+    Fans,
+    cone_box_distance,
+    cone_sphere_distance,
+)
+from usarmjx.sensors.rays.kernels import RAY_KERNELS, TINY, bounding_radius
 
 LANES = 64
 """Geoms that a program looks at together; more take more registers, and then fewer programs run at a time."""
-MOST = 256
+MAX_PASS_GEOMS = 256
 """Most geoms whose distances a program keeps while it tests the nearest; a power of two."""
-FEW = 2
+MAX_UNCULLED_GEOMS = 2
 """So many geoms are tested without looking."""
-OWNER, RADIUS, FIELDS = 15, 16, 17
+OWNER_ROW, RADIUS_ROW, GEOM_ROWS = 15, 16, 17
 """Of a geom's numbers, which are position (3), orientation by rows (9), size (3), owner, radius of a ball."""
-FAR = 3e38
+UNLIMITED_DISTANCE = 3e38
 """Stands for an unlimited reach, as what is missed is infinitely far."""
 
 
-class Slab(NamedTuple):
+class GeomBlockInfo(NamedTuple):
     """What is known of geoms while compiling: kind, how many, place of the first, and `Part.compact`."""
 
     kind: int
     count: int
-    first: int
+    first_index: int
     compact: bool
 
 
 def pack(kind: int, block: Any) -> jax.Array:  # noqa: ANN401 - a raycast.Block
     """Return a block's geoms by number (FIELDS, room).
 
-    There is room for whole groups of `LANES`; for whole passes of `MOST` if there are more than that.
+    There is room for whole groups of `LANES`; for whole passes of `MAX_PASS_GEOMS` if there are more than that.
     """
     count = len(block.owner)
-    step = LANES if count <= MOST else MOST
+    step = LANES if count <= MAX_PASS_GEOMS else MAX_PASS_GEOMS
     room = -(-count // step) * step
-    last = jnp.stack([block.owner.astype(jnp.float32), ball(kind, tuple(block.size.T))])
+    last = jnp.stack([block.owner.astype(jnp.float32), bounding_radius(kind, tuple(block.size.T))])
     rows = jnp.concatenate([block.pos.T, block.mat.reshape(-1, 9).T, block.size.T, last])
     return jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
 
@@ -59,35 +67,37 @@ def _local(mat: Sequence[jax.Array], vector: Sequence[Any] | jax.Array) -> tuple
 class _Bundle(NamedTuple):
     """One bundle: rays' starts and directions by component (size,), its cone by number, and who looks."""
 
-    start: tuple[jax.Array, ...]
-    along: tuple[jax.Array, ...]
+    origin: tuple[jax.Array, ...]
+    direction: tuple[jax.Array, ...]
     cone: Cone
-    viewer: jax.Array
+    exclude_owner: jax.Array
 
 
-def _approach(slab: Slab, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _approach(slab: GeomBlockInfo, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return how far away the bundle's cone meets some geoms (geoms,)."""
     tip, axis, thick, slope = bundle.cone
     away = tuple(fields[i, at] - tip[i] for i in range(3))
     if slab.compact:
-        return entry_ball(away, axis, fields[RADIUS, at], thick, slope)
+        return cone_sphere_distance(away, axis, fields[RADIUS_ROW, at], thick, slope)
     mat, size = [fields[i, at] for i in range(3, 12)], tuple(fields[i, at] for i in range(12, 15))
-    return entry(slab.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope)
+    return cone_box_distance(
+        slab.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope
+    )
 
 
-def _test(slab: Slab, fields: Any, place: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _test(slab: GeomBlockInfo, fields: Any, index: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return the distance of one geom from every ray (size,)."""
-    geom = [fields[i, place] for i in range(15)]
-    away = tuple(bundle.start[i] - geom[i] for i in range(3))
+    geom = [fields[i, index] for i in range(15)]
+    away = tuple(bundle.origin[i] - geom[i] for i in range(3))
     mat, size = geom[3:12], tuple(geom[12:15])
-    return KERNELS[slab.kind](_local(mat, away), _local(mat, bundle.along), size)
+    return RAY_KERNELS[slab.kind](_local(mat, away), _local(mat, bundle.direction), size)
 
 
 Best = tuple[jax.Array, jax.Array]
 """How far away (size,) and which (size,) the nearest is up to now."""
 
 
-def _look(slab: Slab, fields: Any, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _distance_keys(slab: GeomBlockInfo, fields: Any, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return keys of some geoms, which sort as their distances do (LANES,).
 
     The last bits of a key are the geom's number in the pass, which is `number` for the first one here.
@@ -95,14 +105,14 @@ def _look(slab: Slab, fields: Any, begin: Any, number: int, bundle: _Bundle) -> 
     lanes = jax.lax.broadcasted_iota(jnp.int32, (LANES,), 0)
     here = pl.ds(begin, LANES)
     near = _approach(slab, fields, here, bundle)
-    there = (lanes + begin < slab.count) & (fields[OWNER, here] != bundle.viewer)
+    there = (lanes + begin < slab.count) & (fields[OWNER_ROW, here] != bundle.exclude_owner)
     bits = jax.lax.bitcast_convert_type(jnp.where(there, near, jnp.inf), jnp.int32)
-    return (bits & ~(MOST - 1)) | (lanes + number)
+    return (bits & ~(MAX_PASS_GEOMS - 1)) | (lanes + number)
 
 
-def _pass(slab: Slab, fields: Any, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
-    """Return the best of so many geoms from a place on, at most `MOST`, and what there was."""
-    keys = [_look(slab, fields, begin + number, number, bundle) for number in range(0, count, LANES)]
+def _pass(slab: GeomBlockInfo, fields: Any, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
+    """Return the best of so many geoms from a place on, at most `MAX_PASS_GEOMS`, and what there was."""
+    keys = [_distance_keys(slab, fields, begin + number, number, bundle) for number in range(0, count, LANES)]
 
     def least(keys: Sequence[jax.Array]) -> jax.Array:
         return jnp.min(reduce(jnp.minimum, keys))
@@ -110,55 +120,59 @@ def _pass(slab: Slab, fields: Any, count: int, bundle: _Bundle, begin: Any, best
     def more(carry: Any) -> jax.Array:  # noqa: ANN401
         _, key, (reach, _) = carry
         farthest = jnp.max(jax.lax.bitcast_convert_type(reach, jnp.int32))  # integers are reduced faster
-        return key <= (farthest | (MOST - 1))
+        return key <= (farthest | (MAX_PASS_GEOMS - 1))
 
     def test(carry: Any) -> Any:  # noqa: ANN401
         keys, key, (reach, found) = carry
-        place = begin + (key & (MOST - 1))
+        place = begin + (key & (MAX_PASS_GEOMS - 1))
         t = _test(slab, fields, place, bundle)
         closer = t < reach
-        keys = [jnp.where(group == key, LAST, group) for group in keys]
-        return keys, least(keys), (jnp.where(closer, t, reach), jnp.where(closer, slab.first + place, found))
+        keys = [jnp.where(group == key, LAST_KEY, group) for group in keys]
+        return (
+            keys,
+            least(keys),
+            (jnp.where(closer, t, reach), jnp.where(closer, slab.first_index + place, found)),
+        )
 
     return jax.lax.while_loop(more, test, (keys, least(keys), best))[2]
 
 
-LAST = 0x7FFFFFFF
+LAST_KEY = 0x7FFFFFFF
 """A key after all others."""
 
 
-def _all(slab: Slab, fields: Any, bundle: _Bundle, best: Best) -> Best:  # noqa: ANN401
+def _all(slab: GeomBlockInfo, fields: Any, bundle: _Bundle, best: Best) -> Best:  # noqa: ANN401
     """Return the best of a few geoms and what there was; all are tested."""
-    for place in range(slab.count):
-        t = _test(slab, fields, place, bundle)
-        closer = (t < best[0]) & (fields[OWNER, place] != bundle.viewer)
-        best = (jnp.where(closer, t, best[0]), jnp.where(closer, slab.first + place, best[1]))
+    for index in range(slab.count):
+        t = _test(slab, fields, index, bundle)
+        closer = (t < best[0]) & (fields[OWNER_ROW, index] != bundle.exclude_owner)
+        best = (jnp.where(closer, t, best[0]), jnp.where(closer, slab.first_index + index, best[1]))
     return best
 
 
 def _cone(start: Sequence[jax.Array], along: Sequence[jax.Array]) -> Cone:
-    """As `bundles.cones`, of one bundle by components (size,)."""
+    """As `bundles.bounding_cones`, of one bundle by components (size,)."""
     count = start[0].shape[0]
     tip, axis = [x.sum() / count for x in start], [x.sum() for x in along]
     length = jnp.sqrt(jnp.maximum(sum(x * x for x in axis), TINY))
     axis = [x / length for x in axis]
     cosine = jnp.min(sum(x * y for x, y in zip(along, axis, strict=True)))
-    slope = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0)) / jnp.maximum(cosine, WIDE) + NARROW
-    thick = jnp.sqrt(jnp.max(sum((x - y) * (x - y) for x, y in zip(start, tip, strict=True)))) + SLACK
-    return Cone(tip, axis, thick, jnp.where(cosine < WIDE, -1.0, slope))
+    slope = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0)) / jnp.maximum(cosine, MIN_COSINE) + MIN_SLOPE
+    thick = jnp.sqrt(jnp.max(sum((x - y) * (x - y) for x, y in zip(start, tip, strict=True)))) + CONE_MARGIN
+    return Cone(tip, axis, thick, jnp.where(cosine < MIN_COSINE, -1.0, slope))
 
 
-Rays = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]
+RayComponents = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]
 """Starts and directions of some rays, by component."""
 
 
-def _given(rays: Sequence[Any], ray: jax.Array) -> Rays:
+def _given(rays: Sequence[Any], ray: jax.Array) -> RayComponents:
     """Return some of the rays of arrays (rays, 3)."""
     start, along = (tuple(x[ray, i] for i in range(3)) for x in rays)
     return start, along
 
 
-def _fanned(rays: Sequence[Any], ray: jax.Array) -> Rays:
+def _fanned(rays: Sequence[Any], ray: jax.Array) -> RayComponents:
     """Return some of the rays of fans: origins (fans, 3), orientations (fans, 9), lines (3, rays)."""
     pos, mat, lines = rays
     fan = ray // (lines.shape[1] // pos.shape[0]) if pos.shape[0] > 1 else 0
@@ -167,8 +181,8 @@ def _fanned(rays: Sequence[Any], ray: jax.Array) -> Rays:
     return tuple(jnp.broadcast_to(pos[fan, i], ray.shape) for i in range(3)), along  # type: ignore - sums of 3
 
 
-def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
-    blocks, (*rays, viewer, wanted, distance, which) = refs[: len(slabs)], refs[len(slabs) :]
+def _program(*refs: Any, blocks_info: tuple[GeomBlockInfo, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
+    blocks, (*rays, viewer, wanted, distance, which) = refs[: len(blocks_info)], refs[len(blocks_info) :]
     lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)
     begin, count = pl.program_id(0) * bundle, distance.shape[0]
     ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, count) - 1)  # lanes left over: the last ray
@@ -177,34 +191,36 @@ def _program(*refs: Any, slabs: tuple[Slab, ...], bundle: int, reach: float) -> 
     def look(best: Best) -> Best:
         start, along = _given(rays, ray) if len(rays) == 2 else _fanned(rays, ray)
         looker = viewer[0].astype(jnp.float32)
-        return _first(slabs, blocks, _Bundle(start, along, _cone(start, along), looker), best)
+        return _first(blocks_info, blocks, _Bundle(start, along, _cone(start, along), looker), best)
 
     reached, found = jax.lax.cond(wanted[0] > 0, look, lambda best: best, nothing)
     # Lanes left over say the same as the last one.
     distance[ray], which[ray] = jnp.where(found < 0, jnp.inf, reached), found
 
 
-def _first(slabs: tuple[Slab, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
+def _first(slabs: tuple[GeomBlockInfo, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
     """Return the best of all geoms and what there was."""
     for slab, fields in zip(slabs, blocks, strict=True):
         room = fields.shape[1]
-        look = partial(_pass, slab, fields, min(room, MOST), bundle)
-        if slab.count <= FEW:
+        look = partial(_pass, slab, fields, min(room, MAX_PASS_GEOMS), bundle)
+        if slab.count <= MAX_UNCULLED_GEOMS:
             best = _all(slab, fields, bundle, best)
-        elif room <= MOST:
+        elif room <= MAX_PASS_GEOMS:
             best = look(0, best)
         else:
-            best = jax.lax.fori_loop(0, room // MOST, lambda turn, best, f=look: f(turn * MOST, best), best)
+            best = jax.lax.fori_loop(
+                0, room // MAX_PASS_GEOMS, lambda turn, best, f=look: f(turn * MAX_PASS_GEOMS, best), best
+            )
     return best
 
 
 def nearest_of_bundles(
-    work: Sequence[tuple[Slab, jax.Array]],
+    work: Sequence[tuple[GeomBlockInfo, jax.Array]],
     rays: tuple[jax.Array, jax.Array] | Fans,
-    who: tuple[jax.Array, jax.Array],
+    exclude_and_wanted: tuple[jax.Array, jax.Array],
     *,
-    bundle: int,
-    reach: float,
+    bundle_size: int,
+    max_distance: float,
     interpret: bool = False,
 ) -> tuple[jax.Array, jax.Array]:
     """Return distance (infinite for none) and place (-1 for none) of what each ray meets first, both (rays,).
@@ -212,22 +228,22 @@ def nearest_of_bundles(
     Args:
         work: The geoms, from `pack`.
         rays: Starts [m] (rays, 3) and unit vectors (rays, 3); or fans, whose rays are never written down.
-        who: Whose geoms are left out (), and whether to cast the rays at all ().
-        bundle: See `raycast.Gaze`.
-        reach: See `raycast.Gaze` [m].
+        exclude_and_wanted: Whose geoms are left out (), and whether to cast the rays at all ().
+        bundle_size: See `raycast.RayQuery`.
+        max_distance: See `raycast.RayQuery` [m].
         interpret: Run on any device, slowly.
     """
     if isinstance(rays, Fans):
-        count = rays.lines.shape[0] * rays.lines.shape[1]
-        given = (rays.pos, rays.mat.reshape(-1, 9), jnp.asarray(rays.lines).reshape(count, 3).T)
+        count = rays.directions.shape[0] * rays.directions.shape[1]
+        given = (rays.pos, rays.mat.reshape(-1, 9), jnp.asarray(rays.directions).reshape(count, 3).T)
     else:
         count, given = len(rays[0]), rays
-    asked = [number.astype(jnp.int32)[None] for number in who]
+    asked = [number.astype(jnp.int32)[None] for number in exclude_and_wanted]
     arrays = [*(fields for _, fields in work), *given, *asked]
     slabs = tuple(slab for slab, _ in work)
     return pl.pallas_call(
-        partial(_program, slabs=slabs, bundle=bundle, reach=min(reach, FAR)),
-        grid=(-(-count // bundle),),
+        partial(_program, blocks_info=slabs, bundle=bundle_size, reach=min(max_distance, UNLIMITED_DISTANCE)),
+        grid=(-(-count // bundle_size),),
         in_specs=[pl.BlockSpec(array.shape, lambda i, n=array.ndim: (0,) * n) for array in arrays],
         out_specs=[pl.BlockSpec((count,), lambda i: (0,))] * 2,
         out_shape=[jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32)],

@@ -11,20 +11,20 @@ from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Array
 from usarmjx.models.build.pieces import HFIELD, MESH
 from usarmjx.models.spec.robot import OPAQUE
-from usarmjx.sensors.rays.kernels import KERNELS
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
 
-FAR_AWAY = 1e6
+PADDING_DISTANCE = 1e6
 """Where padding geoms are parked [m]."""
 
 
 GeomType = mujoco.mjtGeom
 
 
-Sort = tuple[int, str]
+BlockKey = tuple[int, str]
 """Kind and material of geoms: those of one sort make a block."""
 
 
-class Block(struct.PyTreeNode, kw_only=True):
+class GeomBlock(struct.PyTreeNode, kw_only=True):
     """Geoms of one kind and material.
 
     Attributes:
@@ -45,48 +45,48 @@ class Geoms(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         blocks: The geoms, by kind and material.
-        types: What kind each block is of: MuJoCo's type, or a kind of `models.build.pieces`.
+        kinds: What kind each block is of: MuJoCo's type, or a kind of `models.build.pieces`.
         materials: What each block is made of; a member of `spec.MATERIALS`.
         compact: Whether the ball about each geom of a block is a fair picture of it, as of robots' parts and
             unlike of walls; empty: of none.
     """
 
-    blocks: tuple[Block, ...]
-    types: tuple[int, ...] = struct.field(pytree_node=False)
+    blocks: tuple[GeomBlock, ...]
+    kinds: tuple[int, ...] = struct.field(pytree_node=False)
     materials: tuple[str, ...] = struct.field(pytree_node=False)
     compact: tuple[bool, ...] = struct.field(pytree_node=False, default=())
 
-    def seen(self, passes: frozenset[str]) -> tuple[tuple[int, Block], ...]:
+    def opaque_blocks(self, transparent: frozenset[str]) -> tuple[tuple[int, GeomBlock], ...]:
         """Return kinds and blocks without those of materials that rays pass."""
         return tuple(
             (kind, block)
-            for kind, block, material in zip(self.types, self.blocks, self.materials, strict=True)
-            if material not in passes
+            for kind, block, material in zip(self.kinds, self.blocks, self.materials, strict=True)
+            if material not in transparent
         )
 
 
-def check_types(geom_types: Sequence[int], names: Sequence[str]) -> None:
+def check_ray_kinds(geom_types: Sequence[int], names: Sequence[str]) -> None:
     """Refuse geoms that no kernel can hit.
 
     Raises:
         UnsupportedGeomError: Names the types and the geoms.
     """
-    known = {*KERNELS, MESH, HFIELD}  # the latter two as triangles
+    known = {*RAY_KERNELS, MESH, HFIELD}  # the latter two as triangles
     bad = [(int(t), name) for t, name in zip(geom_types, names, strict=True) if int(t) not in known]
     if bad:
         types = sorted({GeomType(t).name for t, _ in bad})
         raise UnsupportedGeomError(f"no ray kernel for {types}; used by {[name for _, name in bad]}")
 
 
-def sort_places(kind: np.ndarray, *others: Sequence[Any]) -> dict[Any, np.ndarray]:
+def indices_by_key(kind: np.ndarray, *others: Sequence[Any]) -> dict[Any, np.ndarray]:
     """Return the places of geoms of each kind (n,), material (n,) and so on, sorted by these."""
-    places: dict[Any, list[int]] = {}
+    indices: dict[Any, list[int]] = {}
     for i, sort in enumerate(zip(map(int, kind), *others, strict=True)):
-        places.setdefault(sort, []).append(i)
-    return {sort: np.array(places[sort]) for sort in sorted(places)}
+        indices.setdefault(sort, []).append(i)
+    return {sort: np.array(indices[sort]) for sort in sorted(indices)}
 
 
-def gather(
+def make_geoms(
     kind: np.ndarray,
     pos: Array,
     mat: Array,
@@ -107,10 +107,12 @@ def gather(
         compact: See `Geoms` (n,); None: none is.
     """
     made_of = [OPAQUE] * len(kind) if material is None else material
-    places = sort_places(kind, made_of, [False] * len(kind) if compact is None else compact)
+    indices = indices_by_key(kind, made_of, [False] * len(kind) if compact is None else compact)
     return Geoms(
-        blocks=tuple(Block(pos=pos[i], mat=mat[i], size=size[i], owner=owner[i]) for i in places.values()),
-        types=tuple(sort[0] for sort in places),
-        materials=tuple(sort[1] for sort in places),
-        compact=tuple(bool(sort[2]) for sort in places),
+        blocks=tuple(
+            GeomBlock(pos=pos[i], mat=mat[i], size=size[i], owner=owner[i]) for i in indices.values()
+        ),
+        kinds=tuple(sort[0] for sort in indices),
+        materials=tuple(sort[1] for sort in indices),
+        compact=tuple(bool(sort[2]) for sort in indices),
     )

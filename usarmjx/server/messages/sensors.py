@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from usarmjx.cameras.mounts import Camera, cameras_of
-from usarmjx.models.build.body_plan import BodyPlan
+from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, part_name
 from usarmjx.models.effecters import Effecter, effecters_of
-from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.spec.robot import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
-from usarmjx.sensors.gps import FIX, Gps, coordinates
+from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.messages import generic as telling
 from usarmjx.server.messages import victims
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.descriptions import (
-    Field,
+    ConfField,
     LinkConfiguration,
     LinkGeometry,
     RobotConfiguration,
@@ -34,9 +34,9 @@ from usarmjx.server.protocol.descriptions import (
     geo_nothing,
     geo_robot,
 )
-from usarmjx.server.protocol.frames import angles, full_turn, vector
-from usarmjx.server.protocol.grammar import Message, truncated_list
-from usarmjx.sim.control import Command
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector, wrap_angles
+from usarmjx.server.protocol.grammar import Message, four_decimals_list
+from usarmjx.sim.control import RobotCommand
 
 # Reports: (sensor, its value, time or None) -> message.
 
@@ -48,13 +48,13 @@ def _range(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
 
 def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     settings = sensor.settings[0]
-    scan = reports.Scan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
+    scan = reports.RangeScan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
     return reports.sen_scanner(sensor.kind, time, scan)
 
 
 def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     settings = sensor.settings[0]
-    scan = reports.Scan3D(
+    scan = reports.RangeScan3D(
         sensor.mounts[0].name, settings.resolution, settings.fov, value.reshape(-1).tolist()
     )
     return reports.sen_scanner_3d(time, scan)
@@ -62,19 +62,25 @@ def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Messag
 
 def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     x, y, heading = value.tolist()
-    (x, y, _), (_, _, heading) = vector((x, y, 0.0)), angles((0.0, 0.0, heading))
+    (x, y, _), (_, _, heading) = flip_wire_vector((x, y, 0.0)), flip_wire_angles((0.0, 0.0, heading))
     return reports.sen_odometry(time, sensor.mounts[0].name, (x, y, heading))
 
 
 def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_ins(
-        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+        time,
+        sensor.mounts[0].name,
+        flip_wire_vector(value[:3].tolist()),
+        wrap_angles(flip_wire_angles(value[3:].tolist())),
     )
 
 
 def _ground_truth(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_ground_truth(
-        time, sensor.mounts[0].name, vector(value[:3].tolist()), full_turn(angles(value[3:].tolist()))
+        time,
+        sensor.mounts[0].name,
+        flip_wire_vector(value[:3].tolist()),
+        wrap_angles(flip_wire_angles(value[3:].tolist())),
     )
 
 
@@ -88,9 +94,13 @@ def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_touch(time, touched)
 
 
-def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: Place | None = None) -> Message:
+def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: LatLon | None = None) -> Message:
     *position, satellites = value.tolist()
-    victims = coordinates(sensor.settings[0], position, origin) if satellites >= FIX else None
+    victims = (
+        geographic_coordinates(sensor.settings[0], position, origin)
+        if satellites >= MIN_FIX_SATELLITES
+        else None
+    )
     return reports.sen_gps(time, sensor.mounts[0].name, victims, int(satellites))
 
 
@@ -143,8 +153,8 @@ def sensor_report(
     sensor: Sensor,
     value: np.ndarray,
     time: float,
-    origin: Place | None = None,
-    texts: victims.Texts | None = None,
+    origin: LatLon | None = None,
+    texts: victims.TagTexts | None = None,
 ) -> Message | None:
     """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
 
@@ -158,7 +168,7 @@ def sensor_report(
         texts: What is written on RFID tags.
     """
     known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(victims.tags, texts=texts)}
-    report = telling.inherited(sensor, REPORTS | known) or telling.report
+    report = telling.lookup_by_type(sensor, REPORTS | known) or telling.report
     message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
     return None if message is None else telling.of_type(sensor.kind, message)
 
@@ -212,23 +222,23 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
     return answers or [geo_nothing(kind, name)]
 
 
-def _sensor_fields(sensor: Sensor, place: int) -> list[Field]:
-    settings: Any = sensor.settings[place]
-    fields: list[Field] = [("Name", sensor.mounts[place].name)]
-    known = telling.inherited(sensor, CONFIGURATION)
+def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
+    settings: Any = sensor.settings[index]
+    fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
+    known = telling.lookup_by_type(sensor, CONFIGURATION)
     if known is None:
         return [*fields, *telling.fields(settings)]
     for key, field in known:
         value = getattr(settings, field)
-        fields.append((key, truncated_list(value) if isinstance(value, tuple) else value))
+        fields.append((key, four_decimals_list(value) if isinstance(value, tuple) else value))
     return fields
 
 
-def _camera_fields(camera: Camera, fov: float) -> list[Field]:
+def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
     return [
-        ("CameraDefFov", camera.default),
-        ("CameraMinFov", camera.low),
-        ("CameraMaxFov", camera.high),
+        ("CameraDefFov", camera.default_fov),
+        ("CameraMinFov", camera.min_fov),
+        ("CameraMaxFov", camera.max_fov),
         ("CameraFov", fov),
     ]
 
@@ -255,8 +265,8 @@ def configuration(
                     mass=robot.mass,
                     max_speed=robot.drive.max_speed,
                     max_torque=robot.max_torque,
-                    max_front_steer=robot.drive.steers[0],
-                    max_rear_steer=robot.drive.steers[1],
+                    max_front_steer=robot.drive.max_steering[0],
+                    max_rear_steer=robot.drive.max_steering[1],
                 )
             )
         ]
@@ -303,7 +313,7 @@ def _link_configuration(link: Link) -> LinkConfiguration:
 
 
 def robot_report(
-    plan: BodyPlan, command: Command, joints: np.ndarray, time: float, battery: int, view: int = -1
+    plan: KinematicTree, command: RobotCommand, joints: np.ndarray, time: float, battery: int, view: int = -1
 ) -> Message:
     """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
 
@@ -327,7 +337,7 @@ def robot_report(
             intensity=100 if light else 0,
             battery=battery,
             view=view,
-            joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported),
+            joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported_joints),
             **angles_of,
         ),
     )

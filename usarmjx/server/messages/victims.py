@@ -13,21 +13,21 @@ from usarmjx.models.build.victims import PART_NAMES
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.server.protocol.commands import Set
-from usarmjx.server.protocol.frames import vector
-from usarmjx.server.protocol.grammar import Message, Segment, raw, raw_list, truncated
+from usarmjx.server.protocol.frames import flip_wire_vector
+from usarmjx.server.protocol.grammar import Message, Segment, four_decimals, two_decimals, two_decimals_list
 
-EMPTY = "0"
+EMPTY_MEMORY = "0"
 """What servers say is written on a tag without memory (manual 10.9.4); writing it erases the tag (10.9.7)."""
-LONGEST = 256
+MAX_TAG_TEXT = 256
 """Most characters that a tag holds (chosen): sixteen tags and what they say fit into one line."""
 _PARAMS = re.compile(r"\s*(\d{1,9})\s*(.*)", re.DOTALL)
 
-Texts = Mapping[int, str]
+TagTexts = Mapping[int, str]
 """What is written on tags, by ID; the others are empty."""
 
 
 def _line(sensor: Sensor, time: float | None, *segments: Segment, named: bool = True) -> Message:
-    head: tuple[Segment, ...] = () if time is None else (("Time", truncated(time)),)
+    head: tuple[Segment, ...] = () if time is None else (("Time", four_decimals(time)),)
     name: tuple[Segment, ...] = (("Name", sensor.mounts[0].name),) if named else ()
     return Message("SEN", (*head, ("Type", sensor.kind), *name, *segments))
 
@@ -43,13 +43,18 @@ def victims(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     parts: list[Segment] = []
     for seen, part, *place in value.tolist():
         if seen:
-            parts += [("PartName", PART_NAMES[int(part)]), ("Location", raw_list(vector(place)))]
+            parts += [
+                ("PartName", PART_NAMES[int(part)]),
+                ("Location", two_decimals_list(flip_wire_vector(place))),
+            ]
     if not parts:
         return _line(sensor, time, ("Status", "NoVictims"), named=False)
     return _line(sensor, time, *parts)
 
 
-def tags(sensor: Sensor, value: np.ndarray, time: float | None, texts: Texts | None = None) -> Message | None:
+def tags(
+    sensor: Sensor, value: np.ndarray, time: float | None, texts: TagTexts | None = None
+) -> Message | None:
     """Return the tags that an RFID sensor reads; None, and no line, without any (manual 10.9.4).
 
     Args:
@@ -61,26 +66,26 @@ def tags(sensor: Sensor, value: np.ndarray, time: float | None, texts: Texts | N
     items: list[Segment] = []
     for read, number, *place in value.tolist():
         if read:
-            items += [("ID", str(int(number))), ("Location", raw_list(vector(place)))]
-            if sensor.settings[0].always_read_rfi_dmem:
-                items.append(("Mem", (texts or {}).get(int(number), "") or EMPTY))
+            items += [("ID", str(int(number))), ("Location", two_decimals_list(flip_wire_vector(place)))]
+            if sensor.settings[0].always_read_rfid_mem:
+                items.append(("Mem", (texts or {}).get(int(number), "") or EMPTY_MEMORY))
     return _line(sensor, time, *items) if items else None
 
 
 def sound(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     """Return the loudest sound: loudness and duration [s] (2,)."""
     loudness, duration = value.tolist()
-    return _line(sensor, time, ("Loudness", raw(loudness)), ("Duration", raw(duration)))
+    return _line(sensor, time, ("Loudness", two_decimals(loudness)), ("Duration", two_decimals(duration)))
 
 
 def human_motion(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     """Return the probability of human motion ()."""
-    return _line(sensor, time, ("Prob", raw(float(value))))
+    return _line(sensor, time, ("Prob", two_decimals(float(value))))
 
 
 def co2(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     """Return the density of CO2 ()."""
-    return _line(sensor, time, ("Gas", "CO2"), ("Density", raw(float(value))))
+    return _line(sensor, time, ("Gas", "CO2"), ("Density", two_decimals(float(value))))
 
 
 REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]] = {
@@ -105,12 +110,12 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
 """CONF of these sensors, as `wording.CONFIGURATION`; that of VictSensor is the original's."""
 
 
-def written(arena: ArenaSpec) -> dict[int, str]:
+def initial_tag_texts(arena: ArenaSpec) -> dict[int, str]:
     """Return what is written on the tags of an arena, by ID."""
     return {number: tag.memory for number, tag in zip(tag_ids(arena.tags), arena.tags, strict=True)}
 
 
-def access(
+def access_tag(
     command: Set, time: float, texts: MutableMapping[int, str], reaches: Callable[[int], bool]
 ) -> Message:
     """Read, write or erase the memory of an RFID tag (manual 10.9.5 to 10.9.7); return the RES.
@@ -125,7 +130,7 @@ def access(
         texts: What is written on tags; Write changes it.
         reaches: Whether the sensor read a tag of that ID last time.
     """
-    echo = (("Time", raw(time)), ("Type", command.type), ("Name", command.name))
+    echo = (("Time", two_decimals(time)), ("Type", command.type), ("Name", command.name))
     failed = Message("RES", (*echo, ("Status", "Failed")))
     found, opcode = _PARAMS.fullmatch(command.params), command.opcode.lower()
     if found is None or opcode not in ("read", "write"):
@@ -134,9 +139,9 @@ def access(
     if not reaches(number):
         return failed
     if opcode == "read":
-        memory = texts.get(number, "") or EMPTY
+        memory = texts.get(number, "") or EMPTY_MEMORY
         return Message("RES", (*echo, ("Status", "OK"), ("ID", str(number)), ("Mem", memory)))
-    if len(text) > LONGEST or set(text) & set("{}\r\n"):
+    if len(text) > MAX_TAG_TEXT or set(text) & set("{}\r\n"):
         return failed
-    texts[number] = "" if text == EMPTY else text
+    texts[number] = "" if text == EMPTY_MEMORY else text
     return Message("RES", (*echo, ("Status", "OK")))

@@ -4,34 +4,34 @@ import math
 
 import numpy as np
 
-from usarmjx.cameras.lenses import MIRROR_DISTANCE, RIM
+from usarmjx.cameras.lenses import MIRROR_DISTANCE, MIRROR_RIM_ANGLE
 from usarmjx.cameras.picture import Viewpoint
-from usarmjx.sensors.sketch import Sketch
+from usarmjx.sensors.sketch import OverlayLines
 
-RADIUS = 0.03
+BALL_RADIUS = 0.03
 """Of a ball (chosen) [m]."""
-LEAST = 0.75
+MIN_BALL_PIXELS = 0.75
 """Pixels that a ball's radius is at least, so that it always has one's middle in it."""
-NEAR = 0.05
+NEAR_CLIP = 0.05
 """Nothing nearer to the camera than this is drawn [m]."""
-SKIN = 0.02
+DEPTH_BIAS = 0.02
 """What is so close in front of a line does not hide it: it may end on a surface [m]."""
 
 
-def paint(rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, sketch: Sketch) -> None:
+def draw_sketch(rgb: np.ndarray, depth: np.ndarray, viewpoint: Viewpoint, sketch: OverlayLines) -> None:
     """Draw lines and then balls into a picture; they have no shadow, and mirrors do not show them.
 
     Args:
         rgb: The picture, which is changed (height, width, 3) uint8.
         depth: Its depths; see `cameras.picture` (height, width) [m].
-        eye: From where it was taken; its eye is where it is itself.
+        viewpoint: From where it was taken; its eye is where it is itself.
         sketch: What to draw; points become balls.
     """
     start, end, colors = (rows[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb))
     colors, points = np.round(255 * colors).astype(np.uint8), (start == end).all(-1)
     for line in zip(start[~points], end[~points], colors[~points], strict=True):
-        _line(rgb, depth, eye, *line)
-    _balls(rgb, depth, eye, start[points], colors[points])
+        _line(rgb, depth, viewpoint, *line)
+    _balls(rgb, depth, viewpoint, start[points], colors[points])
 
 
 def _line(
@@ -48,9 +48,9 @@ def _line(
     count = math.ceil(2 * (last - first) * max(width, height) / math.tan(eye.fov / 2)) + 2
     way = np.clip(foot + aside * np.tan(np.linspace(first, last, count)), 0.0, length)
     right, down, away, _ = _project(eye, start + way[:, None] * along, width, height)
-    seen = (away > NEAR) & (right >= 0) & (right < width) & (down >= 0) & (down < height)
+    seen = (away > NEAR_CLIP) & (right >= 0) & (right < width) & (down >= 0) & (down < height)
     column, row, away = right[seen].astype(int), down[seen].astype(int), away[seen]
-    clear = depth[row, column] > away - SKIN
+    clear = depth[row, column] > away - DEPTH_BIAS
     rgb[row[clear], column[clear]] = color
 
 
@@ -60,9 +60,9 @@ def _balls(
     """Draw balls, the far ones first."""
     height, width = depth.shape
     right, down, away, scale = _project(eye, places, width, height)
-    seen = (away > NEAR) & np.isfinite(right) & np.isfinite(down)
+    seen = (away > NEAR_CLIP) & np.isfinite(right) & np.isfinite(down)
     for ball in sorted(np.flatnonzero(seen), key=lambda ball: -away[ball]):
-        radius = max(scale[ball] * RADIUS, LEAST)
+        radius = max(scale[ball] * BALL_RADIUS, MIN_BALL_PIXELS)
         first = [max(0, math.floor(middle[ball] - radius)) for middle in (right, down)]
         last = [max(0, math.ceil(middle[ball] + radius)) for middle in (right, down)]
         part = np.s_[first[1] : last[1], first[0] : last[0]]
@@ -70,7 +70,7 @@ def _balls(
             continue
         rows, columns = np.mgrid[part][:, : depth[part].shape[0], : depth[part].shape[1]] + 0.5
         inside = np.hypot(columns - right[ball], rows - down[ball]) <= radius
-        rgb[part][inside & (depth[part] > away[ball] - RADIUS)] = colors[ball]
+        rgb[part][inside & (depth[part] > away[ball] - BALL_RADIUS)] = colors[ball]
 
 
 def _project(
@@ -87,22 +87,24 @@ def _pinhole(
     """Return that of points in the eye's axes."""
     focal = width / 2 / math.tan(eye.fov / 2)
     away = along[:, 0]
-    scale = focal / np.maximum(away, NEAR)
+    scale = focal / np.maximum(away, NEAR_CLIP)
     return width / 2 - scale * along[:, 1], height / 2 - scale * along[:, 2], away, scale
 
 
 def _omni(
     eye: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the same in a parabolic mirror; see `cameras.lenses.omni`."""
+    """Return the same in a parabolic mirror; see `cameras.lenses.omni_rays`."""
     along = along - (MIRROR_DISTANCE, 0.0, 0.0)
     away = np.linalg.norm(along, axis=1)
     angle = np.arccos(np.clip(-along[:, 0] / np.maximum(away, 1e-9), -1.0, 1.0))
-    zoom = math.tan(eye.default / 2) / math.tan(eye.fov / 2)
+    zoom = math.tan(eye.default_fov / 2) / math.tan(eye.fov / 2)
     rim = min(width, height) / 2 * zoom
-    radius = np.where(angle < RIM, rim * np.tan(angle / 2) / math.tan(RIM / 2), np.nan)
+    radius = np.where(
+        angle < MIRROR_RIM_ANGLE, rim * np.tan(angle / 2) / math.tan(MIRROR_RIM_ANGLE / 2), np.nan
+    )
     aside = np.maximum(np.hypot(along[:, 1], along[:, 2]), 1e-9)
     # How fast the radius grows with the angle, which a ball fills from RADIUS / away to either side.
-    scale = rim / math.tan(RIM / 2) / 2 / np.cos(angle / 2) ** 2 / np.maximum(away, NEAR)
+    scale = rim / math.tan(MIRROR_RIM_ANGLE / 2) / 2 / np.cos(angle / 2) ** 2 / np.maximum(away, NEAR_CLIP)
     right, up = -along[:, 1] / aside, along[:, 2] / aside
     return width / 2 + radius * right, height / 2 - radius * up, away, scale

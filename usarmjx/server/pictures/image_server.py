@@ -10,12 +10,19 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from usarmjx.server.pictures.render_thread import Darkroom, Wholes
-from usarmjx.server.pictures.views import View, view_of
-from usarmjx.server.protocol.images import ImageSession, Region, frame
+from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
+from usarmjx.server.pictures.views import CompositeView, client_view
+from usarmjx.server.protocol.images import ImageSession, Region, encode_frame
 from usarmjx.server.protocol.multi_view import MultiView
-from usarmjx.server.wireless.sockets import CHUNK, STALL, address_of, hang_up, limit_kernel_buffer, listen
-from usarmjx.server.worlds.host import HostWorld
+from usarmjx.server.wireless.sockets import (
+    READ_SIZE,
+    STALL,
+    close_gracefully,
+    limit_kernel_buffer,
+    listen,
+    peer_address,
+)
+from usarmjx.server.worlds.host import ServedWorld
 
 log = logging.getLogger(__name__)
 
@@ -48,28 +55,28 @@ class ImageSettings:
 
 
 @dataclass(eq=False)
-class Guest:
+class ImageClient:
     """A client.
 
     Attributes:
         writer: Its writer.
         session: Its dialogue.
-        heard: When it said something last [s].
-        left: How many bytes waited for it to read them when that changed last.
+        last_received: When it said something last [s].
+        unsent: How many bytes waited for it to read them when that changed last.
         since: When that was [s].
     """
 
     writer: asyncio.StreamWriter
     session: ImageSession
-    heard: float = field(default_factory=time.monotonic)
-    left: int = 0
+    last_received: float = field(default_factory=time.monotonic)
+    unsent: int = 0
     since: float = field(default_factory=time.monotonic)
 
-    def backlog(self, now: float) -> int:
+    def update_unsent(self, now: float) -> int:
         """Return how many bytes wait for the client to read them, and note when that changed."""
         left = self.writer.transport.get_write_buffer_size()
-        if left != self.left:
-            self.left, self.since = left, now
+        if left != self.unsent:
+            self.unsent, self.since = left, now
         return left
 
 
@@ -84,12 +91,12 @@ class ImageServer:
         port: The port in use, once started.
     """
 
-    def __init__(self, world: HostWorld, settings: ImageSettings) -> None:
+    def __init__(self, world: ServedWorld, settings: ImageSettings) -> None:
         self._world, self._settings = world, settings
-        self._guests: list[Guest] = []
+        self._clients: list[ImageClient] = []
         self._listener: asyncio.Server | None = None
         self._stepped = asyncio.Event()
-        self._darkroom = Darkroom(world)
+        self._render_thread = RenderThread(world)
         self.port = settings.port
         world.multi_view = settings.multi_view
 
@@ -106,38 +113,38 @@ class ImageServer:
         """The world has made a control step."""
         self._stepped.set()
         self._stepped.clear()
-        if not self._guests:
+        if not self._clients:
             return
         now = time.monotonic()
         waiting = []
-        for guest in self._guests:
-            if not guest.backlog(now):
+        for guest in self._clients:
+            if not guest.update_unsent(now):
                 waiting += [guest] * guest.session.wants(now)
             elif now - guest.since > STALL:
-                log.info("%s:%d: dropped, it does not read", *address_of(guest.writer))
+                log.info("%s:%d: dropped, it does not read", *peer_address(guest.writer))
                 guest.writer.transport.abort()
-        if waiting and self._darkroom.free(now):
-            self._darkroom.begin(self._send(waiting, now))
+        if waiting and self._render_thread.is_ready(now):
+            self._render_thread.begin(self._send(waiting, now))
 
     def stop(self) -> None:
         """Hang up on everybody."""
         if self._listener is not None:
             self._listener.close()
-        for guest in self._guests:
+        for guest in self._clients:
             guest.writer.transport.abort()
-        self._darkroom.close()
+        self._render_thread.close()
 
-    async def _send(self, guests: Sequence[Guest], now: float) -> None:
+    async def _send(self, guests: Sequence[ImageClient], now: float) -> None:
         """Take the pictures that guests wait for, each once however many wait for the same."""
-        wanted: dict[Guest, tuple[View, Region]] = {}
+        wanted: dict[ImageClient, tuple[CompositeView, Region]] = {}
         for guest in guests:
             if guest.session.region is not None:
-                view = view_of(self._world, *address_of(guest.writer), self._settings.size)
+                view = client_view(self._world, *peer_address(guest.writer), self._settings.size)
                 wanted[guest] = view, guest.session.region
         parts = set(wanted.values())
         try:
             make = partial(_frames, parts, self._settings.format)
-            frames = await self._darkroom.take([view for view, _ in parts], make)
+            frames = await self._render_thread.render([view for view, _ in parts], make)
         except Exception:
             for guest in wanted:
                 guest.writer.transport.abort()
@@ -148,19 +155,19 @@ class ImageServer:
                 guest.writer.write(frames[asked])
 
     async def _come_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        address, port = address_of(writer)
+        address, port = peer_address(writer)
         if not address or not self._make_room():
-            log.warning("%s:%d: refused, %d clients are here", address, port, len(self._guests))
+            log.warning("%s:%d: refused, %d clients are here", address, port, len(self._clients))
             writer.close()
             return
         limit_kernel_buffer(writer)
         settings = self._settings
-        guest = Guest(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
-        self._guests.append(guest)
+        guest = ImageClient(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
+        self._clients.append(guest)
         log.info("%s:%d: wants pictures", address, port)
         try:
-            while data := await reader.read(CHUNK):
-                guest.heard = time.monotonic()
+            while data := await reader.read(READ_SIZE):
+                guest.last_received = time.monotonic()
                 guest.session.receive_data(data)
                 await self._stepped.wait()  # so much per control step: no one may keep the world from it
         except OSError as error:
@@ -168,25 +175,25 @@ class ImageServer:
         except asyncio.CancelledError:
             log.info("%s:%d: the server stops", address, port)
         finally:
-            self._guests.remove(guest)
-            hang_up(writer)
+            self._clients.remove(guest)
+            close_gracefully(writer)
 
     def _make_room(self) -> bool:
         """Return whether another client fits; the most silent one yields."""
-        here = [guest for guest in self._guests if not guest.writer.is_closing()]
-        if len(self._guests) < self._settings.max_connections:
+        here = [guest for guest in self._clients if not guest.writer.is_closing()]
+        if len(self._clients) < self._settings.max_connections:
             return True
         if here:
-            min(here, key=lambda guest: guest.heard).writer.transport.abort()
+            min(here, key=lambda guest: guest.last_received).writer.transport.abort()
         return bool(here)
 
 
 def _frames(
-    wanted: Collection[tuple[View, Region]], number: int, wholes: Wholes
-) -> dict[tuple[View, Region], bytes]:
+    wanted: Collection[tuple[CompositeView, Region]], number: int, wholes: ViewImages
+) -> dict[tuple[CompositeView, Region], bytes]:
     """Return the frames of parts of views."""
     frames = {}
     for view, (left, top, width, height) in wanted:
         part = wholes[view][top : top + height, left : left + width]
-        frames[view, (left, top, width, height)] = frame(number, part)
+        frames[view, (left, top, width, height)] = encode_frame(number, part)
     return frames

@@ -12,35 +12,35 @@ from typing import TypeVar
 
 import numpy as np
 
-from usarmjx.server.pictures.views import View, expose
-from usarmjx.server.worlds.host import HostWorld, Shot, Vista
+from usarmjx.server.pictures.views import CompositeView, snapshot
+from usarmjx.server.worlds.host import CameraRequest, ServedWorld, ViewpointRequest
 
 log = logging.getLogger(__name__)
 
-SHARE = 0.6
+MAX_TIME_SHARE = 0.6
 """The thread works for no more than this part of the time."""
-LONGEST_REST = 0.2
+MAX_PAUSE = 0.2
 """It rests no longer than this after a picture, whose first one of a kind takes seconds to compile [s]."""
 
 Made = TypeVar("Made")
-Wholes = Mapping[View, np.ndarray]
+ViewImages = Mapping[CompositeView, np.ndarray]
 """Pictures (height, width, 3) by what they are of."""
 
 
-class Darkroom:
+class RenderThread:
     """Draws for one service.
 
     Args:
         world: The served world.
     """
 
-    def __init__(self, world: HostWorld) -> None:
+    def __init__(self, world: ServedWorld) -> None:
         self._world = world
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="pictures")
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="pictures")
         self._job: asyncio.Task[None] | None = None
         self._rested = 0.0
 
-    def free(self, now: float) -> bool:
+    def is_ready(self, now: float) -> bool:
         """Return whether it has done its last job and rested after it, at a time [s]."""
         return now >= self._rested and (self._job is None or self._job.done())
 
@@ -49,28 +49,28 @@ class Darkroom:
         self._job = asyncio.create_task(job)
         self._job.add_done_callback(_report)
 
-    async def take(self, views: Collection[View], make: Callable[[Wholes], Made]) -> Made:
+    async def render(self, views: Collection[CompositeView], make: Callable[[ViewImages], Made]) -> Made:
         """Return what is made in the thread of the pictures of some views, as they are now."""
         shots = list(dict.fromkeys(shot for view in views for shot, _, _ in view.tiles))
-        draw = _draw, expose(self._world, shots), shots, set(views), make
+        draw = _draw, snapshot(self._world, shots), shots, set(views), make
         began = time.monotonic()
-        made = await asyncio.get_running_loop().run_in_executor(self._beside, *draw)
+        made = await asyncio.get_running_loop().run_in_executor(self._executor, *draw)
         ended = time.monotonic()
-        self._rested = ended + min(LONGEST_REST, (ended - began) * (1 - SHARE) / SHARE)
+        self._rested = ended + min(MAX_PAUSE, (ended - began) * (1 - MAX_TIME_SHARE) / MAX_TIME_SHARE)
         return made
 
     def close(self) -> None:
         """Stop."""
         if self._job is not None:
             self._job.cancel()
-        self._beside.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _draw(
     take: Callable[[], list[np.ndarray]],
-    shots: Sequence[Shot | Vista],
-    views: Collection[View],
-    make: Callable[[Wholes], Made],
+    shots: Sequence[CameraRequest | ViewpointRequest],
+    views: Collection[CompositeView],
+    make: Callable[[ViewImages], Made],
 ) -> Made:
     pictures = dict(zip(shots, take(), strict=True))
     return make({view: view.compose(pictures) for view in views})

@@ -13,25 +13,25 @@ import numpy as np
 
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Array, mat_from_angles
-from usarmjx.cameras.paint import NOBODY
-from usarmjx.cameras.picture import ROOM, Viewpoint
+from usarmjx.cameras.paint import EXCLUDE_NONE
+from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.server.pictures.views import View, of_everybody, of_robot
-from usarmjx.server.worlds.host import HostWorld, Robot, Vista
+from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
+from usarmjx.server.worlds.host import Robot, ServedWorld, ViewpointRequest
 
 FOV = math.radians(75.0)
 """Field of view of the free view and of that over a robot [rad] (chosen)."""
 STEEPEST = math.radians(89.0)
 """The free view looks up and down by no more than this [rad]."""
-STRIDE, SWING = 5.0, math.pi
+MAX_MOVE, MAX_TURN = 5.0, math.pi
 """The free view moves [m] and turns [rad] by no more than this at once."""
-BEHIND, ABOVE = (1.0, 1.6), (0.6, 0.9)
+CHASE_BEHIND, CHASE_ABOVE = (1.0, 1.6), (0.6, 0.9)
 """The view over a robot is so far behind and above its origin: [m], and lengths of the robot (chosen)."""
 LOOK_DOWN = math.radians(30.0)
 """It looks down by so much [rad]."""
 
 
-def eye_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
+def viewpoint_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
     """Return the viewpoint of nobody's camera.
 
     Args:
@@ -42,16 +42,16 @@ def eye_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
     return Viewpoint(
         pos=np.asarray(pos, np.float32),
         mat=mat_from_angles(0.0, pitch, yaw).astype(np.float32),
-        eyes=np.zeros((1, 3)),
+        eye_offsets=np.zeros((1, 3)),
         fov=np.float32(FOV),
-        default=np.float32(FOV),
-        slot=np.int32(NOBODY),
-        hides=np.zeros(ROOM, bool),
+        default_fov=np.float32(FOV),
+        slot=np.int32(EXCLUDE_NONE),
+        hidden_geoms=np.zeros(HIDDEN_GEOMS_MULTIPLE, bool),
         lens="pinhole",
     )
 
 
-def first_place(arena: ArenaSpec) -> np.ndarray:
+def start_position(arena: ArenaSpec) -> np.ndarray:
     """Return where the free view begins: outside the arena's lower corner, as high as half its width (3,)."""
     (west, east), (south, north) = arena.extent
     height = max(2.0, min(30.0, max(east - west, north - south) / 2))
@@ -66,15 +66,15 @@ class Spectator:
         world: The served world.
         size: Width and height of the pictures [pixels].
         robot: The robot that the view is attached to; None: it is free, or the MultiView.
-        over: Whether an attached view is that over the robot.
-        all: Whether it is the MultiView.
+        chase: Whether an attached view is that over the robot.
+        show_multi_view: Whether it is the MultiView.
     """
 
-    world: HostWorld
+    world: ServedWorld
     size: tuple[int, int]
     robot: Robot | None = None
-    over: bool = False
-    all: bool = False
+    chase: bool = False
+    show_multi_view: bool = False
     pos: np.ndarray = field(init=False)
     yaw: float = field(init=False)
     pitch: float = field(init=False)
@@ -82,13 +82,13 @@ class Spectator:
     def __post_init__(self) -> None:
         """Begin with a look over the arena."""
         arena = self.world.arena
-        self.pos = first_place(arena)
+        self.pos = start_position(arena)
         middle = np.mean(arena.extent, axis=1)
         away = middle - self.pos[:2]
         self.yaw = math.atan2(away[1], away[0])
         self.pitch = math.atan2(self.pos[2] - arena.floor, float(np.hypot(*away)))
 
-    def told(self, message: Any) -> None:  # noqa: ANN401 - as it came from the net
+    def handle_message(self, message: Any) -> None:  # noqa: ANN401 - as it came from the net
         """Take what the page says; what is not understood is skipped.
 
         Args:
@@ -100,36 +100,36 @@ class Spectator:
         if message.get("click") == "left":
             self._next()
         elif message.get("click") == "right":
-            self.robot, self.all = None, False
+            self.robot, self.show_multi_view = None, False
         if str(message.get("key", "")).lower() == "c":
-            self.over = not self.over
-        if self.robot is None and not self.all:
-            self._move(*_numbers(message.get("move"), 3, STRIDE))
-            self._turn(*_numbers(message.get("turn"), 2, SWING))
+            self.chase = not self.chase
+        if self.robot is None and not self.show_multi_view:
+            self._move(*_numbers(message.get("move"), 3, MAX_MOVE))
+            self._turn(*_numbers(message.get("turn"), 2, MAX_TURN))
 
-    def view(self) -> View:
+    def view(self) -> CompositeView:
         """Return what to show now."""
         robot = self._attached()
-        if self.all:
-            return of_everybody(self.world, self.size)
+        if self.show_multi_view:
+            return all_robots_view(self.world, self.size)
         if robot is None:
-            return self._from(eye_at(self.pos, self.yaw, self.pitch))
-        if robot.cameras and not self.over:
-            return of_robot(robot, "", self.size)
-        return self._from(self._over(robot))
+            return self._from(viewpoint_at(self.pos, self.yaw, self.pitch))
+        if robot.cameras and not self.chase:
+            return robot_view(robot, "", self.size)
+        return self._from(self._chase_viewpoint(robot))
 
     def caption(self) -> str:
         """Return what it is, in words."""
         robot = self._attached()
-        if self.all:
+        if self.show_multi_view:
             return "MultiView"
         if robot is None:
             return "free view"
-        over = self.over or not robot.cameras
+        over = self.chase or not robot.cameras
         return f"{robot.name}, {robot.spec.name}{': over it' if over else ''}"
 
-    def _from(self, eye: Viewpoint) -> View:
-        return View(self.size, ((Vista(eye, *self.size), 0, 0),))
+    def _from(self, eye: Viewpoint) -> CompositeView:
+        return CompositeView(self.size, ((ViewpointRequest(eye, *self.size), 0, 0),))
 
     def _attached(self) -> Robot | None:
         """Return the robot that the view is attached to; free again if that has gone."""
@@ -141,19 +141,19 @@ class Spectator:
         robots = [robot for _, robot in sorted(self.world.robots.items())]
         now = robots.index(self.robot) if self._attached() in robots and self.robot is not None else -1
         last = now == len(robots) - 1
-        if self.world.multi_view is not None and last and not self.all:
-            self.robot, self.all = None, True
+        if self.world.multi_view is not None and last and not self.show_multi_view:
+            self.robot, self.show_multi_view = None, True
         elif robots:
-            self.robot, self.all = robots[0 if last else now + 1], False
+            self.robot, self.show_multi_view = robots[0 if last else now + 1], False
 
-    def _over(self, robot: Robot) -> Viewpoint:
+    def _chase_viewpoint(self, robot: Robot) -> Viewpoint:
         """Return the viewpoint over a robot: behind it in its heading, looking down on it."""
         state, length = self.world.state(robot), max(robot.spec.dimensions[:2])
         ahead = np.asarray(mat_from_quat(state.quat))[:2, 0]
         yaw = math.atan2(ahead[1], ahead[0])
-        behind, above = (at + share * length for at, share in (BEHIND, ABOVE))
+        behind, above = (at + share * length for at, share in (CHASE_BEHIND, CHASE_ABOVE))
         offset = np.array([-behind * math.cos(yaw), -behind * math.sin(yaw), above])
-        return eye_at(np.asarray(state.pos) + offset, yaw, LOOK_DOWN)
+        return viewpoint_at(np.asarray(state.pos) + offset, yaw, LOOK_DOWN)
 
     def _move(self, forward: float, left: float, up: float) -> None:
         flat = np.array([[math.cos(self.yaw), -math.sin(self.yaw)], [math.sin(self.yaw), math.cos(self.yaw)]])

@@ -17,16 +17,16 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.pictures.render_thread import Darkroom, Wholes
+from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator
-from usarmjx.server.pictures.views import View
+from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.protocol.images import jpeg
-from usarmjx.server.worlds.host import HostWorld
+from usarmjx.server.worlds.host import ServedWorld
 
 log = logging.getLogger(__name__)
 
 PAGE = Path(__file__).with_name("spectator.html")
-LONGEST = 1024
+MAX_MESSAGE_SIZE = 1024
 """Longest message of a page [bytes]."""
 FORMAT = 2
 """Type of the pictures, see `images.FORMATS`: good."""
@@ -79,10 +79,10 @@ class SpectatorServer:
         port: The port in use, once started.
     """
 
-    def __init__(self, world: HostWorld, settings: SpectatorSettings) -> None:
+    def __init__(self, world: ServedWorld, settings: SpectatorSettings) -> None:
         self._world, self._settings = world, settings
         self._pages: list[Page] = []
-        self._darkroom = Darkroom(world)
+        self._render_thread = RenderThread(world)
         self._stepped = asyncio.Event()
         self._server: Server | None = None
         self.port = settings.port
@@ -94,7 +94,7 @@ class SpectatorServer:
             UsageError: The port is taken or the address is not ours.
         """
         host, port = self._settings.host, self._settings.port
-        how = {"process_request": _answer, "max_size": LONGEST, "compression": None}
+        how = {"process_request": _answer, "max_size": MAX_MESSAGE_SIZE, "compression": None}
         try:
             self._server = await serve(self._come_in, host, port, **how)
         except OSError as error:
@@ -108,14 +108,14 @@ class SpectatorServer:
         self._stepped.clear()
         now = time.monotonic()
         waiting = [page for page in self._pages if page.ready and now >= page.due]
-        if waiting and self._darkroom.free(now):
-            self._darkroom.begin(self._show(waiting, now))
+        if waiting and self._render_thread.is_ready(now):
+            self._render_thread.begin(self._show(waiting, now))
 
     def stop(self) -> None:
         """Hang up on everybody."""
         if self._server is not None:
             self._server.close()
-        self._darkroom.close()
+        self._render_thread.close()
 
     async def _show(self, pages: Sequence[Page], now: float) -> None:
         views = {page: page.spectator.view() for page in pages}
@@ -124,7 +124,7 @@ class SpectatorServer:
             page.ready, page.due = False, now + 1 / self._settings.fps
         shown = round(self._world.time, 2)
         try:
-            jpegs = await self._darkroom.take(views.values(), partial(_jpegs, list(views.values())))
+            jpegs = await self._render_thread.render(views.values(), partial(_jpegs, list(views.values())))
         except Exception:
             for page in pages:
                 await page.socket.close(1011, "no picture could be taken")
@@ -145,7 +145,7 @@ class SpectatorServer:
             async for text in socket:
                 message = _read(text)
                 page.ready |= isinstance(message, dict) and bool(message.get("ready"))
-                page.spectator.told(message)
+                page.spectator.handle_message(message)
                 await self._stepped.wait()  # a message per control step: no page may keep the world from it
         except ConnectionClosed:
             pass
@@ -161,7 +161,7 @@ def _read(text: str | bytes) -> object:
         return None
 
 
-def _jpegs(views: Sequence[View], wholes: Wholes) -> list[bytes]:
+def _jpegs(views: Sequence[CompositeView], wholes: ViewImages) -> list[bytes]:
     return [jpeg(FORMAT, wholes[view]) for view in views]
 
 

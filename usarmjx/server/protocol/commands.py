@@ -13,7 +13,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.server.protocol.grammar import Message, Vector, clip, to_bool, to_float, to_int, to_vector
 
 _CLASS_PREFIX = "usarbot."
-# The keys of a `Drive` in the spelling of manual 9.4 and, for Passarola, 12.21.3.
+# The keys of a `DriveRobot` in the spelling of manual 9.4 and, for Passarola, 12.21.3.
 DRIVE_KEYS = (
     *("Left", "Right"),  # skid-steered
     *("Speed", "FrontSteer", "RearSteer"),  # Ackermann-steered
@@ -58,7 +58,7 @@ class GetStartPoses:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class DriveRobot:
     """Drive a robot as a whole, switch its headlight, put it back on its wheels.
 
     Attributes:
@@ -95,7 +95,7 @@ class WheelCommand:
 
 @dataclass(frozen=True, slots=True)
 class DriveWheels:
-    """Drive an OmniDrive robot wheel by wheel; the rest is as in `Drive`."""
+    """Drive an OmniDrive robot wheel by wheel; the rest is as in `DriveRobot`."""
 
     wheels: tuple[WheelCommand, ...]
     normalized: bool = False
@@ -258,7 +258,7 @@ _NOTHING_TO_DO = Ignored("DRIVE without anything to do")
 Command: TypeAlias = (
     Init
     | GetStartPoses
-    | Drive
+    | DriveRobot
     | DriveWheels
     | DriveJoint
     | MultiDrive
@@ -321,8 +321,8 @@ def _drive(message: Message) -> Command | Ignored:
             values[_SPELLINGS[key.lower()]] = to_float(value)
     if message.get("Name") and not values:
         return _drive_joint(message)
-    command = Drive(tuple(values.items()), *switches)
-    return _NOTHING_TO_DO if command == Drive(normalized=normalized) else command
+    command = DriveRobot(tuple(values.items()), *switches)
+    return _NOTHING_TO_DO if command == DriveRobot(normalized=normalized) else command
 
 
 def _drive_wheels(message: Message, switches: tuple[bool, bool | None, bool]) -> Command | Ignored:

@@ -9,10 +9,18 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.grammar import Message, Segment, Vector, raw, truncated, truncated_list, word
-from usarmjx.server.protocol.reports import vehicle
+from usarmjx.server.protocol.grammar import (
+    Message,
+    Segment,
+    Vector,
+    check_word,
+    four_decimals,
+    four_decimals_list,
+    two_decimals,
+)
+from usarmjx.server.protocol.reports import check_vehicle
 
-Field: TypeAlias = tuple[str, str | bool | int | float]
+ConfField: TypeAlias = tuple[str, str | bool | int | float]
 
 # Configuration values that UT2004 servers print from a raw float, although others have 4 decimals.
 _RAW_FIELDS = {("gps", "scaninterval"), ("ins", "scaninterval"), ("groundtruth", "scaninterval")}
@@ -49,10 +57,10 @@ def geo_robot(geometry: RobotGeometry) -> Message:
         UsageError: There is no such kind, or a ground vehicle lacks a number of its wheels.
     """
     segments: list[Segment] = [
-        ("Type", vehicle(geometry.kind)),
+        ("Type", check_vehicle(geometry.kind)),
         ("Name", geometry.name),
-        ("Dimensions", truncated_list(geometry.dimensions)),
-        ("COG", truncated_list(geometry.cog)),
+        ("Dimensions", four_decimals_list(geometry.dimensions)),
+        ("COG", four_decimals_list(geometry.cog)),
     ]
     if geometry.kind == "GroundVehicle":
         for key, value in (
@@ -62,7 +70,7 @@ def geo_robot(geometry: RobotGeometry) -> Message:
         ):
             if value is None:
                 raise UsageError(f"the ground vehicle {geometry.name!r} needs a number for {key}")
-            segments.append((key, truncated(value)))
+            segments.append((key, four_decimals(value)))
     return Message("GEO", tuple(segments))
 
 
@@ -100,17 +108,17 @@ def conf_robot(configuration: RobotConfiguration) -> Message:
         UsageError: There is no such kind.
     """
     segments: list[Segment] = [
-        ("Type", vehicle(configuration.kind)),
+        ("Type", check_vehicle(configuration.kind)),
         ("Name", configuration.name),
         ("SteeringType", configuration.steering),
-        ("Mass", truncated(configuration.mass)),
+        ("Mass", four_decimals(configuration.mass)),
     ]
     if configuration.kind == "GroundVehicle":
         segments += [
-            ("MaxSpeed", truncated(configuration.max_speed)),
-            ("MaxTorque", truncated(configuration.max_torque)),
-            ("MaxFrontSteer", truncated(configuration.max_front_steer)),
-            ("MaxRearSteer", truncated(configuration.max_rear_steer)),
+            ("MaxSpeed", four_decimals(configuration.max_speed)),
+            ("MaxTorque", four_decimals(configuration.max_torque)),
+            ("MaxFrontSteer", four_decimals(configuration.max_front_steer)),
+            ("MaxRearSteer", four_decimals(configuration.max_rear_steer)),
         ]
     return Message("CONF", tuple(segments))
 
@@ -129,15 +137,15 @@ def geo_items(type_name: str, items: Iterable[tuple[str, Vector, Vector, str]]) 
     segments = [
         (
             "Name",
-            f"{word(name)} Location {truncated_list(location)}"
-            f" Orientation {truncated_list(orientation)} Mount {word(mount)}",
+            f"{check_word(name)} Location {four_decimals_list(location)}"
+            f" Orientation {four_decimals_list(orientation)} Mount {check_word(mount)}",
         )
         for name, location, orientation, mount in items
     ]
     return Message("GEO", (("Type", type_name), *segments))
 
 
-def conf_items(type_name: str, items: Iterable[Sequence[Field]]) -> Message:
+def conf_items(type_name: str, items: Iterable[Sequence[ConfField]]) -> Message:
     """Return the options of the sensors or effecters of a type, one item after the other.
 
     Args:
@@ -161,8 +169,8 @@ def conf_effecters(effecters: Iterable[tuple[str, Sequence[tuple[str, float, flo
         for opcode, largest, smallest in operations:
             segments += [
                 ("Opcode", opcode),
-                ("MaxVal", truncated(largest)),
-                ("MinVal", truncated(smallest)),
+                ("MaxVal", four_decimals(largest)),
+                ("MinVal", four_decimals(smallest)),
             ]
     return Message("CONF", tuple(segments))
 
@@ -170,7 +178,7 @@ def conf_effecters(effecters: Iterable[tuple[str, Sequence[tuple[str, float, flo
 def _field(type_name: str, key: str, value: str | bool | int | float) -> str:
     if isinstance(value, float):
         is_raw = (type_name.lower(), key.lower()) in _RAW_FIELDS
-        return raw(value) if is_raw else truncated(value)
+        return two_decimals(value) if is_raw else four_decimals(value)
     return str(value)
 
 
@@ -200,8 +208,8 @@ def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]]) -> Messag
             segments += [
                 ("Link", str(link.link)),
                 ("ParentLink", str(link.parent)),
-                ("Location", truncated_list(link.location)),
-                ("Orientation", truncated_list(link.orientation)),
+                ("Location", four_decimals_list(link.location)),
+                ("Orientation", four_decimals_list(link.orientation)),
             ]
     return Message("GEO", tuple(segments))
 
@@ -236,10 +244,10 @@ def conf_mispkg(packages: Iterable[tuple[str, Sequence[LinkConfiguration]]]) -> 
             segments += [
                 ("Link", str(link.link)),
                 ("JointType", link.joint),
-                ("MaxSpeed", raw(link.max_speed)),
-                ("MaxTorque", raw(link.max_torque)),
-                ("MinRange", raw(link.min_range)),
-                ("MaxRange", raw(link.max_range)),
+                ("MaxSpeed", two_decimals(link.max_speed)),
+                ("MaxTorque", two_decimals(link.max_torque)),
+                ("MinRange", two_decimals(link.min_range)),
+                ("MaxRange", two_decimals(link.max_range)),
             ]
     return Message("CONF", tuple(segments))
 

@@ -1,7 +1,7 @@
 """The Gamebots grammar: one line of text <-> one `Message`, and the numbers in it both ways.
 
-A line is a head and segments in braces, `DRIVE {Left 1.0} {Right 1.0}` (manual 9.2). `format`
-writes exactly that form. `parse` also takes what real controllers send and the original servers
+A line is a head and segments in braces, `DRIVE {Left 1.0} {Right 1.0}` (manual 9.2). `format_message`
+writes exactly that form. `parse_message` also takes what real controllers send and the original servers
 took: any case, missing or extra spaces, and a last segment without its `}`.
 """
 
@@ -42,7 +42,7 @@ class Message:
     """One line of the protocol, sent or received.
 
     Attributes:
-        kind: The head, such as "DRIVE" or "SEN"; `parse` makes it upper case.
+        kind: The head, such as "DRIVE" or "SEN"; `parse_message` makes it upper case.
         segments: (key, value) per pair of braces, where the value is all that follows the first
             word. Order and repeats are part of the protocol: one line may carry ten `{Name ...}`.
     """
@@ -60,7 +60,7 @@ class Message:
         return tuple(value for name, value in self.segments if name.lower() == wanted)
 
 
-def parse(line: str) -> Message:
+def parse_message(line: str) -> Message:
     """Return the message that a line means; text outside the braces is ignored.
 
     Raises:
@@ -91,8 +91,8 @@ def parse(line: str) -> Message:
     return Message(head.upper(), tuple(segments))
 
 
-def format(message: Message) -> str:
-    """Return the line, without its end, that `parse` reads back as the same message.
+def format_message(message: Message) -> str:
+    """Return the line, without its end, that `parse_message` reads back as the same message.
 
     Raises:
         UsageError: The kind, a key or a value holds what the grammar cannot carry.
@@ -165,7 +165,7 @@ def to_vector(text: str) -> tuple[float, ...]:
     return tuple(to_float(part) for part in bare if part)
 
 
-def truncated(value: float) -> str:
+def four_decimals(value: float) -> str:
     """Return 4 decimals cut toward zero, "-0.0000" included: the form of most numbers.
 
     Raises:
@@ -176,7 +176,7 @@ def truncated(value: float) -> str:
     return f"{'-' if math.copysign(1.0, value) < 0 else ''}{whole}.{part:04d}"
 
 
-def raw(value: float) -> str:
+def two_decimals(value: float) -> str:
     """Return 2 decimals rounded: how UnrealScript itself prints a float.
 
     Captures have STA at 5609.45 beside a sensor at 5609.4467, so these are not cut.
@@ -188,17 +188,17 @@ def raw(value: float) -> str:
     return f"{value:.2f}"
 
 
-def truncated_list(values: Iterable[float]) -> str:
-    """Return numbers of the form `truncated`, separated by commas only."""
-    return ",".join([truncated(value) for value in values])
+def four_decimals_list(values: Iterable[float]) -> str:
+    """Return numbers of the form `four_decimals`, separated by commas only."""
+    return ",".join([four_decimals(value) for value in values])
 
 
-def raw_list(values: Iterable[float]) -> str:
-    """Return numbers of the form `raw`, separated by commas only."""
-    return ",".join([raw(value) for value in values])
+def two_decimals_list(values: Iterable[float]) -> str:
+    """Return numbers of the form `two_decimals`, separated by commas only."""
+    return ",".join([two_decimals(value) for value in values])
 
 
-def word(text: str) -> str:
+def check_word(text: str) -> str:
     """Return `text` if it can stand among the pairs of a segment such as `{Name F1 Range 1.0}`.
 
     Raises:

@@ -20,9 +20,9 @@ FORMATS = ("raw", "super", "good", "normal", "average", "bad")
 """Names of the picture types, in the order of their numbers."""
 JPEG_QUALITY = (100, 75, 50, 25, 10)
 """Of types 1 to 5: what these words mean in FreeImage, with which the original wrote its pictures."""
-LARGEST = 4096
+MAX_IMAGE_SIDE = 4096
 """Most pixels along a side."""
-GRACE = 0.1
+FIRST_FRAME_DELAY = 0.1
 """Some clients ask for the first picture, others wait for it: it is sent when asked, or after this [s]."""
 RECTANGLE = struct.Struct(">4I")
 
@@ -50,12 +50,12 @@ def parse_size(text: str) -> tuple[int, int]:
         UsageError: It is not of that form, or too large.
     """
     parts = text.lower().split("x")
-    if len(parts) == 2 and all(part.isdecimal() and 1 <= int(part) <= LARGEST for part in parts):
+    if len(parts) == 2 and all(part.isdecimal() and 1 <= int(part) <= MAX_IMAGE_SIDE for part in parts):
         return int(parts[0]), int(parts[1])
-    raise UsageError(f"picture size {text!r} is not of the form 320x240, each from 1 to {LARGEST}")
+    raise UsageError(f"picture size {text!r} is not of the form 320x240, each from 1 to {MAX_IMAGE_SIDE}")
 
 
-def frame(number: int, pixels: np.ndarray) -> bytes:
+def encode_frame(number: int, pixels: np.ndarray) -> bytes:
     """Return the frame of a picture.
 
     Args:
@@ -98,7 +98,7 @@ class ImageSession:
         """Begin."""
         self.region: Region | None = (0, 0, *self.size)
         self._asked = self._sent = False
-        self._due = self.began + GRACE
+        self._due = self.began + FIRST_FRAME_DELAY
         self._pending = b""
 
     def receive_data(self, data: bytes) -> None:

@@ -13,11 +13,11 @@ from usarmjx.server.protocol.grammar import (
     Message,
     Segment,
     Vector,
-    raw,
-    raw_list,
-    truncated,
-    truncated_list,
-    word,
+    check_word,
+    four_decimals,
+    four_decimals_list,
+    two_decimals,
+    two_decimals_list,
 )
 
 # The kinds of robot of manual 9.3 and the angles in the STA of each: wire key, `RobotStatus` field.
@@ -46,7 +46,8 @@ def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
     """
     count = ("StartPoses", str(len(poses)))
     words = [
-        f"{word(tag)} {raw_list(location)} {raw_list(orientation)}" for tag, location, orientation in poses
+        f"{check_word(tag)} {two_decimals_list(location)} {two_decimals_list(orientation)}"
+        for tag, location, orientation in poses
     ]
     if not words:
         return Message("NFO", (count,))
@@ -54,7 +55,7 @@ def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
     return Message("NFO", (count, (first, rest)))
 
 
-def vehicle(kind: str) -> str:
+def check_vehicle(kind: str) -> str:
     """Return `kind` if it is one of the four that STA, GEO and CONF know robots by.
 
     Raises:
@@ -109,10 +110,10 @@ def sta(kind: str, status: RobotStatus) -> Message:
     return Message(
         "STA",
         (
-            ("Type", vehicle(kind)),
-            ("Time", raw(status.time)),
-            *((key, truncated(getattr(status, field))) for key, field in VEHICLES[kind]),
-            *((name, truncated(angle)) for name, angle in status.joints),
+            ("Type", check_vehicle(kind)),
+            ("Time", two_decimals(status.time)),
+            *((key, four_decimals(getattr(status, field))) for key, field in VEHICLES[kind]),
+            *((name, four_decimals(angle)) for name, angle in status.joints),
             ("LightToggle", str(status.light)),
             ("LightIntensity", str(status.intensity)),
             ("Battery", str(status.battery)),
@@ -131,13 +132,13 @@ def missta(time: float, package: str, links: Iterable[tuple[int, float, float]])
             below 1 are not reported, and Torque is minus that maximum, not a measurement: both as
             in the original (KRobot.uc, timer).
     """
-    segments: list[Segment] = [("Time", raw(time)), ("Name", package)]
+    segments: list[Segment] = [("Time", two_decimals(time)), ("Name", package)]
     for link, value, max_torque in links:
         if link > 0:
             segments += [
                 ("Link", str(link)),
-                ("Value", truncated(value)),
-                ("Torque", raw(-max_torque)),
+                ("Value", four_decimals(value)),
+                ("Torque", two_decimals(-max_torque)),
             ]
     return Message("MISSTA", tuple(segments))
 
@@ -148,17 +149,17 @@ def _sen(time: str | None, type_name: str, *segments: Segment) -> Message:
 
 
 def _precise(time: float | None) -> str | None:
-    return None if time is None else truncated(time)
+    return None if time is None else four_decimals(time)
 
 
 def sen_range(kind: str, time: float | None, readings: Iterable[tuple[str, float]]) -> Message:
     """Return all range sensors of one kind ("Sonar", "IR") in one line: (name, range [m])."""
-    items = [("Name", f"{word(name)} Range {truncated(value)}") for name, value in readings]
+    items = [("Name", f"{check_word(name)} Range {four_decimals(value)}") for name, value in readings]
     return _sen(_precise(time), kind, *items)
 
 
 @dataclass(frozen=True, slots=True)
-class Scan:
+class RangeScan:
     """One sweep of a range scanner.
 
     Attributes:
@@ -174,20 +175,20 @@ class Scan:
     ranges: Sequence[float]
 
 
-def sen_scanner(kind: str, time: float | None, scan: Scan) -> Message:
+def sen_scanner(kind: str, time: float | None, scan: RangeScan) -> Message:
     """Return a sweep of a "RangeScanner" or "IRScanner"; its Time has 2 decimals, as captured."""
     return _sen(
-        None if time is None else raw(time),
+        None if time is None else two_decimals(time),
         kind,
         ("Name", scan.name),
-        ("Resolution", truncated(scan.resolution)),
-        ("FOV", truncated(scan.fov)),
-        ("Range", truncated_list(scan.ranges)),
+        ("Resolution", four_decimals(scan.resolution)),
+        ("FOV", four_decimals(scan.fov)),
+        ("Range", four_decimals_list(scan.ranges)),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Scan3D:
+class RangeScan3D:
     """One sweep of a 3D range scanner.
 
     Attributes:
@@ -203,24 +204,24 @@ class Scan3D:
     ranges: Sequence[float]
 
 
-def sen_scanner_3d(time: float | None, scan: Scan3D) -> Message:
+def sen_scanner_3d(time: float | None, scan: RangeScan3D) -> Message:
     """Return a sweep of a "RangeScanner3D": a range scanner's line with pairs of angles.
 
     The manual has no such line; this one is what Player's driver for the sensor reads.
     """
     return _sen(
-        None if time is None else raw(time),
+        None if time is None else two_decimals(time),
         "RangeScanner3D",
         ("Name", scan.name),
-        ("Resolution", truncated_list(scan.resolution)),
-        ("FOV", truncated_list(scan.fov)),
-        ("Range", truncated_list(scan.ranges)),
+        ("Resolution", four_decimals_list(scan.resolution)),
+        ("FOV", four_decimals_list(scan.fov)),
+        ("Range", four_decimals_list(scan.ranges)),
     )
 
 
 def sen_odometry(time: float | None, name: str, pose: Vector) -> Message:
     """Return the estimated pose relative to the start: x [m], y [m], theta [rad]."""
-    return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", truncated_list(pose)))
+    return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", four_decimals_list(pose)))
 
 
 def sen_ins(time: float | None, name: str, location: Vector, orientation: Vector) -> Message:
@@ -236,14 +237,14 @@ def sen_ground_truth(time: float | None, name: str, location: Vector, orientatio
 def _raw_pose(name: str, location: Vector, orientation: Vector) -> tuple[Segment, ...]:
     return (
         ("Name", name),
-        ("Location", raw_list(location)),
-        ("Orientation", raw_list(orientation)),
+        ("Location", two_decimals_list(location)),
+        ("Orientation", two_decimals_list(orientation)),
     )
 
 
 def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message:
     """Return all encoders in one line: (name, tick count)."""
-    items = [("Name", f"{word(name)} Tick {tick}") for name, tick in ticks]
+    items = [("Name", f"{check_word(name)} Tick {tick}") for name, tick in ticks]
     return _sen(_precise(time), "Encoder", *items)
 
 
@@ -269,19 +270,21 @@ def sen_gps(time: float | None, name: str, position: tuple[float, float] | None,
 
 def _degrees_and_minutes(angle: float) -> str:
     """Return an angle [degrees] without its sign as degrees and minutes, cut and never 60 minutes."""
-    degrees, minutes = divmod(float(truncated(abs(angle) * 60)), 60)
+    degrees, minutes = divmod(float(four_decimals(abs(angle) * 60)), 60)
     return f"{degrees:.0f},{minutes:.4f}"
 
 
 def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Message:
     """Return all touch sensors in one line: (name, whether it is touched)."""
-    items = [("Name", f"{word(name)} Touch {bool(touch)}") for name, touch in touched]
+    items = [("Name", f"{check_word(name)} Touch {bool(touch)}") for name, touch in touched]
     return _sen(_precise(time), "Touch", *items)
 
 
 def res(time: float, type_name: str, name: str, status: str) -> Message:
     """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
-    return Message("RES", (("Time", raw(time)), ("Type", type_name), ("Name", name), ("Status", status)))
+    return Message(
+        "RES", (("Time", two_decimals(time)), ("Type", type_name), ("Name", name), ("Status", status))
+    )
 
 
 def res_camera(time: float, cameras: Iterable[tuple[str, float, str]]) -> Message:
@@ -291,9 +294,9 @@ def res_camera(time: float, cameras: Iterable[tuple[str, float, str]]) -> Messag
         time: Simulated time [s].
         cameras: Name, field of view [rad] and status of each.
     """
-    segments: list[Segment] = [("Time", raw(time)), ("Type", "Camera")]
+    segments: list[Segment] = [("Time", two_decimals(time)), ("Type", "Camera")]
     for name, fov, status in cameras:
-        segments += [("Name", name), ("FOV", truncated(fov)), ("Status", status)]
+        segments += [("Name", name), ("FOV", four_decimals(fov)), ("Status", status)]
     return Message("RES", tuple(segments))
 
 
@@ -305,7 +308,7 @@ def res_viewports(time: float, config: tuple[str, str], viewports: Iterable[tupl
         config: "SingleView" or "QuadView", and its status.
         viewports: What each of the four shows, and its status.
     """
-    segments: list[Segment] = [("Time", raw(time)), ("Type", "Viewports")]
+    segments: list[Segment] = [("Time", two_decimals(time)), ("Type", "Viewports")]
     segments += [("Config", config[0]), ("Status", config[1])]
     for number, (shown, status) in enumerate(viewports, 1):
         segments += [(f"Viewport{number}", shown), ("Status", status)]

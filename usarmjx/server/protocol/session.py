@@ -16,8 +16,8 @@ from enum import Enum
 from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.commands import (
     Command,
-    Drive,
     DriveJoint,
+    DriveRobot,
     DriveWheels,
     GetConf,
     GetGeo,
@@ -34,7 +34,7 @@ from usarmjx.server.protocol.commands import (
     Trace,
     parse_command,
 )
-from usarmjx.server.protocol.grammar import Message, clip, format, parse
+from usarmjx.server.protocol.grammar import Message, clip, format_message, parse_message
 from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
 
 # A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
@@ -43,7 +43,7 @@ MAX_FAULTS = 32  # kept for the log between two `take_faults`; the rest is only 
 MAX_WAITING = 256  # lines kept while an INIT is not answered yet
 
 
-class Phase(Enum):
+class SessionPhase(Enum):
     """Where a dialogue stands."""
 
     GREETED = "greeted"
@@ -54,25 +54,29 @@ class Phase(Enum):
 # What is not in the table is ignored with a reason for the log, as the original does silently. A
 # second INIT is among that: servers disagree (one adds a robot and forgets the first, another
 # ignores it), and one robot per connection is the rule.
-TRANSITIONS: dict[Phase, dict[type[Command], Phase]] = {
-    Phase.GREETED: {GetStartPoses: Phase.GREETED, SetView: Phase.GREETED, Init: Phase.ACTIVE},
-    Phase.ACTIVE: {
-        GetStartPoses: Phase.ACTIVE,
-        Drive: Phase.ACTIVE,
-        DriveWheels: Phase.ACTIVE,
-        DriveJoint: Phase.ACTIVE,
-        MultiDrive: Phase.ACTIVE,
-        MisPkg: Phase.ACTIVE,
-        Set: Phase.ACTIVE,
-        SetJoint: Phase.ACTIVE,
-        SetFov: Phase.ACTIVE,
-        SetViewports: Phase.ACTIVE,
-        SetView: Phase.ACTIVE,
-        Trace: Phase.ACTIVE,
-        GetGeo: Phase.ACTIVE,
-        GetConf: Phase.ACTIVE,
+TRANSITIONS: dict[SessionPhase, dict[type[Command], SessionPhase]] = {
+    SessionPhase.GREETED: {
+        GetStartPoses: SessionPhase.GREETED,
+        SetView: SessionPhase.GREETED,
+        Init: SessionPhase.ACTIVE,
     },
-    Phase.CLOSED: {},
+    SessionPhase.ACTIVE: {
+        GetStartPoses: SessionPhase.ACTIVE,
+        DriveRobot: SessionPhase.ACTIVE,
+        DriveWheels: SessionPhase.ACTIVE,
+        DriveJoint: SessionPhase.ACTIVE,
+        MultiDrive: SessionPhase.ACTIVE,
+        MisPkg: SessionPhase.ACTIVE,
+        Set: SessionPhase.ACTIVE,
+        SetJoint: SessionPhase.ACTIVE,
+        SetFov: SessionPhase.ACTIVE,
+        SetViewports: SessionPhase.ACTIVE,
+        SetView: SessionPhase.ACTIVE,
+        Trace: SessionPhase.ACTIVE,
+        GetGeo: SessionPhase.ACTIVE,
+        GetConf: SessionPhase.ACTIVE,
+    },
+    SessionPhase.CLOSED: {},
 }
 
 
@@ -94,7 +98,7 @@ class RobotSession:
     def __init__(
         self, greeting: Message, line_limit: int = DEFAULT_LIMIT, send_limit: int = SEND_LIMIT
     ) -> None:
-        self.phase = Phase.GREETED
+        self.phase = SessionPhase.GREETED
         self._lines = LineBuffer(line_limit)
         self._send_limit = send_limit
         self._outgoing = bytearray()
@@ -115,7 +119,7 @@ class RobotSession:
         An Init is the last command of the list, whatever follows it in the data: those lines wait
         for `answer_init`, because their legality depends on the answer.
         """
-        if self.phase is Phase.CLOSED:
+        if self.phase is SessionPhase.CLOSED:
             return []
         lines = self._lines.feed(data)
         for _ in range(self._lines.take_too_long()):
@@ -124,7 +128,7 @@ class RobotSession:
 
     def receive_eof(self) -> list[Command]:
         """Return the command of a last line that the peer did not end before it stopped sending."""
-        return [] if self.phase is Phase.CLOSED else self._take(self._lines.end())
+        return [] if self.phase is SessionPhase.CLOSED else self._take(self._lines.end())
 
     def answer_init(self, accepted: bool) -> list[Command]:
         """Say whether the robot of the last Init exists now.
@@ -156,9 +160,9 @@ class RobotSession:
         Raises:
             PeerError: The peer does not read, more than the limit would wait. Drop it.
         """
-        if self.phase is Phase.CLOSED:  # a tick cannot know that its reader has just left
+        if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        line = format(message).encode("latin-1", "replace") + b"\r\n"
+        line = format_message(message).encode("latin-1", "replace") + b"\r\n"
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
         self._outgoing += line
@@ -174,7 +178,7 @@ class RobotSession:
 
     def close(self) -> None:
         """End the dialogue: nothing more is read or sent."""
-        self.phase = Phase.CLOSED
+        self.phase = SessionPhase.CLOSED
         self._awaits_answer = False
         self._waiting.clear()
         self._outgoing.clear()
@@ -194,7 +198,7 @@ class RobotSession:
     def _understand(self, line: str) -> Command | None:
         """Return the line's command if it is legal now; otherwise note the fault."""
         try:
-            command = parse_command(parse(line))
+            command = parse_command(parse_message(line))
         except PeerError as error:
             self._fault(f"{error}: {clip(line)}")
             return None

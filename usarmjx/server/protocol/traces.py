@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.sensors.sketch import Sketch
+from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.server.protocol.commands import Trace
 
 COLORS: dict[str, Vec3] = {
@@ -18,34 +18,34 @@ COLORS: dict[str, Vec3] = {
     "Purple": (0.5, 0.0, 0.5),
 }
 """Red, green and blue, 0 to 1, of `commands.TRACE_COLORS`."""
-APART = 7 / 250
+MIN_DISTANCE = 7 / 250
 """A robot has to move further than this between two points [m]: 7 Unreal units (KRobot.uc)."""
-PACE = 0.1
+MIN_INTERVAL = 0.1
 """A robot's place is looked up no more often than this [s]."""
-LIMIT = 512
+MAX_POINTS = 512
 """Most points of a world. When there would be more, every other one goes, and from then on every other one is
 not left at all: the whole way can still be seen."""
 
 
 @dataclass
-class Trail:
+class RobotTrace:
     """What one robot is told about its trace.
 
     Attributes:
-        told: The last Trace command.
+        command: The last Trace command.
         last: Where its last point is [m], None before the first.
         next: Time from which the next point may come [s].
         count: How many there would be of it.
     """
 
-    told: Trace
+    command: Trace
     last: Vec3 | None = None
     next: float = 0.0
     count: int = 0
 
     def due(self, time: float) -> bool:
         """Whether it is time to look where the robot is."""
-        return self.told.on and time >= self.next - 1e-6
+        return self.command.on and time >= self.next - 1e-6
 
 
 @dataclass
@@ -54,27 +54,27 @@ class Traces:
 
     Attributes:
         points: Place [m] and colour of each.
-        every: Every so manieth point is left.
+        stride: Every so manieth point is left.
     """
 
     points: list[tuple[Vec3, str]] = field(default_factory=list)
-    every: int = 1
+    stride: int = 1
 
-    def drop(self, trail: Trail, place: Vec3, time: float) -> None:
+    def add_point(self, trail: RobotTrace, position: Vec3, time: float) -> None:
         """Leave a point where a robot is now, if it is far enough from its last one."""
-        trail.next = time + PACE
-        if trail.last is not None and np.linalg.norm(np.subtract(place, trail.last)) <= APART:
+        trail.next = time + MIN_INTERVAL
+        if trail.last is not None and np.linalg.norm(np.subtract(position, trail.last)) <= MIN_DISTANCE:
             return
-        trail.last, trail.next = place, time + max(PACE, trail.told.interval)
+        trail.last, trail.next = position, time + max(MIN_INTERVAL, trail.command.interval)
         trail.count += 1
-        if (trail.count - 1) % self.every == 0:
-            self.points.append((place, trail.told.color))
-        if len(self.points) > LIMIT:
+        if (trail.count - 1) % self.stride == 0:
+            self.points.append((position, trail.command.color))
+        if len(self.points) > MAX_POINTS:
             del self.points[1::2]
-            self.every *= 2
+            self.stride *= 2
 
-    def sketch(self) -> Sketch:
+    def sketch(self) -> OverlayLines:
         """Return all points, to be drawn; numpy arrays."""
         places = np.array([place for place, _ in self.points], np.float32).reshape(-1, 3)
         colors = np.array([COLORS[color] for _, color in self.points], np.float32).reshape(-1, 3)
-        return Sketch(start=places, end=places, rgb=colors, shown=np.ones(len(places), bool))
+        return OverlayLines(start=places, end=places, rgb=colors, shown=np.ones(len(places), bool))

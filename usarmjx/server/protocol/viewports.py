@@ -7,10 +7,10 @@ from usarmjx.base.errors import PeerError
 
 SINGLE, QUAD = "SingleView", "QuadView"
 CONFIGS = {"0": SINGLE, "singleview": SINGLE, "1": QUAD, "quadview": QUAD}
-DISABLE, DISABLED, NONE = "disable", "Disabled", "None"
+DISABLE, DISABLED, UNKNOWN_CAMERA = "disable", "Disabled", "None"
 """What switches a viewport off, how that is reported, and what one with an unknown camera reports."""
-COUNT = 4
-OK, FAILED = "OK", "Failed"
+VIEWPORT_COUNT = 4
+STATUS_OK, STATUS_FAILED = "OK", "Failed"
 
 
 @dataclass
@@ -19,7 +19,7 @@ class Viewports:
 
     Attributes:
         config: `SINGLE`, where the first fills the picture, or `QUAD`, where each has a quarter.
-        shown: Name of the camera of each of the four, `DISABLED` or `NONE`.
+        shown: Name of the camera of each of the four, `DISABLED` or `UNKNOWN_CAMERA`.
     """
 
     config: str
@@ -28,7 +28,9 @@ class Viewports:
     @classmethod
     def of(cls, cameras: Sequence[str]) -> "Viewports":
         """Return those that a robot with these cameras starts with: four with more than one camera."""
-        return cls(QUAD if len(cameras) > 1 else SINGLE, [*cameras, *[DISABLED] * COUNT][:COUNT])
+        return cls(
+            QUAD if len(cameras) > 1 else SINGLE, [*cameras, *[DISABLED] * VIEWPORT_COUNT][:VIEWPORT_COUNT]
+        )
 
     def arrange(
         self, cameras: Sequence[str], config: str, changes: Sequence[tuple[int, str]]
@@ -44,11 +46,11 @@ class Viewports:
             The status of the configuration, and of each viewport.
         """
         known = {name.lower(): name for name in reversed(cameras)} | {DISABLE: DISABLED, "disabled": DISABLED}
-        status = OK if not config or config.lower() in CONFIGS else FAILED
+        status = STATUS_OK if not config or config.lower() in CONFIGS else STATUS_FAILED
         self.config = CONFIGS.get(config.lower(), self.config)
         for number, name in changes:
-            self.shown[number - 1] = known.get(name.lower(), NONE)
-        return status, [FAILED if shown == NONE else OK for shown in self.shown]
+            self.shown[number - 1] = known.get(name.lower(), UNKNOWN_CAMERA)
+        return status, [STATUS_FAILED if shown == UNKNOWN_CAMERA else STATUS_OK for shown in self.shown]
 
     def tiles(self) -> tuple[tuple[str, int, int, int], ...]:
         """Return which cameras show where: name, column, row, and how many columns and rows there are."""
@@ -56,11 +58,11 @@ class Viewports:
             places = [(self.shown[0], 0, 0, 1)]
         else:
             places = [(name, place % 2, place // 2, 2) for place, name in enumerate(self.shown)]
-        return tuple(place for place in places if place[0] not in (DISABLED, NONE))
+        return tuple(place for place in places if place[0] not in (DISABLED, UNKNOWN_CAMERA))
 
 
 @dataclass
-class Ties:
+class ViewBindings:
     """Which image clients' views are tied to which robot's camera.
 
     Attributes:
@@ -70,7 +72,7 @@ class Ties:
     limit: int = 256
     _tied: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
 
-    def tie(self, client: str, robot: str, camera: str) -> None:
+    def bind(self, client: str, robot: str, camera: str) -> None:
         """Tie a client's view to a camera, or to the viewports of the robot if no camera is named.
 
         Raises:
@@ -80,10 +82,10 @@ class Ties:
             raise PeerError(f"{self.limit} views are tied already")
         self._tied[client] = (robot, camera)
 
-    def release(self, client: str) -> None:
+    def unbind(self, client: str) -> None:
         """Let go of a client's view; nothing if it was not tied."""
         self._tied.pop(client, None)
 
-    def of(self, address: str, port: int) -> tuple[str, str] | None:
+    def get(self, address: str, port: int) -> tuple[str, str] | None:
         """Return robot and camera that a connection's view is tied to; the tie of its port counts first."""
         return self._tied.get(f"{address}:{port}", self._tied.get(address))

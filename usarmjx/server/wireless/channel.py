@@ -13,16 +13,16 @@ class Presence:
 
     Attributes:
         name: Its name on the wire.
-        at: Its chassis origin, in our axes [m].
+        position: Its chassis origin, in our axes [m].
         battery_empty: Whether it has used up its battery.
     """
 
     name: str
-    at: Vec3
+    position: Vec3
     battery_empty: bool = False
 
 
-class Air(Protocol):
+class RadioAccess(Protocol):
     """The radio of one world at this moment. Names are those of INIT, in any case; the first match counts.
 
     Attributes:
@@ -35,11 +35,11 @@ class Air(Protocol):
         """Return all robots in the world."""
         ...
 
-    def has(self, name: str) -> bool:
+    def has_robot(self, name: str) -> bool:
         """Return whether a robot of that name is in the world."""
         ...
 
-    def strength(self, one: str, other: str) -> float | None:
+    def signal_strength(self, one: str, other: str) -> float | None:
         """Return the power received between two robots [dBm]; None if either is not in the world."""
         ...
 
@@ -52,7 +52,7 @@ class Air(Protocol):
         ...
 
 
-def reaches(air: Air, one: str, other: str) -> bool:
+def reaches(radio: RadioAccess, one: str, other: str) -> bool:
     """Return whether two robots hear each other: both are there, and the power is not below the cutoff."""
-    power = air.strength(one, other)
-    return power is not None and power >= air.cutoff
+    power = radio.signal_strength(one, other)
+    return power is not None and power >= radio.cutoff

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.wireless.channel import Air, reaches
+from usarmjx.server.wireless.channel import RadioAccess, reaches
 
-MOST_STATIONS = 256
-MOST_PORTS = 64
+MAX_REGISTRATIONS = 256
+MAX_LISTEN_PORTS = 64
 """Ports that one robot may be listening on at a time."""
-MOST_LINKS = 32
+MAX_LINKS_PER_ROBOT = 32
 """Data links that one robot may have at a time."""
-LINKS_IN_ALL = 128
+MAX_LINKS = 128
 """Data links of all robots: two sockets each, of the 1024 that a process often has."""
 
 
@@ -72,7 +72,7 @@ Request: TypeAlias = Register | Listen | Open | GetSS
 
 
 @dataclass(frozen=True, slots=True)
-class End:
+class Endpoint:
     """Where to dial one end of a link."""
 
     name: str
@@ -81,11 +81,11 @@ class End:
 
 
 @dataclass(frozen=True, slots=True)
-class Dial:
+class EndpointPair:
     """A link to make: both ends have to be dialled."""
 
-    first: End
-    second: End
+    first: Endpoint
+    second: Endpoint
 
     @property
     def names(self) -> tuple[str, str]:
@@ -93,7 +93,7 @@ class Dial:
         return self.first.name, self.second.name
 
 
-def plain_address(text: str) -> str:
+def normalize_address(text: str) -> str:
     """Return an IP address in its usual form, so that two ways to write one compare equal.
 
     Raises:
@@ -108,7 +108,7 @@ def plain_address(text: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Station:
+class Registration:
     """A registered robot.
 
     Attributes:
@@ -124,14 +124,14 @@ class ComServer:
     """What all control connections share: who is registered, who listens where. Names are matched exactly.
 
     Args:
-        air: The radio.
+        radio: The radio.
         allowed: Addresses that anyone may register, beside his own.
     """
 
-    def __init__(self, air: Air, allowed: Collection[str] = ()) -> None:
-        self._air = air
-        self._allowed = frozenset(plain_address(address) for address in allowed)
-        self._stations: dict[str, Station] = {}
+    def __init__(self, radio: RadioAccess, allowed: Collection[str] = ()) -> None:
+        self._air = radio
+        self._allowed = frozenset(normalize_address(address) for address in allowed)
+        self._stations: dict[str, Registration] = {}
         self._listening: dict[str, list[int]] = {}
         self._links: Counter[str] = Counter()
         self._seen: set[str] = set()
@@ -142,17 +142,17 @@ class ComServer:
         Raises:
             Refusal: The address is not the caller's, or the name is taken.
         """
-        address = plain_address(ask.address)
+        address = normalize_address(ask.address)
         if address != caller and address not in self._allowed:
             raise Refusal(f"Address {ask.address} is not yours")
         known = self._stations.get(ask.name)
         if known and known.address != address and not self._has_left(ask.name):
             raise Refusal(f"Robot with name {ask.name} already registered")
-        if not known and len(self._stations) >= MOST_STATIONS:
+        if not known and len(self._stations) >= MAX_REGISTRATIONS:
             self._make_room()
         if not known or known.address != address:
             self._forget(ask.name)
-            self._stations[ask.name] = Station(address, caller)
+            self._stations[ask.name] = Registration(address, caller)
 
     def listen(self, caller: str, ask: Listen) -> None:
         """Note that a robot's controller takes a link on a port; one OPEN uses it up.
@@ -167,11 +167,11 @@ class ComServer:
         ports = self._listening.setdefault(ask.name, [])
         if ask.port in ports:
             raise Refusal(f"Robot with name {ask.name} already listening at port {ask.port}")
-        if len(ports) >= MOST_PORTS:
-            raise Refusal(f"Robot with name {ask.name} already listening at {MOST_PORTS} ports")
+        if len(ports) >= MAX_LISTEN_PORTS:
+            raise Refusal(f"Robot with name {ask.name} already listening at {MAX_LISTEN_PORTS} ports")
         ports.append(ask.port)
 
-    def open(self, caller: str, ask: Open) -> Dial:
+    def open(self, caller: str, ask: Open) -> EndpointPair:
         """Return what to dial; tell `opened` how it went.
 
         Raises:
@@ -187,28 +187,28 @@ class ComServer:
             raise Refusal(NO_CONNECTION)
         if not self._owns(caller, ask.name) and ask.port not in self._listening.get(ask.name, ()):
             raise Refusal(f"{ask.name} not listening on port {ask.port}")
-        dial = Dial(
-            End(ask.name, self._stations[ask.name].address, ask.port),
-            End(ask.host, self._stations[ask.host].address, ask.host_port),
+        endpoints = EndpointPair(
+            Endpoint(ask.name, self._stations[ask.name].address, ask.port),
+            Endpoint(ask.host, self._stations[ask.host].address, ask.host_port),
         )
         self._listening[ask.host].remove(ask.host_port)
-        self._links.update(dial.names)
-        return dial
+        self._links.update(endpoints.names)
+        return endpoints
 
-    def opened(self, dial: Dial, done: bool) -> None:
+    def opened(self, endpoints: EndpointPair, done: bool) -> None:
         """Note whether both ends of a dial answered; if not, the host goes on listening."""
         if not done:
-            self.closed(dial)
-            ports = self._listening.get(dial.second.name)
-            if ports is not None and dial.second.port not in ports:
-                ports.append(dial.second.port)
+            self.closed(endpoints)
+            ports = self._listening.get(endpoints.second.name)
+            if ports is not None and endpoints.second.port not in ports:
+                ports.append(endpoints.second.port)
 
-    def closed(self, dial: Dial) -> None:
+    def closed(self, endpoints: EndpointPair) -> None:
         """Note that a link is gone."""
-        self._links.subtract(dial.names)
+        self._links.subtract(endpoints.names)
         self._links += Counter()  # forgets names at zero
 
-    def strength(self, caller: str, ask: GetSS) -> float:
+    def signal_strength(self, caller: str, ask: GetSS) -> float:
         """Return the power received between two robots [dBm].
 
         Raises:
@@ -216,34 +216,34 @@ class ComServer:
         """
         if not self._owns(caller, ask.one) and not self._owns(caller, ask.other):
             raise Refusal(THIRD_PARTY)
-        power = self._air.strength(ask.one, ask.other)
+        power = self._air.signal_strength(ask.one, ask.other)
         if power is None or power > 0:
             raise Refusal("Could not calculate signal strength")
         return power
 
     def alive(self, name: str) -> bool:
         """Return whether a name is registered and such a robot in the world."""
-        return name in self._stations and self._air.has(name)
+        return name in self._stations and self._air.has_robot(name)
 
-    def watch(self) -> None:
+    def poll_presence(self) -> None:
         """Note which robots are in the world, so that it shows when they have left."""
-        self._seen |= {name for name in self._stations if self._air.has(name)}
+        self._seen |= {name for name in self._stations if self._air.has_robot(name)}
 
     def _owns(self, caller: str, name: str) -> bool:
         station = self._stations.get(name)
         return station is not None and caller in (station.address, station.owner)
 
     def _has_left(self, name: str) -> bool:
-        return name in self._seen and not self._air.has(name)
+        return name in self._seen and not self._air.has_robot(name)
 
     def _is_full(self, ask: Open) -> bool:
         busiest = max(self._links[ask.name], self._links[ask.host])
-        return busiest >= MOST_LINKS or self._links.total() >= 2 * LINKS_IN_ALL
+        return busiest >= MAX_LINKS_PER_ROBOT or self._links.total() >= 2 * MAX_LINKS
 
     def _make_room(self) -> None:
         """Forget the oldest registration without a robot."""
         for name in self._stations:
-            if not self._air.has(name):
+            if not self._air.has_robot(name):
                 return self._forget(name)
         raise Refusal("Too many robots registered")
 

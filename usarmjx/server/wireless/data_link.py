@@ -10,13 +10,13 @@ from enum import Enum
 
 from usarmjx.base.errors import PeerError
 
-MOST = 1 << 20
+MAX_PAYLOAD = 1 << 20
 """Longest payload accepted [bytes]: a camera picture has a tenth of that."""
-MOST_DIGITS = 16
-WORD = 5
+MAX_LENGTH_DIGITS = 16
+WORD_SIZE = 5
 
 
-class Phase(Enum):
+class DataLinkPhase(Enum):
     """What the next byte is."""
 
     WORD = "word"
@@ -28,20 +28,20 @@ class Phase(Enum):
     CLOSED = "closed"
 
 
-WORDS = {b"SEND ": Phase.LENGTH, b"CLOSE": Phase.CLOSING}
+WORDS = {b"SEND ": DataLinkPhase.LENGTH, b"CLOSE": DataLinkPhase.CLOSING}
 """What follows a word; SKIPPING follows any other."""
-TRANSITIONS: dict[Phase, frozenset[Phase]] = {
-    Phase.WORD: frozenset({*WORDS.values(), Phase.SKIPPING}),
-    Phase.LENGTH: frozenset({Phase.PAYLOAD, Phase.TRAILER, Phase.SKIPPING}),
-    Phase.PAYLOAD: frozenset({Phase.TRAILER}),
-    Phase.TRAILER: frozenset({Phase.WORD}),
-    Phase.SKIPPING: frozenset({Phase.WORD}),
-    Phase.CLOSING: frozenset({Phase.CLOSED}),
-    Phase.CLOSED: frozenset(),
+TRANSITIONS: dict[DataLinkPhase, frozenset[DataLinkPhase]] = {
+    DataLinkPhase.WORD: frozenset({*WORDS.values(), DataLinkPhase.SKIPPING}),
+    DataLinkPhase.LENGTH: frozenset({DataLinkPhase.PAYLOAD, DataLinkPhase.TRAILER, DataLinkPhase.SKIPPING}),
+    DataLinkPhase.PAYLOAD: frozenset({DataLinkPhase.TRAILER}),
+    DataLinkPhase.TRAILER: frozenset({DataLinkPhase.WORD}),
+    DataLinkPhase.SKIPPING: frozenset({DataLinkPhase.WORD}),
+    DataLinkPhase.CLOSING: frozenset({DataLinkPhase.CLOSED}),
+    DataLinkPhase.CLOSED: frozenset(),
 }
 
 
-class LinkParser:
+class DataLinkParser:
     """One direction of a data link: bytes in any chunking -> messages.
 
     Args:
@@ -51,19 +51,19 @@ class LinkParser:
         phase: What the next byte is; CLOSED after a CLOSE.
     """
 
-    def __init__(self, most: int = MOST) -> None:
-        self.phase = Phase.WORD
+    def __init__(self, most: int = MAX_PAYLOAD) -> None:
+        self.phase = DataLinkPhase.WORD
         self._most = most
         self._kept = bytearray()  # of the word, the length or the payload
         self._left = 0
         self._messages: list[bytes] = []
-        self._take: dict[Phase, Callable[[bytes, int], int]] = {
-            Phase.WORD: self._word,
-            Phase.LENGTH: self._length,
-            Phase.PAYLOAD: self._payload,
-            Phase.TRAILER: self._trailer,
-            Phase.SKIPPING: self._skip,
-            Phase.CLOSING: self._skip,
+        self._take: dict[DataLinkPhase, Callable[[bytes, int], int]] = {
+            DataLinkPhase.WORD: self._word,
+            DataLinkPhase.LENGTH: self._length,
+            DataLinkPhase.PAYLOAD: self._payload,
+            DataLinkPhase.TRAILER: self._trailer,
+            DataLinkPhase.SKIPPING: self._skip,
+            DataLinkPhase.CLOSING: self._skip,
         }
 
     def receive_data(self, data: bytes) -> list[bytes]:
@@ -73,24 +73,24 @@ class LinkParser:
             PeerError: A message is announced that is longer than allowed.
         """
         at = 0
-        while at < len(data) and self.phase is not Phase.CLOSED:
+        while at < len(data) and self.phase is not DataLinkPhase.CLOSED:
             at = self._take[self.phase](data, at)
         messages, self._messages = self._messages, []
         return messages
 
     # Each of these takes bytes from `at` on and returns where it stopped.
 
-    def _go(self, phase: Phase) -> None:
+    def _go(self, phase: DataLinkPhase) -> None:
         assert phase in TRANSITIONS[self.phase]
         self.phase = phase
 
     def _word(self, data: bytes, at: int) -> int:
         while not self._kept and at < len(data) and data[at] in b"\r\n":
             at += 1
-        end = at + WORD - len(self._kept)
+        end = at + WORD_SIZE - len(self._kept)
         self._kept += data[at:end]
-        if len(self._kept) == WORD:
-            self._go(WORDS.get(bytes(self._kept), Phase.SKIPPING))
+        if len(self._kept) == WORD_SIZE:
+            self._go(WORDS.get(bytes(self._kept), DataLinkPhase.SKIPPING))
             self._kept.clear()
         return min(end, len(data))
 
@@ -98,15 +98,15 @@ class LinkParser:
         byte = data[at : at + 1]
         if byte.isdigit():
             self._kept += byte
-            if len(self._kept) > MOST_DIGITS or int(self._kept) > self._most:
+            if len(self._kept) > MAX_LENGTH_DIGITS or int(self._kept) > self._most:
                 raise PeerError(f"a message of more than {self._most} bytes is announced")
         elif byte == b" " and self._kept:
             self._left = int(self._kept)
             self._kept.clear()
-            self._go(Phase.PAYLOAD if self._left else Phase.TRAILER)
+            self._go(DataLinkPhase.PAYLOAD if self._left else DataLinkPhase.TRAILER)
         else:  # no number: not worth guessing where its payload would end
             self._kept.clear()
-            self._go(Phase.SKIPPING)
+            self._go(DataLinkPhase.SKIPPING)
             return at
         return at + 1
 
@@ -115,19 +115,19 @@ class LinkParser:
         self._kept += piece
         self._left -= len(piece)
         if not self._left:
-            self._go(Phase.TRAILER)
+            self._go(DataLinkPhase.TRAILER)
         return at + len(piece)
 
     def _trailer(self, data: bytes, at: int) -> int:
         del data
         self._messages.append(bytes(self._kept))
         self._kept.clear()
-        self._go(Phase.WORD)
+        self._go(DataLinkPhase.WORD)
         return at + 1
 
     def _skip(self, data: bytes, at: int) -> int:
         end = data.find(b";", at)
         if end < 0:
             return len(data)
-        self._go(Phase.WORD if self.phase is Phase.SKIPPING else Phase.CLOSED)
+        self._go(DataLinkPhase.WORD if self.phase is DataLinkPhase.SKIPPING else DataLinkPhase.CLOSED)
         return end + 1

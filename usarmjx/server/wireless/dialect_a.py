@@ -19,24 +19,24 @@ from collections import deque
 from collections.abc import Callable
 from enum import Enum
 
-from usarmjx.server.protocol.grammar import raw
+from usarmjx.server.protocol.grammar import two_decimals
 from usarmjx.server.wireless.comserver import (
     INCORRECT,
     NO_CONNECTION,
     ComServer,
-    Dial,
+    EndpointPair,
     GetSS,
     Listen,
     Open,
     Refusal,
     Register,
     Request,
-    plain_address,
+    normalize_address,
 )
 
-LIMIT = 1024
+MAX_MESSAGE_SIZE = 1024
 """Longest message accepted, its `;` not counted [bytes]: names and numbers need a few dozen."""
-MOST_NAMES = 16
+MAX_NAMES = 16
 """Of so many robots that a connection has registered it is asked whether they are in the world."""
 UNKNOWN = "Unknown Message"
 
@@ -71,22 +71,22 @@ def parse_request(text: str) -> Request:
     return read(words)
 
 
-class Phase(Enum):
+class DialectAPhase(Enum):
     """Where a control connection stands."""
 
     READY = "ready"
     DIALLING = "dialling"
 
 
-TRANSITIONS: dict[tuple[Phase, type[Request]], Phase] = {
-    (Phase.READY, Register): Phase.READY,
-    (Phase.READY, Listen): Phase.READY,
-    (Phase.READY, GetSS): Phase.READY,
-    (Phase.READY, Open): Phase.DIALLING,  # until `answer_open`; messages wait
+TRANSITIONS: dict[tuple[DialectAPhase, type[Request]], DialectAPhase] = {
+    (DialectAPhase.READY, Register): DialectAPhase.READY,
+    (DialectAPhase.READY, Listen): DialectAPhase.READY,
+    (DialectAPhase.READY, GetSS): DialectAPhase.READY,
+    (DialectAPhase.READY, Open): DialectAPhase.DIALLING,  # until `answer_open`; messages wait
 }
 
 
-class ControlSession:
+class DialectASession:
     """One control connection: messages in any chunking, answered in order.
 
     Args:
@@ -98,13 +98,13 @@ class ControlSession:
     """
 
     def __init__(self, server: ComServer, caller: str) -> None:
-        self.phase = Phase.READY
-        self._server, self._caller = server, plain_address(caller)
-        self._names: deque[str] = deque(maxlen=MOST_NAMES)
+        self.phase = DialectAPhase.READY
+        self._server, self._caller = server, normalize_address(caller)
+        self._names: deque[str] = deque(maxlen=MAX_NAMES)
         self._pending = bytearray()
         self._skipping = False
         self._waiting: deque[str | None] = deque()  # None: a message that was too long
-        self._dial: Dial | None = None
+        self._pending_link: EndpointPair | None = None
         self._outgoing = bytearray()
 
     @property
@@ -112,7 +112,7 @@ class ControlSession:
         """Whether a robot that was registered here is in the world."""
         return any(self._server.alive(name) for name in self._names)
 
-    def receive_data(self, data: bytes) -> Dial | None:
+    def receive_data(self, data: bytes) -> EndpointPair | None:
         """Take bytes; return a dial that has to be made before anything else is answered, or None.
 
         While a dial is not answered messages wait, without a bound: read no more from the peer until then.
@@ -126,12 +126,12 @@ class ControlSession:
         self._append(rest)
         return self._answer_all()
 
-    def answer_open(self, done: bool) -> Dial | None:
+    def answer_open(self, done: bool) -> EndpointPair | None:
         """Say whether both ends of the last dial answered; return the next dial, or None."""
-        if self._dial is None:
+        if self._pending_link is None:
             return None
-        self._server.opened(self._dial, done)
-        self._dial, self.phase = None, Phase.READY
+        self._server.opened(self._pending_link, done)
+        self._pending_link, self.phase = None, DialectAPhase.READY
         self._reply("OK" if done else f"Fail: {NO_CONNECTION}")
         return self._answer_all()
 
@@ -142,14 +142,14 @@ class ControlSession:
         return data
 
     def _append(self, piece: bytes) -> None:
-        if len(self._pending) + len(piece) > LIMIT:
+        if len(self._pending) + len(piece) > MAX_MESSAGE_SIZE:
             self._pending.clear()
             self._skipping = True
         elif not self._skipping:
             self._pending += piece
 
-    def _answer_all(self) -> Dial | None:
-        while self._waiting and self.phase is Phase.READY:
+    def _answer_all(self) -> EndpointPair | None:
+        while self._waiting and self.phase is DialectAPhase.READY:
             text = self._waiting.popleft()
             try:
                 if text is None:
@@ -157,13 +157,13 @@ class ControlSession:
                 self._answer(parse_request(text))
             except Refusal as refusal:
                 self._reply(f"Fail: {refusal}")
-        return self._dial
+        return self._pending_link
 
     def _answer(self, request: Request) -> None:
         if isinstance(request, GetSS):
-            self._reply(f"OK:{raw(self._server.strength(self._caller, request))}")
+            self._reply(f"OK:{two_decimals(self._server.signal_strength(self._caller, request))}")
         elif isinstance(request, Open):
-            self._dial = self._server.open(self._caller, request)
+            self._pending_link = self._server.open(self._caller, request)
         else:
             if isinstance(request, Register):
                 self._server.register(self._caller, request)

@@ -16,11 +16,11 @@ segments, one word as a value.
 import re
 from enum import Enum
 
-from usarmjx.server.protocol.grammar import Message, format
+from usarmjx.server.protocol.grammar import Message, format_message
 from usarmjx.server.protocol.lines import LineBuffer
 from usarmjx.server.wireless.switchboard import Route, Switchboard
 
-LIMIT = 1024
+MAX_LINE_SIZE = 1024
 """Longest line accepted [bytes]."""
 
 _SEGMENT = re.compile(r"\{([^{}\t]*)\}( |$)")
@@ -42,20 +42,24 @@ def parse_strict(line: str) -> tuple[str, dict[str, str]]:
     return verb, values
 
 
-class Phase(Enum):
+class DialectBPhase(Enum):
     """Where a control connection stands."""
 
     NEW = "new"
     JOINED = "joined"
 
 
-TRANSITIONS: dict[Phase, dict[str, Phase]] = {
-    Phase.NEW: {"INIT": Phase.JOINED},
-    Phase.JOINED: {"GETSS": Phase.JOINED, "DNS": Phase.JOINED, "REVERSEDNS": Phase.JOINED},
+TRANSITIONS: dict[DialectBPhase, dict[str, DialectBPhase]] = {
+    DialectBPhase.NEW: {"INIT": DialectBPhase.JOINED},
+    DialectBPhase.JOINED: {
+        "GETSS": DialectBPhase.JOINED,
+        "DNS": DialectBPhase.JOINED,
+        "REVERSEDNS": DialectBPhase.JOINED,
+    },
 }
-OTHERWISE = {
-    Phase.NEW: "Must.Use.INIT.Method.First",
-    Phase.JOINED: "Method.Unknown.Or.Can.INIT.only.once",
+WRONG_PHASE_REASONS = {
+    DialectBPhase.NEW: "Must.Use.INIT.Method.First",
+    DialectBPhase.JOINED: "Method.Unknown.Or.Can.INIT.only.once",
 }
 """The reason of the error that any other verb is answered with."""
 NO_NAME, NO_PORT = "Robot.Name.Must.Not.Be.Empty", "Port.Must.Be.Integer"
@@ -65,7 +69,7 @@ class _Error(Exception):
     """What is answered `ERROR {Reason ...}`."""
 
 
-class ControlSession:
+class DialectBSession:
     """One control connection: lines in any chunking, answered in order.
 
     Args:
@@ -78,10 +82,10 @@ class ControlSession:
     """
 
     def __init__(self, board: Switchboard, address: str) -> None:
-        self.phase = Phase.NEW
+        self.phase = DialectBPhase.NEW
         self.name = ""
         self._board, self._address = board, address
-        self._lines = LineBuffer(LIMIT)
+        self._lines = LineBuffer(MAX_LINE_SIZE)
         self._answers = {
             "INIT": self._init,
             "GETSS": self._strength,
@@ -102,12 +106,12 @@ class ControlSession:
         verb, values = parse_strict(line)
         try:
             if verb not in TRANSITIONS[self.phase]:
-                raise _Error(OTHERWISE[self.phase])
+                raise _Error(WRONG_PHASE_REASONS[self.phase])
             answer = self._answers[verb](values)
             self.phase = TRANSITIONS[self.phase][verb]
         except _Error as error:
             answer = Message("ERROR", (("Reason", str(error)),))
-        return format(answer).encode("latin-1", "replace") + b"\r\n"
+        return format_message(answer).encode("latin-1", "replace") + b"\r\n"
 
     def _init(self, values: dict[str, str]) -> Message:
         listed = values.get("Port", "")
@@ -121,7 +125,7 @@ class ControlSession:
 
     def _strength(self, values: dict[str, str]) -> Message:
         other = _name(values)
-        power = self._board.air.strength(self.name, other)
+        power = self._board.radio.signal_strength(self.name, other)
         if other == self.name:
             told, error = "INF", "SS.To.Self"
         elif not self._board.has(other):
@@ -143,7 +147,7 @@ class ControlSession:
             return _no_number(other, "NoSuchRobot")
         if not ports or (asked and asked not in ports):
             return _no_number(other, "RobotDoesNotListenOnThisPort")
-        number = self._board.number_of(Route(self.name, other, asked or ports[0]))
+        number = self._board.forwarded_port(Route(self.name, other, asked or ports[0]))
         if number is None:
             raise _Error("Could.Not.Allocate.Port")
         return Message("DNSREPLY", (("Robot", other), ("Port", str(number))))

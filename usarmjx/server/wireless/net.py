@@ -1,6 +1,6 @@
 """The wireless servers of a served world on real sockets, in the loop of the Gamebots server.
 
-`Wireless` listens for dialect A, dialect B and the position service. `net.Server` starts it, tells it after
+`WirelessService` listens for dialect A, dialect B and the position service. `net.BotServer` starts it, tells it after
 every control step, and stops it. Every second of simulated time it looks at the world: that is when robots
 that have left lose their links, and when dialect B breaks and restores its own.
 """
@@ -14,24 +14,24 @@ from typing import Protocol
 
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.server.wireless.comserver import Refusal, plain_address
-from usarmjx.server.wireless.net_a import LinkServer
-from usarmjx.server.wireless.net_b import PipeServer
+from usarmjx.server.wireless.comserver import Refusal, normalize_address
+from usarmjx.server.wireless.net_a import DataLinkServer
+from usarmjx.server.wireless.net_b import ProxyServer
 from usarmjx.server.wireless.positions import PositionSession
-from usarmjx.server.wireless.radio_channel import Ether
+from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.wireless.sockets import (
-    CHUNK,
-    Turnstile,
-    address_of,
+    READ_SIZE,
+    Throttle,
+    close_gracefully,
     drain,
-    hang_up,
     limit_kernel_buffer,
     listen,
     log,
+    peer_address,
 )
-from usarmjx.server.worlds.host import HostWorld
+from usarmjx.server.worlds.host import ServedWorld
 
-LOOK = 1.0
+POLL_PERIOD = 1.0
 """Between two looks at the world [s of simulated time]: the pace of the stand-alone server's poll."""
 
 
@@ -46,7 +46,7 @@ class WirelessSettings:
         position_port: Port of the position service.
         allow: Addresses that may be dialled beside that of the peer who asks for it.
         max_connections: Most control and position connections at once.
-        idle: Who has no robot in the world and says nothing for so long is dropped [s].
+        idle_timeout: Who has no robot in the world and says nothing for so long is dropped [s].
     """
 
     host: str = "127.0.0.1"
@@ -55,13 +55,13 @@ class WirelessSettings:
     position_port: int = 7435
     allow: tuple[str, ...] = ()
     max_connections: int = 64
-    idle: float = 60.0
+    idle_timeout: float = 60.0
 
 
-class Talk(Protocol):
+class ConnectionHandler(Protocol):
     """What answers one control or position connection."""
 
-    async def hear(self, data: bytes) -> bytes:
+    async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answer."""
         ...
 
@@ -71,51 +71,51 @@ class Talk(Protocol):
         ...
 
     @property
-    def over(self) -> bool:
+    def closing(self) -> bool:
         """Whether the connection has to end."""
         ...
 
-    def end(self) -> None:
+    def connection_lost(self) -> None:
         """Clear up: the connection is gone."""
 
 
 @dataclass(eq=False)
-class Guest:
+class ClientConnection:
     """A control or position connection.
 
     Attributes:
         writer: Its writer.
-        talk: What answers it.
-        heard: When it said something last [s].
+        handler: What answers it.
+        last_received: When it said something last [s].
     """
 
     writer: asyncio.StreamWriter
-    talk: Talk
-    heard: float = field(default_factory=time.monotonic)
+    handler: ConnectionHandler
+    last_received: float = field(default_factory=time.monotonic)
 
 
-class PositionTalk:
+class PositionHandler:
     """Answers one connection to the position service."""
 
-    alive = over = False
+    alive = closing = False
 
-    def __init__(self, ether: Ether, turnstile: Turnstile) -> None:
+    def __init__(self, ether: RadioChannel, turnstile: Throttle) -> None:
         self._session, self._turnstile = PositionSession(ether), turnstile
 
-    async def hear(self, data: bytes) -> bytes:
+    async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answer."""
         async with self._turnstile:
             return self._session.receive_data(data)
 
-    def end(self) -> None:
+    def connection_lost(self) -> None:
         """Nothing to clear up."""
 
 
-class Wireless:
+class WirelessService:
     """The three servers; a `net.Service`.
 
     Args:
-        ether: The radio of the served world.
+        radio: The radio of the served world.
         clock: The world's time [s].
         settings: How to serve.
 
@@ -123,15 +123,15 @@ class Wireless:
         ports: The ports in use, by "wss", "wss2" and "position", once started.
     """
 
-    def __init__(self, ether: Ether, clock: Callable[[], float], settings: WirelessSettings) -> None:
-        self._ether, self._clock, self._settings = ether, clock, settings
-        self._turnstile = Turnstile()
-        self._links = LinkServer(ether, settings.allow, self._turnstile)
-        self._pipes = PipeServer(ether, settings.host, self._turnstile)
-        self._guests: list[Guest] = []
+    def __init__(self, radio: RadioChannel, clock: Callable[[], float], settings: WirelessSettings) -> None:
+        self._ether, self._clock, self._settings = radio, clock, settings
+        self._turnstile = Throttle()
+        self._links = DataLinkServer(radio, settings.allow, self._turnstile)
+        self._pipes = ProxyServer(radio, settings.host, self._turnstile)
+        self._connections: list[ClientConnection] = []
         self._listeners: list[asyncio.Server] = []
-        self._look: asyncio.Task[None] | None = None
-        self._next_look = 0.0
+        self._poll_task: asyncio.Task[None] | None = None
+        self._next_poll = 0.0
         self.ports: dict[str, int] = {}
 
     async def start(self) -> list[str]:
@@ -140,66 +140,68 @@ class Wireless:
         Raises:
             UsageError: A port is taken or the address is not ours.
         """
-        talks: tuple[tuple[str, str, int, Callable[[str], Talk]], ...] = (
-            ("wss", "wireless server", self._settings.wss_port, self._links.talk),
-            ("wss2", "second wireless server", self._settings.wss2_port, self._pipes.talk),
+        talks: tuple[tuple[str, str, int, Callable[[str], ConnectionHandler]], ...] = (
+            ("wss", "wireless server", self._settings.wss_port, self._links.make_handler),
+            ("wss2", "second wireless server", self._settings.wss2_port, self._pipes.make_handler),
             ("position", "positions", self._settings.position_port, self._positions),
         )
         lines = []
         for name, title, port, talk in talks:
-            server, self.ports[name] = await listen(self._settings.host, port, self._door(talk))
+            server, self.ports[name] = await listen(
+                self._settings.host, port, self._connection_callback(talk)
+            )
             self._listeners.append(server)
             lines.append(f"{title} on {self._settings.host}:{self.ports[name]}")
-        self._next_look = self._clock() + LOOK
+        self._next_poll = self._clock() + POLL_PERIOD
         return lines
 
     def tick(self) -> None:
         """The world has made a control step."""
-        self._turnstile.step()
-        if self._clock() >= self._next_look and (self._look is None or self._look.done()):
-            self._next_look = self._clock() + LOOK
-            self._look = asyncio.create_task(self._look_around())
-            self._look.add_done_callback(_report)
+        self._turnstile.refill()
+        if self._clock() >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
+            self._next_poll = self._clock() + POLL_PERIOD
+            self._poll_task = asyncio.create_task(self._poll())
+            self._poll_task.add_done_callback(_report)
 
     def stop(self) -> None:
         """Hang up on everybody."""
         for server in self._listeners:
             server.close()
-        for guest in self._guests:
+        for guest in self._connections:
             guest.writer.transport.abort()
         self._links.stop()
         self._pipes.stop()
-        if self._look is not None:
-            self._look.cancel()
+        if self._poll_task is not None:
+            self._poll_task.cancel()
 
-    async def _look_around(self) -> None:
+    async def _poll(self) -> None:
         async with self._turnstile:
-            self._ether.look_ahead([*self._links.pairs(), *self._pipes.pairs()])
-            self._links.look()
-            changes = self._pipes.look()
-        await self._pipes.carry_out(changes)
-        latest = time.monotonic() - self._settings.idle
-        for guest in self._guests:
-            if guest.talk.over or (guest.heard < latest and not guest.talk.alive):
-                log.info("%s:%d: dropped, it has no robot in the world", *address_of(guest.writer))
+            self._ether.precompute([*self._links.pairs(), *self._pipes.pairs()])
+            self._links.poll()
+            changes = self._pipes.poll()
+        await self._pipes.apply_changes(changes)
+        latest = time.monotonic() - self._settings.idle_timeout
+        for guest in self._connections:
+            if guest.handler.closing or (guest.last_received < latest and not guest.handler.alive):
+                log.info("%s:%d: dropped, it has no robot in the world", *peer_address(guest.writer))
                 guest.writer.transport.abort()
 
-    def _positions(self, address: str) -> Talk:
+    def _positions(self, address: str) -> ConnectionHandler:
         del address
-        return PositionTalk(self._ether, self._turnstile)
+        return PositionHandler(self._ether, self._turnstile)
 
-    def _door(
-        self, talk: Callable[[str], Talk]
+    def _connection_callback(
+        self, talk: Callable[[str], ConnectionHandler]
     ) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
         async def come_in(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            address, port = address_of(writer)
+            address, port = peer_address(writer)
             if not address or not self._make_room():
-                log.warning("%s:%d: refused, %d connections are open", address, port, len(self._guests))
+                log.warning("%s:%d: refused, %d connections are open", address, port, len(self._connections))
                 writer.close()
                 return
             limit_kernel_buffer(writer)
-            guest = Guest(writer, talk(address))
-            self._guests.append(guest)
+            guest = ClientConnection(writer, talk(address))
+            self._connections.append(guest)
             try:
                 await _converse(guest, reader)
             except (OSError, PeerError) as error:
@@ -207,27 +209,27 @@ class Wireless:
             except asyncio.CancelledError:
                 log.info("%s:%d: the server stops", address, port)
             finally:
-                self._guests.remove(guest)
-                guest.talk.end()
-                hang_up(writer)
+                self._connections.remove(guest)
+                guest.handler.connection_lost()
+                close_gracefully(writer)
 
         return come_in
 
     def _make_room(self) -> bool:
         """Return whether another connection fits; of those without a robot the most silent one yields."""
-        if len(self._guests) < self._settings.max_connections:
+        if len(self._connections) < self._settings.max_connections:
             return True
-        strangers = [g for g in self._guests if not g.talk.alive and not g.writer.is_closing()]
+        strangers = [g for g in self._connections if not g.handler.alive and not g.writer.is_closing()]
         if not strangers:
             return False
-        min(strangers, key=lambda guest: guest.heard).writer.transport.abort()
+        min(strangers, key=lambda guest: guest.last_received).writer.transport.abort()
         return True
 
 
-async def _converse(guest: Guest, reader: asyncio.StreamReader) -> None:
-    while data := await reader.read(CHUNK):
-        guest.heard = time.monotonic()
-        guest.writer.write(await guest.talk.hear(data))
+async def _converse(guest: ClientConnection, reader: asyncio.StreamReader) -> None:
+    while data := await reader.read(READ_SIZE):
+        guest.last_received = time.monotonic()
+        guest.writer.write(await guest.handler.handle(data))
         await drain(guest.writer)
 
 
@@ -237,7 +239,7 @@ def _report(task: asyncio.Task[None]) -> None:
         log.error("the wireless server could not look at the world", exc_info=error)
 
 
-def make_wireless(world: HostWorld, radio: RadioSettings, settings: WirelessSettings) -> Wireless:
+def make_wireless(world: ServedWorld, radio: RadioSettings, settings: WirelessSettings) -> WirelessService:
     """Return the wireless servers of a world; `radio.debug` makes them log what they do.
 
     Raises:
@@ -245,7 +247,7 @@ def make_wireless(world: HostWorld, radio: RadioSettings, settings: WirelessSett
     """
     if radio.debug:
         log.setLevel(logging.INFO)
-    return Wireless(Ether(world, radio), lambda: world.time, settings)
+    return WirelessService(RadioChannel(world, radio), lambda: world.time, settings)
 
 
 def check_addresses(addresses: Collection[str]) -> tuple[str, ...]:
@@ -255,6 +257,6 @@ def check_addresses(addresses: Collection[str]) -> tuple[str, ...]:
         UsageError: One is none.
     """
     try:
-        return tuple(plain_address(address) for address in addresses)
+        return tuple(normalize_address(address) for address in addresses)
     except Refusal as error:
         raise UsageError(f"{', '.join(addresses)}: an IP address is expected") from error

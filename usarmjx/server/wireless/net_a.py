@@ -6,63 +6,63 @@ from dataclasses import dataclass
 
 from usarmjx.base.errors import PeerError
 from usarmjx.server.wireless.channel import reaches
-from usarmjx.server.wireless.comserver import ComServer, Dial, End
-from usarmjx.server.wireless.data_link import LinkParser, Phase
-from usarmjx.server.wireless.dialect_a import ControlSession
-from usarmjx.server.wireless.radio_channel import Ether
-from usarmjx.server.wireless.sockets import BULK, Turnstile, dial, drain, hang_up, log
+from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair
+from usarmjx.server.wireless.data_link import DataLinkParser, DataLinkPhase
+from usarmjx.server.wireless.dialect_a import DialectASession
+from usarmjx.server.wireless.radio_channel import RadioChannel
+from usarmjx.server.wireless.sockets import DATA_READ_SIZE, Throttle, close_gracefully, connect, drain, log
 
 
 @dataclass(eq=False)
-class Side:
+class LinkEnd:
     """One end of a link."""
 
-    end: End
+    end: Endpoint
     reader: asyncio.StreamReader
     writer: asyncio.StreamWriter
 
 
 @dataclass(eq=False)
-class Link:
+class DataLink:
     """A link between two robots."""
 
-    dial: Dial
-    sides: tuple[Side, Side]
+    endpoints: EndpointPair
+    sides: tuple[LinkEnd, LinkEnd]
 
     def cut(self) -> None:
         """Close both ends."""
         for side in self.sides:
             if not side.writer.is_closing():
-                hang_up(side.writer)
+                close_gracefully(side.writer)
 
 
-class LinkServer:
+class DataLinkServer:
     """Makes and keeps the links of dialect A.
 
     Args:
-        ether: The radio.
+        radio: The radio.
         allow: Addresses that may be dialled beside that of the peer who asks for it.
-        turnstile: Where work queues.
+        throttle: Where work queues.
     """
 
-    def __init__(self, ether: Ether, allow: Collection[str], turnstile: Turnstile) -> None:
-        self._ether, self._turnstile = ether, turnstile
-        self._server = ComServer(ether, allow)
-        self._links: dict[Link, asyncio.Task[None]] = {}
+    def __init__(self, radio: RadioChannel, allow: Collection[str], throttle: Throttle) -> None:
+        self._ether, self._turnstile = radio, throttle
+        self._server = ComServer(radio, allow)
+        self._links: dict[DataLink, asyncio.Task[None]] = {}
 
-    def talk(self, address: str) -> "LinkTalk":
+    def make_handler(self, address: str) -> "DialectAHandler":
         """Return what answers a new control connection."""
-        return LinkTalk(self, ControlSession(self._server, address), self._turnstile)
+        return DialectAHandler(self, DialectASession(self._server, address), self._turnstile)
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the names at both ends of every link."""
-        return [link.dial.names for link in self._links]
+        return [link.endpoints.names for link in self._links]
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Cut the links of robots that have left the world."""
-        self._server.watch()
+        self._server.poll_presence()
         for link in self._links:
-            if not all(self._ether.has(name) for name in link.dial.names):
+            if not all(self._ether.has_robot(name) for name in link.endpoints.names):
                 link.cut()
 
     def stop(self) -> None:
@@ -72,12 +72,14 @@ class LinkServer:
                 side.writer.transport.abort()
             task.cancel()
 
-    async def make(self, wanted: Dial) -> bool:
+    async def make(self, wanted: EndpointPair) -> bool:
         """Dial both ends of a link and carry between them; return whether both answered."""
         ends = (wanted.first, wanted.second)
-        calls = await asyncio.gather(*(dial(end.address, end.port) for end in ends), return_exceptions=True)
+        calls = await asyncio.gather(
+            *(connect(end.address, end.port) for end in ends), return_exceptions=True
+        )
         sides = [
-            Side(end, *call)
+            LinkEnd(end, *call)
             for end, call in zip(ends, calls, strict=True)
             if not isinstance(call, BaseException)
         ]
@@ -86,30 +88,32 @@ class LinkServer:
                 side.writer.transport.abort()
             log.info("no link between %s and %s: %s", *wanted.names, calls)
             return False
-        link = Link(wanted, (sides[0], sides[1]))
+        link = DataLink(wanted, (sides[0], sides[1]))
         self._links[link] = asyncio.create_task(self._carry(link))
         return True
 
-    async def _carry(self, link: Link) -> None:
-        log.info("link between %s and %s", *link.dial.names)
+    async def _carry(self, link: DataLink) -> None:
+        log.info("link between %s and %s", *link.endpoints.names)
         one, other = link.sides
         try:
             await asyncio.gather(self._pump(link, one, other), self._pump(link, other, one))
         finally:
             link.cut()
             del self._links[link]
-            self._server.closed(link.dial)
-            log.info("no more link between %s and %s", *link.dial.names)
+            self._server.closed(link.endpoints)
+            log.info("no more link between %s and %s", *link.endpoints.names)
 
-    async def _pump(self, link: Link, here: Side, there: Side) -> None:
+    async def _pump(self, link: DataLink, here: LinkEnd, there: LinkEnd) -> None:
         """Carry what is sent here over to the other side until either closes or the signal is lost."""
-        parser = LinkParser()
+        parser = DataLinkParser()
         try:
-            while parser.phase is not Phase.CLOSED and (data := await here.reader.read(BULK)):
+            while parser.phase is not DataLinkPhase.CLOSED and (
+                data := await here.reader.read(DATA_READ_SIZE)
+            ):
                 async with self._turnstile:
                     messages = parser.receive_data(data)
-                    if messages and not reaches(self._ether, *link.dial.names):
-                        log.info("%s and %s do not reach each other any more", *link.dial.names)
+                    if messages and not reaches(self._ether, *link.endpoints.names):
+                        log.info("%s and %s do not reach each other any more", *link.endpoints.names)
                         break
                     if there.writer.is_closing():
                         break
@@ -121,7 +125,7 @@ class LinkServer:
             link.cut()
 
 
-class LinkTalk:
+class DialectAHandler:
     """Answers one control connection of dialect A.
 
     Args:
@@ -130,9 +134,9 @@ class LinkTalk:
         turnstile: Where work queues.
     """
 
-    over = False
+    closing = False
 
-    def __init__(self, links: LinkServer, session: ControlSession, turnstile: Turnstile) -> None:
+    def __init__(self, links: DataLinkServer, session: DialectASession, turnstile: Throttle) -> None:
         self._links, self._session, self._turnstile = links, session, turnstile
 
     @property
@@ -140,7 +144,7 @@ class LinkTalk:
         """Whether a robot that was registered here is in the world."""
         return self._session.alive
 
-    async def hear(self, data: bytes) -> bytes:
+    async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answers."""
         async with self._turnstile:
             link = self._session.receive_data(data)
@@ -152,5 +156,5 @@ class LinkTalk:
                 link = self._session.answer_open(done)
         return self._session.data_to_send()
 
-    def end(self) -> None:
+    def connection_lost(self) -> None:
         """Nothing to clear up: robots stay registered when their control connection ends."""

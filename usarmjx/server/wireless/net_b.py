@@ -7,15 +7,24 @@ from dataclasses import dataclass
 from functools import partial
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.wireless.comserver import plain_address
-from usarmjx.server.wireless.dialect_b import ControlSession
-from usarmjx.server.wireless.radio_channel import Ether
-from usarmjx.server.wireless.sockets import BULK, HeldPort, Turnstile, address_of, dial, drain, hang_up, log
+from usarmjx.server.wireless.comserver import normalize_address
+from usarmjx.server.wireless.dialect_b import DialectBSession
+from usarmjx.server.wireless.radio_channel import RadioChannel
+from usarmjx.server.wireless.sockets import (
+    DATA_READ_SIZE,
+    ReservedPort,
+    Throttle,
+    close_gracefully,
+    connect,
+    drain,
+    log,
+    peer_address,
+)
 from usarmjx.server.wireless.switchboard import Changes, Route, Switchboard
 
 
 @dataclass(eq=False)
-class Pipe:
+class ProxyConnection:
     """A connection through the server: the caller's end, and the end that we have dialled once it answers."""
 
     near: asyncio.StreamWriter
@@ -30,64 +39,64 @@ class Pipe:
         """Close both ends."""
         for writer in self.ends:
             if not writer.is_closing():
-                hang_up(writer)
+                close_gracefully(writer)
 
 
-class PipeServer:
+class ProxyServer:
     """Keeps the port numbers and the pipes of dialect B.
 
     Args:
-        ether: The radio.
+        radio: The radio.
         host: Address to listen on.
-        turnstile: Where work queues.
+        throttle: Where work queues.
     """
 
-    def __init__(self, ether: Ether, host: str, turnstile: Turnstile) -> None:
-        self._host, self._turnstile = host, turnstile
-        self._board = Switchboard(ether, self._allocate, time.monotonic)
-        self._ports: dict[Route, HeldPort] = {}
-        self._pipes: dict[Route, set[Pipe]] = {}
-        self._talks: set[PipeTalk] = set()
+    def __init__(self, radio: RadioChannel, host: str, throttle: Throttle) -> None:
+        self._host, self._turnstile = host, throttle
+        self._board = Switchboard(radio, self._allocate, time.monotonic)
+        self._ports: dict[Route, ReservedPort] = {}
+        self._connections: dict[Route, set[ProxyConnection]] = {}
+        self._handlers: set[DialectBHandler] = set()
 
-    def talk(self, address: str) -> "PipeTalk":
+    def make_handler(self, address: str) -> "DialectBHandler":
         """Return what answers a new control connection."""
-        talk = PipeTalk(self, ControlSession(self._board, plain_address(address)))
-        self._talks.add(talk)
+        talk = DialectBHandler(self, DialectBSession(self._board, normalize_address(address)))
+        self._handlers.add(talk)
         return talk
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the names at both ends of every route."""
-        return [(route.caller, route.called) for route in self._ports]
+        return [(route.caller, route.callee) for route in self._ports]
 
-    async def hear(self, talk: "PipeTalk", session: ControlSession, data: bytes) -> bytes:
+    async def handle(self, talk: "DialectBHandler", session: DialectBSession, data: bytes) -> bytes:
         """Take bytes of a control connection and return the answers; nothing if it is over."""
         async with self._turnstile:
-            if talk not in self._talks:
+            if talk not in self._handlers:
                 return b""
             answers = session.receive_data(data)
             opened = self._board.take_opened()
         await self._open(opened)  # before anybody is told the number
         return answers
 
-    def look(self) -> Changes:
+    def poll(self) -> Changes:
         """See what has changed in the world."""
-        return self._board.look()
+        return self._board.poll()
 
-    async def carry_out(self, changes: Changes) -> None:
+    async def apply_changes(self, changes: Changes) -> None:
         """Let the ports and pipes follow what has changed."""
-        for talk in [talk for talk in self._talks if talk.name in changes.gone]:
+        for talk in [talk for talk in self._handlers if talk.name in changes.gone]:
             log.info("%s is not in the world, or has no battery: it no longer takes part", talk.name)
-            talk.over = True
+            talk.closing = True
             self.leave(talk)
         for route in changes.closed:
             self._close(route)
         await self._open(changes.opened)
 
-    def leave(self, talk: "PipeTalk") -> None:
+    def leave(self, talk: "DialectBHandler") -> None:
         """Forget a control connection and what its robot holds."""
-        if talk not in self._talks:
+        if talk not in self._handlers:
             return
-        self._talks.remove(talk)
+        self._handlers.remove(talk)
         gone, closed = self._board.leave(talk.name)
         for route in (*gone, *closed):
             self._close(route)
@@ -98,17 +107,17 @@ class PipeServer:
         """Hang up on everybody."""
         for port in self._ports.values():
             port.release()
-        for pipe in (pipe for pipes in self._pipes.values() for pipe in pipes):
+        for pipe in (pipe for pipes in self._connections.values() for pipe in pipes):
             for writer in pipe.ends:
                 writer.transport.abort()
 
     def _allocate(self, route: Route) -> int | None:
         try:
-            self._ports[route] = HeldPort(self._host, partial(self._called, route))
+            self._ports[route] = ReservedPort(self._host, partial(self._called, route))
         except UsageError as error:
             log.warning("%s", error)
             return None
-        return self._ports[route].number
+        return self._ports[route].port
 
     async def _open(self, routes: Iterable[Route]) -> None:
         for route in routes:
@@ -129,40 +138,42 @@ class PipeServer:
     def _close(self, route: Route) -> None:
         if route in self._ports:
             self._ports[route].close()
-        for pipe in self._pipes.get(route, ()):
+        for pipe in self._connections.get(route, ()):
             pipe.cut()
 
     async def _called(self, route: Route, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        address, _ = address_of(writer)
-        if not address or not self._board.may_call(route, plain_address(address)):
+        address, _ = peer_address(writer)
+        if not address or not self._board.may_call(route, normalize_address(address)):
             writer.close()
             return
-        pipe, ports = Pipe(writer), []
-        self._pipes.setdefault(route, set()).add(pipe)
+        pipe, ports = ProxyConnection(writer), []
+        self._connections.setdefault(route, set()).add(pipe)
 
         def note(port: int) -> None:
             ports.append(port)
-            self._board.connected(route, port)
+            self._board.add_connection(route, port)
 
         try:
-            there, pipe.far = await dial(self._board.address_of(route.called), route.port, note)
+            there, pipe.far = await connect(self._board.address_of(route.callee), route.port, note)
             if not writer.is_closing():  # cut while the far end took its time
-                log.info("%s calls %s", route.caller, route.called)
+                log.info("%s calls %s", route.caller, route.callee)
                 await asyncio.gather(self._pump(reader, pipe, pipe.far), self._pump(there, pipe, writer))
         except OSError as error:
-            log.info("%s does not answer %s: %s", route.called, route.caller, error)
+            log.info("%s does not answer %s: %s", route.callee, route.caller, error)
         except asyncio.CancelledError:
-            log.info("%s and %s: the server stops", route.caller, route.called)
+            log.info("%s and %s: the server stops", route.caller, route.callee)
         finally:
             pipe.cut()
-            self._board.ended(*ports)
-            self._pipes[route].discard(pipe)
-            if not self._pipes[route]:
-                del self._pipes[route]
+            self._board.remove_connections(*ports)
+            self._connections[route].discard(pipe)
+            if not self._connections[route]:
+                del self._connections[route]
 
-    async def _pump(self, reader: asyncio.StreamReader, pipe: Pipe, writer: asyncio.StreamWriter) -> None:
+    async def _pump(
+        self, reader: asyncio.StreamReader, pipe: ProxyConnection, writer: asyncio.StreamWriter
+    ) -> None:
         try:
-            while data := await reader.read(BULK):
+            while data := await reader.read(DATA_READ_SIZE):
                 async with self._turnstile:
                     if writer.is_closing():
                         break
@@ -174,7 +185,7 @@ class PipeServer:
             pipe.cut()
 
 
-class PipeTalk:
+class DialectBHandler:
     """Answers one control connection of dialect B.
 
     Args:
@@ -182,12 +193,12 @@ class PipeTalk:
         session: The dialogue.
 
     Attributes:
-        over: Whether the robot no longer takes part, which ends the connection.
+        closing: Whether the robot no longer takes part, which ends the connection.
     """
 
-    def __init__(self, pipes: PipeServer, session: ControlSession) -> None:
+    def __init__(self, pipes: ProxyServer, session: DialectBSession) -> None:
         self._pipes, self._session = pipes, session
-        self.over = False
+        self.closing = False
 
     @property
     def name(self) -> str:
@@ -197,12 +208,12 @@ class PipeTalk:
     @property
     def alive(self) -> bool:
         """Whether it takes part: then it may be silent, as it goes when its robot goes."""
-        return bool(self.name) and not self.over
+        return bool(self.name) and not self.closing
 
-    async def hear(self, data: bytes) -> bytes:
+    async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answers."""
-        return await self._pipes.hear(self, self._session, data)
+        return await self._pipes.handle(self, self._session, data)
 
-    def end(self) -> None:
+    def connection_lost(self) -> None:
         """The connection is gone, and with it what its robot holds."""
         self._pipes.leave(self)

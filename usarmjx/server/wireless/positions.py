@@ -11,27 +11,34 @@ not answered, as in the original.
 """  # noqa: E501 - an answer is one line
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.protocol.frames import vector
-from usarmjx.server.protocol.grammar import Message, format, parse, raw, to_vector, truncated_list
+from usarmjx.server.protocol.frames import flip_wire_vector
+from usarmjx.server.protocol.grammar import (
+    Message,
+    format_message,
+    four_decimals_list,
+    parse_message,
+    to_vector,
+    two_decimals,
+)
 from usarmjx.server.protocol.lines import LineBuffer
-from usarmjx.server.wireless.channel import Air
+from usarmjx.server.wireless.channel import RadioAccess
 
-LIMIT = 1024
+MAX_LINE_SIZE = 1024
 """Longest line accepted [bytes]."""
 
 
-def positions(air: Air) -> Message:
+def positions(radio: RadioAccess) -> Message:
     """Return the answer to GETPOS."""
-    robots = air.present()
+    robots = radio.present()
     segments = [("Robots", str(len(robots)))]
     for robot in robots:
-        place = truncated_list(vector(robot.at))
+        place = four_decimals_list(flip_wire_vector(robot.position))
         name = "_".join(robot.name.split()) or "_"  # it has to be one word in its segment
         segments.append(("Name", f"{name} Location {place} BatteryEmpty {robot.battery_empty}"))
     return Message("POSITIONS", tuple(segments))
 
 
-def obstacles(air: Air, message: Message) -> Message:
+def obstacles(radio: RadioAccess, message: Message) -> Message:
     """Return the answer to GETOBS.
 
     Raises:
@@ -39,27 +46,27 @@ def obstacles(air: Air, message: Message) -> Message:
     """
     names, places = ("From", "To"), ("Start", "End")
     if all(message.get(key) for key in names):
-        count = air.obstacles(*(message.get(key) for key in names))
+        count = radio.obstacles(*(message.get(key) for key in names))
         keys = names
     elif all(message.get(key) for key in places):
         ends = [to_vector(message.get(key)) for key in places]
         if any(len(end) != 3 for end in ends):
             raise PeerError("a place has three numbers")
-        count = air.obstacles_between(*(vector(end) for end in ends))
+        count = radio.obstacles_between(*(flip_wire_vector(end) for end in ends))
         keys = places
     else:
         raise PeerError("GETOBS needs From and To, or Start and End")
     # The wireless server at the other end compares with "-1" as a text.
-    told = "-1" if count is None else raw(count)
+    told = "-1" if count is None else two_decimals(count)
     return Message("NUMOBS", (*((key, message.get(key)) for key in keys), ("ObstCount", told)))
 
 
 class PositionSession:
     """One connection: lines in any chunking, answered in order."""
 
-    def __init__(self, air: Air) -> None:
-        self._air = air
-        self._lines = LineBuffer(LIMIT)
+    def __init__(self, radio: RadioAccess) -> None:
+        self._air = radio
+        self._lines = LineBuffer(MAX_LINE_SIZE)
 
     def receive_data(self, data: bytes) -> bytes:
         """Return the answers to the lines that `data` completes."""
@@ -68,9 +75,9 @@ class PositionSession:
 
     def _answer(self, line: str) -> str:
         try:
-            message = parse(line)
+            message = parse_message(line)
             if message.kind == "GETPOS":
-                return format(positions(self._air))
-            return format(obstacles(self._air, message)) if message.kind == "GETOBS" else ""
+                return format_message(positions(self._air))
+            return format_message(obstacles(self._air, message)) if message.kind == "GETOBS" else ""
         except PeerError:
             return ""

@@ -14,21 +14,21 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import Vec3, flip_vector
-from usarmjx.comms.antenna import LOWEST, antenna_of
+from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT, antenna_of
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls, with_boxes
 from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.wireless.channel import Presence
-from usarmjx.server.worlds.host import HostWorld, Robot
+from usarmjx.server.worlds.host import Robot, ServedWorld
 
-LOT = 16
+PAIR_BATCH_SIZE = 16
 """So many pairs are worked out at a time."""
 
 
-class Ether:
-    """The radio of one served world; an `air.Air`.
+class RadioChannel:
+    """The radio of one served world; an `air.RadioAccess`.
 
     Antennas and solids are those of the batch's radio: doors count where they stand, robots and loose objects
     weaken no link.
@@ -44,14 +44,17 @@ class Ether:
         UnsupportedGeomError: The arena has a solid of a type that cannot be counted.
     """
 
-    def __init__(self, world: HostWorld, settings: RadioSettings) -> None:
+    def __init__(self, world: ServedWorld, settings: RadioSettings) -> None:
         self.cutoff = settings.cutoff
         self._world = world
         self._time = -1.0
         self._states: dict[Robot, RobotState] = {}
         self._links: dict[tuple[Robot, Robot], tuple[float, int]] = {}
-        with _beside_the_physics():
-            ends, doors = np.zeros((LOT, 3), np.float32), np.zeros(len(world.arena.doors), np.float32)
+        with _on_cpu():
+            ends, doors = (
+                np.zeros((PAIR_BATCH_SIZE, 3), np.float32),
+                np.zeros(len(world.arena.doors), np.float32),
+            )
             run = jax.jit(partial(_links, settings, world.arena))
             self._run = run.lower(ends, ends, doors).compile()
         self._run(ends, ends, doors)
@@ -63,11 +66,11 @@ class Ether:
             for robot in self._robots()
         ]
 
-    def has(self, name: str) -> bool:
+    def has_robot(self, name: str) -> bool:
         """Return whether a robot of that name is in the world."""
         return self._find(name) is not None
 
-    def strength(self, one: str, other: str) -> float | None:
+    def signal_strength(self, one: str, other: str) -> float | None:
         """Return the power received between two robots [dBm]; None if either is not in the world."""
         link = self._link(one, other)
         return None if link is None else link[0]
@@ -81,7 +84,7 @@ class Ether:
         """Return how many solids lie between two places, in our axes [m]."""
         return self._work_out([(start, end)])[0][1]
 
-    def look_ahead(self, pairs: Iterable[tuple[str, str]]) -> None:
+    def precompute(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Work out many pairs at once that will be asked for in this control step."""
         found = {_ordered(self._find(one), self._find(other)) for one, other in pairs}
         wanted = [pair for pair in found if pair is not None and pair not in self._now()]
@@ -112,7 +115,7 @@ class Ether:
         return self._states[robot]
 
     def _antenna(self, robot: Robot) -> Vec3:
-        return antenna_place(robot, self._state(robot), self._world.arena.floor)
+        return antenna_position(robot, self._state(robot), self._world.arena.floor)
 
     def _link(self, one: str, other: str) -> tuple[float, int] | None:
         pair = _ordered(self._find(one), self._find(other))
@@ -126,9 +129,9 @@ class Ether:
         """Return the power [dBm] and the number of solids between pairs of places."""
         out: list[tuple[float, int]] = []
         doors = self._world.door_angles()
-        for first in range(0, len(ends), LOT):
-            lot = ends[first : first + LOT]
-            places = np.zeros((2, LOT, 3), np.float32)
+        for first in range(0, len(ends), PAIR_BATCH_SIZE):
+            lot = ends[first : first + PAIR_BATCH_SIZE]
+            places = np.zeros((2, PAIR_BATCH_SIZE, 3), np.float32)
             places[:, : len(lot)] = np.swapaxes(np.array(lot, np.float32), 0, 1)
             power, walls = jax.device_get(self._run(*places, doors))
             out += [(float(p), int(w)) for p, w in zip(power[: len(lot)], walls, strict=False)]
@@ -150,12 +153,12 @@ def _links(
     return received_power(settings, jnp.linalg.norm(end - start, axis=-1), walls), walls
 
 
-def antenna_place(robot: Robot, state: RobotState, floor: float) -> Vec3:
-    """Return where a robot's antenna is, as `comms.antenna.antenna_places` does, without compiling [m]."""
+def antenna_position(robot: Robot, state: RobotState, floor: float) -> Vec3:
+    """Return where a robot's antenna is, as `comms.antenna.antenna_positions` does, without compiling [m]."""
     turned = np.zeros(3)
     mujoco.mju_rotVecQuat(turned, np.array(flip_vector(antenna_of(robot.spec))), np.float64(state.quat))
     x, y, z = _vec3(turned + state.pos)
-    return (x, y, max(z, floor + LOWEST))
+    return (x, y, max(z, floor + MIN_ANTENNA_HEIGHT))
 
 
 def _vec3(values: np.ndarray) -> Vec3:
@@ -164,7 +167,7 @@ def _vec3(values: np.ndarray) -> Vec3:
 
 
 @contextmanager
-def _beside_the_physics() -> Iterator[None]:
+def _on_cpu() -> Iterator[None]:
     """Compile for the CPU where there is one: a handful of pairs is not worth a trip to an accelerator."""
     try:
         device = jax.devices("cpu")[0]

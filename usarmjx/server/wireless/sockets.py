@@ -16,27 +16,27 @@ log = logging.getLogger("usarmjx.server.wireless")
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
-CHUNK = 256
+READ_SIZE = 256
 """Most bytes taken at once from a control connection, whose every message costs some work."""
-BULK = 16 * 1024
+DATA_READ_SIZE = 16 * 1024
 """Likewise from a data connection, where a byte costs little."""
-SHARE = 0.25
+MAX_TIME_SHARE = 0.25
 """All wireless connections together may use so much of the time; the rest is the world's."""
 BURST = 5e-3
 """They may be so far ahead of their share [s]."""
-BACKLOG = 256 * 1024
+MAX_WRITE_BUFFER = 256 * 1024
 """While this much waits for a peer to read it, nothing more is read for it [bytes]."""
 STALL = 30.0
 """A peer that reads nothing for so long although something waits for it is dropped [s]."""
-DIAL_LIMIT = 5.0
+CONNECT_TIMEOUT = 5.0
 """How long a peer may take to answer a call [s]."""
-UNDER_WAY = (errno.EINPROGRESS, errno.EWOULDBLOCK)
+CONNECT_PENDING = (errno.EINPROGRESS, errno.EWOULDBLOCK)
 """What a call that does not wait for its answer returns."""
 LINGER = 5.0
 """How long what was written before a connection ends may take to leave [s]."""
 
 
-class Turnstile:
+class Throttle:
     """Lets connections do their work one at a time, in the order of their coming, within their share.
 
     `async with turnstile:` around work without waiting. Nobody can keep the world from stepping, and nobody
@@ -49,10 +49,10 @@ class Turnstile:
         self._owed = 0.0
         self._began = self._last = time.perf_counter()
 
-    def step(self) -> None:
+    def refill(self) -> None:
         """Count the time that has passed: the world has made a control step."""
         now = time.perf_counter()
-        self._owed = max(0.0, self._owed - SHARE * (now - self._last))
+        self._owed = max(0.0, self._owed - MAX_TIME_SHARE * (now - self._last))
         self._last = now
         self._stepped.set()
         self._stepped.clear()
@@ -79,7 +79,7 @@ class Turnstile:
         self._lock.release()
 
 
-def listener(host: str, port: int) -> socket.socket:
+def bound_socket(host: str, port: int) -> socket.socket:
     """Return a socket bound to an address, not listening yet; port 0 picks a free one.
 
     While it only is bound, calls are refused and nobody else gets the number.
@@ -107,7 +107,7 @@ async def listen(host: str, port: int, handler: Handler) -> tuple[asyncio.Server
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
-    bound = listener(host, port)
+    bound = bound_socket(host, port)
     try:
         server = await asyncio.start_server(handler, sock=bound)
     except OSError as error:
@@ -116,7 +116,7 @@ async def listen(host: str, port: int, handler: Handler) -> tuple[asyncio.Server
     return server, bound.getsockname()[1]
 
 
-class HeldPort:
+class ReservedPort:
     """A port number that stays ours; it can be called only while it is open.
 
     Args:
@@ -129,9 +129,9 @@ class HeldPort:
 
     def __init__(self, host: str, handler: Handler) -> None:
         self._host, self._handler = host, handler
-        self._bound: socket.socket | None = listener(host, 0)
+        self._bound: socket.socket | None = bound_socket(host, 0)
         self._server: asyncio.Server | None = None
-        self.number: int = self._bound.getsockname()[1]
+        self.port: int = self._bound.getsockname()[1]
 
     async def open(self) -> None:
         """Let it be called.
@@ -140,12 +140,12 @@ class HeldPort:
             UsageError: Somebody else got hold of the number.
         """
         if self._server is None:
-            bound, self._bound = self._bound or listener(self._host, self.number), None
+            bound, self._bound = self._bound or bound_socket(self._host, self.port), None
             try:
                 self._server = await asyncio.start_server(self._handler, sock=bound)
             except OSError as error:
                 bound.close()
-                raise UsageError(f"cannot listen on {self._host}:{self.number}: {error}") from error
+                raise UsageError(f"cannot listen on {self._host}:{self.port}: {error}") from error
 
     def close(self) -> None:
         """Refuse calls, and keep the number."""
@@ -153,7 +153,7 @@ class HeldPort:
             self._server.close()
             self._server = None
             try:
-                self._bound = listener(self._host, self.number)
+                self._bound = bound_socket(self._host, self.port)
             except UsageError as error:  # `open` tries again
                 log.warning("%s", error)
 
@@ -166,7 +166,7 @@ class HeldPort:
         self._server = self._bound = None
 
 
-async def dial(
+async def connect(
     address: str, port: int, note: Callable[[int], None] = lambda port: None
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """Connect to a peer.
@@ -184,11 +184,11 @@ async def dial(
     try:
         caller.setblocking(False)
         state = caller.connect_ex((address, port))
-        if state not in (0, *UNDER_WAY):
+        if state not in (0, *CONNECT_PENDING):
             raise OSError(state, os.strerror(state))
         note(caller.getsockname()[1])
         if state:
-            async with asyncio.timeout(DIAL_LIMIT):
+            async with asyncio.timeout(CONNECT_TIMEOUT):
                 await asyncio.get_running_loop().sock_connect(caller, (address, port))
         if caller.getsockname() == caller.getpeername():
             raise ConnectionRefusedError("nobody listens there: the call was answered by itself")
@@ -205,7 +205,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
         PeerError: It reads nothing for too long; the connection is broken off.
         OSError: It is gone.
     """
-    while (waiting := writer.transport.get_write_buffer_size()) > BACKLOG:
+    while (waiting := writer.transport.get_write_buffer_size()) > MAX_WRITE_BUFFER:
         try:
             async with asyncio.timeout(STALL):
                 await writer.drain()
@@ -215,7 +215,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
                 raise PeerError(f"the peer does not read: {waiting} bytes wait for it") from error
 
 
-def hang_up(writer: asyncio.StreamWriter) -> None:
+def close_gracefully(writer: asyncio.StreamWriter) -> None:
     """Close a connection once what was written has left, or soon in any case."""
     writer.close()
     if writer.transport.get_write_buffer_size():
@@ -224,10 +224,10 @@ def hang_up(writer: asyncio.StreamWriter) -> None:
 
 def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
     """Keep the system from holding megabytes of answers for a peer that does not read them."""
-    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG // 4)
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MAX_WRITE_BUFFER // 4)
 
 
-def address_of(writer: asyncio.StreamWriter) -> tuple[str, int]:
+def peer_address(writer: asyncio.StreamWriter) -> tuple[str, int]:
     """Return address and port of a peer; nothing and 0 if it is gone already."""
     peer = writer.get_extra_info("peername")
     return (peer[0], peer[1]) if peer else ("", 0)

@@ -10,17 +10,17 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from usarmjx.server.wireless.channel import Air, Presence, reaches
+from usarmjx.server.wireless.channel import Presence, RadioAccess, reaches
 
-MOST_NUMBERS = 64
+MAX_PORTS_PER_ROBOT = 64
 """Numbers that one robot may hold."""
-NUMBERS_IN_ALL = 256
+MAX_PORTS = 256
 """Numbers of all robots: a socket each, of the 1024 that a process often has."""
-MOST_PIPES = 32
+MAX_CONNECTIONS_PER_ROBOT = 32
 """Pipes that one robot may have at a time."""
-PIPES_IN_ALL = 128
+MAX_CONNECTIONS = 128
 """Pipes of all robots, two sockets each."""
-GRACE = 30.0
+JOIN_TIMEOUT = 30.0
 """Whoever takes part and is not in the world yet has so long to appear [s of real time]."""
 
 
@@ -29,25 +29,25 @@ class Route:
     """A way from one robot to a port of another."""
 
     caller: str
-    called: str
+    callee: str
     port: int
 
 
 @dataclass(slots=True)
-class Number:
+class ForwardedPort:
     """The port number that stands for a route.
 
     Attributes:
-        number: The port on the server's machine.
-        open: Whether it can be called.
+        port: The port on the server's machine.
+        is_open: Whether it can be called.
     """
 
-    number: int
-    open: bool = False
+    port: int
+    is_open: bool = False
 
 
 @dataclass(slots=True)
-class Station:
+class Participant:
     """A robot that takes part.
 
     Attributes:
@@ -82,18 +82,20 @@ class Switchboard:
     """Who takes part, the numbers, and the pipes.
 
     Args:
-        air: The radio.
+        radio: The radio.
         allocate: Returns a port number for a route, None when there is none left. It stays ours.
         now: The time that passes for a client [s].
     """
 
-    def __init__(self, air: Air, allocate: Callable[[Route], int | None], now: Callable[[], float]) -> None:
-        self.air = air
+    def __init__(
+        self, radio: RadioAccess, allocate: Callable[[Route], int | None], now: Callable[[], float]
+    ) -> None:
+        self.radio = radio
         self._allocate, self._now = allocate, now
-        self._stations: dict[str, Station] = {}
-        self._numbers: dict[Route, Number] = {}
+        self._stations: dict[str, Participant] = {}
+        self._forwarded_ports: dict[Route, ForwardedPort] = {}
         self._opened: list[Route] = []
-        self._pipes: dict[int, Route] = {}  # by the port that we dial from
+        self._connections: dict[int, Route] = {}  # by the port that we dial from
 
     def has(self, name: str) -> bool:
         """Return whether a robot takes part."""
@@ -101,17 +103,21 @@ class Switchboard:
 
     def join(self, name: str, address: str, ports: tuple[int, ...]) -> None:
         """Let a robot take part."""
-        self._stations[name] = Station(address, ports, self._now(), seen=self.air.has(name))
+        self._stations[name] = Participant(address, ports, self._now(), seen=self.radio.has_robot(name))
 
     def leave(self, name: str) -> tuple[list[Route], list[Route]]:
         """Forget a robot; return the routes from it, which are gone, and those to it, which are closed."""
         self._stations.pop(name, None)
-        gone = [route for route in self._numbers if route.caller == name]
+        gone = [route for route in self._forwarded_ports if route.caller == name]
         for route in gone:
-            del self._numbers[route]
-        closed = [route for route, number in self._numbers.items() if route.called == name and number.open]
+            del self._forwarded_ports[route]
+        closed = [
+            route
+            for route, number in self._forwarded_ports.items()
+            if route.callee == name and number.is_open
+        ]
         for route in closed:
-            self._numbers[route].open = False
+            self._forwarded_ports[route].is_open = False
         return gone, closed
 
     def ports_of(self, name: str) -> tuple[int, ...]:
@@ -124,20 +130,20 @@ class Switchboard:
         station = self._stations.get(name)
         return station.address if station else ""
 
-    def number_of(self, route: Route) -> int | None:
+    def forwarded_port(self, route: Route) -> int | None:
         """Return the number that stands for a route, a new one if need be; None if none can be had."""
-        if route not in self._numbers:
-            held = sum(other.caller == route.caller for other in self._numbers)
-            room = held < MOST_NUMBERS and len(self._numbers) < NUMBERS_IN_ALL
+        if route not in self._forwarded_ports:
+            held = sum(other.caller == route.caller for other in self._forwarded_ports)
+            room = held < MAX_PORTS_PER_ROBOT and len(self._forwarded_ports) < MAX_PORTS
             port = self._allocate(route) if room else None
             if port is None:
                 return None
-            self._numbers[route] = Number(port)
-        number = self._numbers[route]
-        if not number.open and self._is_carried(route):
-            number.open = True
+            self._forwarded_ports[route] = ForwardedPort(port)
+        number = self._forwarded_ports[route]
+        if not number.is_open and self._is_carried(route):
+            number.is_open = True
             self._opened.append(route)
-        return number.number
+        return number.port
 
     def take_opened(self) -> list[Route]:
         """Return the routes that can be called since somebody asked for their numbers, and forget them."""
@@ -146,58 +152,58 @@ class Switchboard:
 
     def failed(self, route: Route) -> None:
         """Note that a route's number could not be opened: the next look tries again."""
-        if route in self._numbers:
-            self._numbers[route].open = False
+        if route in self._forwarded_ports:
+            self._forwarded_ports[route].is_open = False
 
     def is_open(self, route: Route) -> bool:
         """Return whether the number of a route can be called as of the last look."""
-        return route in self._numbers and self._numbers[route].open
+        return route in self._forwarded_ports and self._forwarded_ports[route].is_open
 
-    def look(self) -> Changes:
+    def poll(self) -> Changes:
         """See who is in the world and which routes the radio carries."""
-        present = {robot.name.lower(): robot for robot in reversed(self.air.present())}
+        present = {robot.name.lower(): robot for robot in reversed(self.radio.present())}
         gone = tuple(name for name in self._stations if self._is_gone(name, present.get(name.lower())))
         opened: list[Route] = []
         closed: list[Route] = []
-        for route, number in self._numbers.items():
-            carried = self._is_carried(route) and not {route.caller, route.called} & set(gone)
-            if carried != number.open:
-                number.open = carried
+        for route, number in self._forwarded_ports.items():
+            carried = self._is_carried(route) and not {route.caller, route.callee} & set(gone)
+            if carried != number.is_open:
+                number.is_open = carried
                 (opened if carried else closed).append(route)
         return Changes(gone, tuple(opened), tuple(closed))
 
     def may_call(self, route: Route, address: str) -> bool:
         """Return whether a call from an address on a route's number is let through now."""
-        count = Counter(name for pipe in self._pipes.values() for name in (pipe.caller, pipe.called))
+        count = Counter(name for pipe in self._connections.values() for name in (pipe.caller, pipe.callee))
         return (
             self.is_open(route)
             and self._is_carried(route)
             and address == self.address_of(route.caller)
-            and max(count[route.caller], count[route.called]) < MOST_PIPES
-            and len(self._pipes) < PIPES_IN_ALL
+            and max(count[route.caller], count[route.callee]) < MAX_CONNECTIONS_PER_ROBOT
+            and len(self._connections) < MAX_CONNECTIONS
         )
 
-    def connected(self, route: Route, port: int) -> None:
+    def add_connection(self, route: Route, port: int) -> None:
         """Note a pipe by the port that we dialled its far end from."""
-        self._pipes[port] = route
+        self._connections[port] = route
 
-    def ended(self, *ports: int) -> None:
+    def remove_connections(self, *ports: int) -> None:
         """Note that the pipes dialled from these ports are gone."""
         for port in ports:
-            self._pipes.pop(port, None)
+            self._connections.pop(port, None)
 
     def caller_at(self, name: str, port: int) -> str:
         """Return who calls a robot from one of our ports, "" if nobody does."""
-        pipe = self._pipes.get(port)
-        return pipe.caller if pipe and pipe.called == name else ""
+        pipe = self._connections.get(port)
+        return pipe.caller if pipe and pipe.callee == name else ""
 
     def _is_carried(self, route: Route) -> bool:
-        taken = route.port in self.ports_of(route.called) and route.caller in self._stations
-        return taken and reaches(self.air, route.caller, route.called)
+        taken = route.port in self.ports_of(route.callee) and route.caller in self._stations
+        return taken and reaches(self.radio, route.caller, route.callee)
 
     def _is_gone(self, name: str, robot: Presence | None) -> bool:
         station = self._stations[name]
         if robot is not None and not robot.battery_empty:
             station.seen = True
             return False
-        return robot is not None or station.seen or self._now() - station.since > GRACE
+        return robot is not None or station.seen or self._now() - station.since > JOIN_TIMEOUT

@@ -16,17 +16,17 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.cameras.picture import Picture
-from usarmjx.models.build.body_plan import Bodies, BodyPlan, body_plan, body_poses
+from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import Sight
-from usarmjx.sensors.suite import Memory
-from usarmjx.server.worlds.host import HostWorld, Robot, Shot, Vista, status_of
+from usarmjx.sensors.base import SensorInput
+from usarmjx.sensors.suite import SensorMemory
+from usarmjx.server.worlds.host import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.control import Command, idle
+from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.scene import PARKING_HEIGHT
-from usarmjx.sim.world import TeamState, feel, team_states, time_of
+from usarmjx.sim.world import GroupState, robot_states, sense_self, time_of
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ ROBOT_FIELDS = ("state", "bodies", "hits")
 """What of a team's `Sight` has a leading axis over robots."""
 
 
-class ClaimedWorld(HostWorld):
+class BatchWorld(ServedWorld):
     """World `instance` of a batch.
 
     Args:
@@ -53,23 +53,25 @@ class ClaimedWorld(HostWorld):
         self._state = batch.reset()
         self.arena = batch.arena_of(self._state, instance)
         self._steps = 0
-        self._feel = [jax.jit(partial(feel, batch.scene, team=team)) for team in batch.scene.teams]
+        self._sense_self = [
+            jax.jit(partial(sense_self, batch.scene, group=team)) for team in batch.scene.groups
+        ]
         # Compile everything before the first client comes.
         self.step()
-        self._rehearse()
+        self._warm_up()
 
-    def _rehearse(self) -> None:
+    def _warm_up(self) -> None:
         """Let one robot of each class come, be read and be told something, and forget it all."""
         before = self._state
-        for team in self._batch.scene.teams:
+        for team in self._batch.scene.groups:
             pos = (0.0, 0.0, self.arena.floor + team.plan.clearance + PARKING_HEIGHT)
-            robot = self._wake(int(team.slots[0]), team.robot, "nobody", pos, (0.0, 0.0, 0.0))
+            robot = self._activate(int(team.slots[0]), team.robot, "nobody", pos, (0.0, 0.0, 0.0))
             self.observe([robot])
-            self.tell(robot, robot.command)
+            self.set_command(robot, robot.command)
             self.state(robot)
             for place, effecter in enumerate(team.effecters):
                 for opcode in effecter.opcodes:
-                    self.operate(robot, place, opcode, opcode.usual or 0.0)
+                    self.operate(robot, place, opcode, opcode.default_val or 0.0)
             self.remove(robot)
         self._state = before
 
@@ -78,73 +80,83 @@ class ClaimedWorld(HostWorld):
         """Simulated time since the world began [s]; it goes on when a world that went bad starts again."""
         return self._steps * self.period
 
-    def _sight(self, robot: Robot) -> Sight:
-        team, place = self._batch.scene.team_of(robot.slot)
+    def _sensor_input(self, robot: Robot) -> SensorInput:
+        team, place = self._batch.scene.group_of(robot.slot)
         world, physics = jax.tree.map(
             lambda x: x[self._instance], (self._state.worlds, self._batch.physics(self._state))
         )
-        sight = self._feel[team](world, physics)
+        sight = self._sense_self[team](world, physics)
         return sight.replace(**jax.tree.map(lambda x: x[place], {k: getattr(sight, k) for k in ROBOT_FIELDS}))
 
     def _edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of one robot's part of its team's state."""
-        team, place = self._batch.scene.team_of(robot.slot)
-        members: TeamState = self._state.worlds.teams[team]
+        team, place = self._batch.scene.group_of(robot.slot)
+        members: GroupState = self._state.worlds.groups[team]
         at = (self._instance, place)
         new = {
             name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(members, name), value)
             for name, value in fields.items()
         }
-        self._state = self._batch.with_team(self._state, team, members.replace(**new))
+        self._state = self._batch.with_group(self._state, team, members.replace(**new))
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Wake a parked robot of that class and put it there."""
-        self.check_place(pos)
-        for team, members in zip(self._batch.scene.teams, self._state.worlds.teams, strict=True):
+        self.check_position(pos)
+        for team, members in zip(self._batch.scene.groups, self._state.worlds.groups, strict=True):
             parked = np.flatnonzero(~np.asarray(members.active[self._instance]))
             if team.robot.name == robot.name and parked.size:
                 slot = int(team.slots[parked[0]])
-                return self._wake(slot, robot, name, pos, angles)
+                return self._activate(slot, robot, name, pos, angles)
         raise UsageError(f"no parked {robot.name} left in the roster: add more of them to --roster")
 
-    def _wake(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        lifted = self.lift(name, pos[2] - body_plan(robot).clearance, self.arena.floor)
-        self._put(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
-        team, _ = self._batch.scene.team_of(slot)
-        suite = self._batch.scene.teams[team].suite
-        command = jax.tree.map(np.array, idle(robot))
-        new = Robot(slot=slot, name=name, suite=suite, command=command, born=self.time)
+    def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+        lifted = self.floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
+        self._set_pose(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
+        team, _ = self._batch.scene.group_of(slot)
+        suite = self._batch.scene.groups[team].suite
+        command = jax.tree.map(np.array, idle_command(robot))
+        new = Robot(slot=slot, name=name, suite=suite, command=command, spawn_time=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
-        stock = np.array(self._batch.scene.teams[team].stock, np.int32)
+        stock = np.array(self._batch.scene.groups[team].releases, np.int32)
         fov = np.array(new.fovs, np.float32)
-        self._edit(new, active=True, born=world_time, drowned=False, command=command, stock=stock, fov=fov)
+        self._edit(
+            new,
+            active=True,
+            battery_start=world_time,
+            drowned=False,
+            command=command,
+            releases=stock,
+            fov=fov,
+        )
         key = jax.random.fold_in(
             jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
         )
-        self._edit(new, memory=suite.start(self._sight(new), key))
+        self._edit(new, memory=suite.init_memory(self._sensor_input(new), key))
         self.robots[slot] = new
         return new
 
-    def _put(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
+    def _set_pose(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
         scene = self._batch.scene
-        team, place = scene.team_of(slot)
-        index = scene.teams[team].indices[place]
+        team, place = scene.group_of(slot)
+        index = scene.groups[team].indices[place]
         shape = (self._batch.worlds, scene.model.nq)
         pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
         pinned_dof = np.zeros((self._batch.worlds, scene.model.nv), bool)
-        root = slice(index.root_qpos, index.root_qpos + 7)
+        root = slice(index.root_qposadr, index.root_qposadr + 7)
         pinned[self._instance, root], qpos[self._instance, root] = True, (*pos, *quat)
-        pinned_dof[self._instance, index.root_dof : index.root_dof + 6] = True
+        pinned_dof[self._instance, index.root_dofadr : index.root_dofadr + 6] = True
         engine = self._batch.engine
-        self._state = self._state.replace(physics=engine.place(self._state.physics, pinned, pinned_dof, qpos))
+        self._state = self._state.replace(
+            physics=engine.set_qpos(self._state.physics, pinned, pinned_dof, qpos)
+        )
 
     def remove(self, robot: Robot) -> None:
         """Park the robot again."""
         if self.robots.get(robot.slot) is robot:  # its slot may be another's by now
             del self.robots[robot.slot]
-            self._edit(robot, active=False, command=jax.tree.map(np.array, idle(robot.spec)))
+            self._edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
 
-    def tell(self, robot: Robot, command: Command) -> None:
+    def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace what the robot is told to do."""
         shift = jnp.asarray(self._world_time() - self.time)
         robot.command = command
@@ -169,9 +181,9 @@ class ClaimedWorld(HostWorld):
         del due  # one compiled function reads everybody
         self._state, readings = self._batch.observe(self._state)
         for robot in self.robots.values():
-            team, place = self._batch.scene.team_of(robot.slot)
+            team, place = self._batch.scene.group_of(robot.slot)
             at = (self._instance, place)
-            robot.drowned = bool(self._state.worlds.teams[team].drowned[at])
+            robot.drowned = bool(self._state.worlds.groups[team].drowned[at])
             mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[team]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
@@ -179,19 +191,19 @@ class ClaimedWorld(HostWorld):
 
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves."""
-        team, place = self._batch.scene.team_of(robot.slot)
+        team, place = self._batch.scene.group_of(robot.slot)
         physics = jax.tree.map(lambda x: x[self._instance], self._batch.physics(self._state))
-        states = team_states(self._batch.scene.teams[team], physics)
+        states = robot_states(self._batch.scene.groups[team], physics)
         return jax.tree.map(lambda x: np.asarray(x[place]), states)
 
-    def bodies(self, robot: Robot) -> Bodies:
+    def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are."""
         return jax.device_get(_poses(robot.plan)(self.state(robot)))
 
-    def memory(self, robot: Robot) -> Memory:
+    def memory(self, robot: Robot) -> SensorMemory:
         """Return what the robot's sensors remember."""
-        team, place = self._batch.scene.team_of(robot.slot)
-        return jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.teams[team].memory)
+        team, place = self._batch.scene.group_of(robot.slot)
+        return jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.groups[team].memory)
 
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
@@ -203,38 +215,40 @@ class ClaimedWorld(HostWorld):
         self._edit(robot, fov=np.array(robot.fovs, np.float32))
         return done
 
-    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
+    def snapshot(self, shots: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them."""
         state, instance = self._state, self._instance
 
-        def take(shot: Shot | Vista) -> Picture:
+        def take(shot: CameraRequest | ViewpointRequest) -> Picture:
             size = {"width": shot.width, "height": shot.height}
-            if isinstance(shot, Vista):
-                return jax.device_get(self._batch.photo_from(state, instance, shot.eye, **size))
-            return jax.device_get(self._batch.photo(state, instance, shot.robot.slot, shot.camera, **size))
+            if isinstance(shot, ViewpointRequest):
+                return jax.device_get(self._batch.render_view(state, instance, shot.viewpoint, **size))
+            return jax.device_get(
+                self._batch.render_robot(state, instance, shot.robot.slot, shot.camera, **size)
+            )
 
         return lambda: [take(shot) for shot in shots]
 
-    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
-        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), self.memory(robot))
+        memory = robot.suite.handle_set(sensor, opcode, params, self._sensor_input(robot), self.memory(robot))
         if memory is not None:
             self._edit(robot, memory=memory)
         return memory is not None
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter, as the batch does it."""
-        team, place = self._batch.scene.team_of(robot.slot)
+        team, place = self._batch.scene.group_of(robot.slot)
         at = (self._instance, place)
-        where = np.zeros(self._state.worlds.teams[team].active.shape, bool)
+        where = np.zeros(self._state.worlds.groups[team].active.shape, bool)
         where[at] = True
         name = robot.effecters[effecter].mount.name
         self._state, outcome = self._batch.operate(self._state, team, name, opcode.name, value, where)
-        command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.teams[team].command)
+        command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[team].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
 
 
 @cache
-def _poses(plan: BodyPlan) -> Callable[[RobotState], Bodies]:
-    return jax.jit(partial(body_poses, plan))
+def _poses(plan: KinematicTree) -> Callable[[RobotState], BodyPoses]:
+    return jax.jit(partial(forward_kinematics, plan))

@@ -7,70 +7,74 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.build.body_plan import Bodies, body_plan, body_poses
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import Sight
+from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits
-from usarmjx.sensors.suite import Memory, suite_of
-from usarmjx.sensors.surroundings import NOTHING, Surroundings
-from usarmjx.sim.control import Circumstances, Command, Driven, drive, idle
+from usarmjx.sensors.suite import SensorMemory, suite_of
+from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
+from usarmjx.sim.control import ActuatorInputs, DriveConditions, RobotCommand, compute_actuation, idle_command
 from usarmjx.sim.world import depth_in_water, drowns
 
-RAYS = 512
+RAY_BATCH_SIZE = 512
 """Robots cast their rays in lots of this size, so that few sizes are ever compiled."""
 
 
-class Compiled:
+class CompiledRobot:
     """The functions of one robot class, compiled here and not at their first call.
 
     The rays, which take longest to compile, are cast by a function that all classes share.
     """
 
     def __init__(
-        self, robot: RobotSpec, arena: ArenaSpec, period: float, around: Surroundings | None
+        self, robot: RobotSpec, arena: ArenaSpec, period: float, surroundings: Surroundings | None
     ) -> None:
-        plan, suite = body_plan(robot), suite_of(robot)
+        plan, suite = kinematic_tree_of(robot), suite_of(robot)
         zeros, joint = np.zeros(3, np.float32), np.zeros(len(plan.parts) - 1, np.float32)
         quat = np.array([1, 0, 0, 0], np.float32)
         state = RobotState(
             pos=zeros, quat=quat, linear=zeros, angular=zeros, joint_pos=joint, joint_vel=joint
         )
-        room = RAYS * -(-sum(suite.ray_counts) // RAYS)
-        passed = [passed_in(sensor.passes, arena) for sensor in suite.sensors]
+        room = RAY_BATCH_SIZE * -(-sum(suite.ray_counts) // RAY_BATCH_SIZE)
+        passed = [materials_present(sensor.transparent, arena) for sensor in suite.sensors]
         of_ray = np.pad(
             np.repeat(np.arange(len(passed)), suite.ray_counts), (0, room - sum(suite.ray_counts))
         )
         # What rays pass of what there is, and which of them do; a single one in most arenas.
-        self.gazes = [
+        self.ray_queries = [
             (some, np.array([p == some for p in passed])[of_ray]) for some in sorted(set(passed), key=sorted)
         ]
 
-        def stretch(state: RobotState, around: Surroundings | None) -> tuple[Bodies, jax.Array, jax.Array]:
-            bodies = body_poses(plan, state)
-            origin, direction = suite.rays(bodies, NOTHING if around is None else around)
+        def stretch(state: RobotState, around: Surroundings | None) -> tuple[BodyPoses, jax.Array, jax.Array]:
+            bodies = forward_kinematics(plan, state)
+            origin, direction = suite.rays(bodies, NO_SURROUNDINGS if around is None else around)
             fill = ((0, room - len(origin)), (0, 0))
             return bodies, jnp.pad(origin, fill), jnp.pad(direction, fill, constant_values=1.0)
 
-        def read(sight: Sight, memory: Memory, key: jax.Array) -> Any:  # noqa: ANN401
+        def read(sight: SensorInput, memory: SensorMemory, key: jax.Array) -> Any:  # noqa: ANN401
             return suite.read(sight, memory, key)
 
-        self.stretch = _compile(stretch, state, around)
-        bodies, origin, _ = self.stretch(state, around)
+        self.bodies_and_rays = _compile(stretch, state, surroundings)
+        bodies, origin, _ = self.bodies_and_rays(state, surroundings)
         hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
-        sight = Sight(time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
+        sight = SensorInput(
+            time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS, surroundings=surroundings
+        )
         key = jax.random.key(0)
-        self.start = _compile(suite.start, sight, key)
+        self.start = _compile(suite.init_memory, sight, key)
         self.read = _compile(read, sight.replace(hits=hits), self.start(sight, key), key)
 
-        def run(told: Command, state: RobotState, act: Any, time: Any, powered: Any) -> tuple[Driven, Any]:  # noqa: ANN401
+        def run(
+            told: RobotCommand, state: RobotState, act: Any, time: Any, powered: Any
+        ) -> tuple[ActuatorInputs, Any]:
             depth = depth_in_water(arena, state.pos)
             drowned = drowns(robot, depth)
-            now = Circumstances(time=time, powered=powered & ~drowned, depth=depth)
-            return drive(plan, told, state, act, now, period), drowned
+            now = DriveConditions(time=time, powered=powered & ~drowned, depth=depth)
+            return compute_actuation(plan, told, state, act, now, period), drowned
 
-        command, act = jax.tree.map(np.array, idle(robot)), np.zeros(len(plan.actuated), np.float32)
+        command, act = jax.tree.map(np.array, idle_command(robot)), np.zeros(len(plan.actuated), np.float32)
         compiled = _compile(run, command, state, act, np.float32(0), np.bool_(True))
         self.drive = lambda *told: jax.device_get(compiled(*told))
 
@@ -79,7 +83,7 @@ def _compile(function: Callable[..., Any], *example: Any) -> Callable[..., Any]:
     return jax.jit(function).lower(*example).compile()
 
 
-def passed_in(passes: frozenset[str], arena: ArenaSpec) -> frozenset[str]:
+def materials_present(passes: frozenset[str], arena: ArenaSpec) -> frozenset[str]:
     """Return which of some materials there are in an arena."""
     solids = [*arena.shapes, *(shape for loose in arena.loose for shape in loose.shapes)]
     return passes & {shape.material for shape in solids}

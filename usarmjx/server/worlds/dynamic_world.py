@@ -18,58 +18,58 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
-from usarmjx.cameras.picture import Picture, shoot
+from usarmjx.cameras.picture import Picture, render_picture_jit
 from usarmjx.engines.c import buffer_warnings, move_geoms
-from usarmjx.models.build.body_plan import Bodies, body_plan, lowest_point, robot_state
+from usarmjx.models.build.body_plan import BodyPoses, kinematic_tree_of, lowest_point, robot_state
 from usarmjx.models.build.compose import Physics, add_robot, new_spec, remove_robot
-from usarmjx.models.build.compose_arena import BONE
+from usarmjx.models.build.compose_arena import VICTIM_PREFIX
 from usarmjx.models.build.layout import RobotIndex, index_robot
 from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import pieces_of
+from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.build.tags import tag_table
 from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.effecters import Effecter, Opcode, no_tags
+from usarmjx.models.effecters import Effecter, Opcode, no_dropped_tags
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import OPAQUE, SKY, RobotSpec
-from usarmjx.sensors.base import Sensor, Sight
-from usarmjx.sensors.rays.raycast import NO_HITS, Gaze, cast
-from usarmjx.sensors.rays.targets import FAR_AWAY, Block, Geoms, Sort, sort_places
-from usarmjx.sensors.suite import Memory, suite_of
-from usarmjx.sensors.surroundings import Surroundings, survey
-from usarmjx.server.worlds.compiled import RAYS, Compiled, passed_in
-from usarmjx.server.worlds.dynamic_world_view import live_stage
-from usarmjx.server.worlds.host import HostWorld, Robot, Shot, Vista, status_of
-from usarmjx.sim.control import Command, idle
-from usarmjx.sim.operate import Load, Operation, mount_point, perform
+from usarmjx.sensors.base import Sensor, SensorInput
+from usarmjx.sensors.rays.raycast import NO_HITS, RayQuery, cast_rays
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, BlockKey, GeomBlock, Geoms, indices_by_key
+from usarmjx.sensors.suite import SensorMemory, suite_of
+from usarmjx.sensors.surroundings import Surroundings, surroundings_at
+from usarmjx.server.worlds.compiled import RAY_BATCH_SIZE, CompiledRobot, materials_present
+from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
+from usarmjx.server.worlds.host import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
+from usarmjx.sim.control import RobotCommand, idle_command
+from usarmjx.sim.operate import EffecterState, Operation, apply_operation, effecter_position
 from usarmjx.sim.scene import prefix_of
 from usarmjx.sim.scene_geoms import door_qpos
 
 log = logging.getLogger(__name__)
 
-SPARE = 8
+SPARE_GEOMS = 8
 """Geoms of each type for which there is always room."""
 
 
-class LiveWorld(HostWorld):
+class DynamicWorld(ServedWorld):
     """One world on C MuJoCo.
 
     Args:
         arena: The arena.
         physics: Solver and time settings.
         key: Random key of the world's noise.
-        seats: Most robots at once.
+        max_robots: Most robots at once.
 
     Attributes:
-        companions: The other worlds of the batch, which are stepped along.
+        other_worlds: The other worlds of the batch, which are stepped along.
         tags: RFID tags that robots have dropped; numpy arrays.
     """
 
-    def __init__(self, arena: ArenaSpec, physics: Physics, key: jax.Array, seats: int = 16) -> None:
+    def __init__(self, arena: ArenaSpec, physics: Physics, key: jax.Array, max_robots: int = 16) -> None:
         self.arena, self.period, self.robots = arena, physics.period, {}
-        self.companions: tuple[LiveWorld, ...] = ()
-        self.tags = no_tags(np)
-        self._physics, self._key, self._seats = physics, key, seats
+        self.other_worlds: tuple[DynamicWorld, ...] = ()
+        self.tags = no_dropped_tags(np)
+        self._physics, self._key, self._seats = physics, key, max_robots
         self._spec = new_spec(arena, physics)
         # We count and reset worlds that go bad; C MuJoCo would do it without a word.
         self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -90,14 +90,14 @@ class LiveWorld(HostWorld):
         self._steps = 0
         self._spawned = 0
         self._index: dict[int, RobotIndex] = {}
-        self._memory: dict[int, Memory] = {}
+        self._memory: dict[int, SensorMemory] = {}
         self._stock: dict[int, np.ndarray] = {}
-        self._homes: dict[int, np.ndarray] = {}
-        self._compiled: dict[str, Compiled] = {}
+        self._spawn_qpos: dict[int, np.ndarray] = {}
+        self._compiled: dict[str, CompiledRobot] = {}
         self._sort_pieces()
-        self._room = _room_for(self._places)
-        self._cast = jax.jit(cast, static_argnames="gaze")
-        self._compile_cast(self._room, passed_in(Sensor.passes, arena))
+        self._capacity = _capacity_for(self._piece_indices)
+        self._cast = jax.jit(cast_rays, static_argnames="gaze")
+        self._compile_cast(self._capacity, materials_present(Sensor.transparent, arena))
 
     @property
     def time(self) -> float:
@@ -107,51 +107,51 @@ class LiveWorld(HostWorld):
     def prepare(self, robot: RobotSpec) -> None:
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
-            around = self._around() if suite_of(robot).looks_around else None
-            self._compiled[robot.name] = Compiled(robot, self.arena, self.period, around)
-        for passes, _ in self._compiled[robot.name].gazes:
-            self._compile_cast(self._roomier(robot), passes)
+            around = self._surroundings() if suite_of(robot).needs_surroundings else None
+            self._compiled[robot.name] = CompiledRobot(robot, self.arena, self.period, around)
+        for passes, _ in self._compiled[robot.name].ray_queries:
+            self._compile_cast(self._grown_capacity(robot), passes)
 
-    def _roomier(self, robot: RobotSpec) -> dict[Sort, int]:
+    def _grown_capacity(self, robot: RobotSpec) -> dict[BlockKey, int]:
         """Return the room for what is there and one more robot of that class; never less than now."""
-        kinds = body_plan(robot).geom_type
-        wanted = _room_for(self._places, sort_places(kinds, [OPAQUE] * len(kinds)))
-        return {sort: max(n, wanted.get(sort, 0)) for sort, n in (wanted | self._room).items()}
+        kinds = kinematic_tree_of(robot).geom_type
+        wanted = _capacity_for(self._piece_indices, indices_by_key(kinds, [OPAQUE] * len(kinds)))
+        return {sort: max(n, wanted.get(sort, 0)) for sort, n in (wanted | self._capacity).items()}
 
-    def _compile_cast(self, room: dict[Sort, int], passes: frozenset[str]) -> None:
-        rays = np.ones((RAYS, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=Gaze(passes, incidence=True))
+    def _compile_cast(self, room: dict[BlockKey, int], passes: frozenset[str]) -> None:
+        rays = np.ones((RAY_BATCH_SIZE, 3), np.float32)
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=RayQuery(passes, incidence=True))
 
     def _sort_pieces(self) -> None:
         """Find out what rays see of the present model."""
         everything = np.arange(self._model.ngeom)
-        self._pieces = pieces_of(self._model, everything, materials_of(self._model, self.arena))
-        self._places = sort_places(self._pieces.kind, self._pieces.material.tolist())
+        self._pieces = ray_primitives_of(self._model, everything, materials_of(self._model, self.arena))
+        self._piece_indices = indices_by_key(self._pieces.kind, self._pieces.material.tolist())
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Add a robot to the running model; the states of the others are kept bit for bit."""
-        self.check_place(pos)
+        self.check_position(pos)
         free = [slot for slot in range(self._seats) if slot not in self.robots]
         if not free:
             raise UsageError(f"no seat left for another robot: {self._seats} are taken")
         self.prepare(robot)
-        slot, self._room = free[0], self._roomier(robot)
+        slot, self._capacity = free[0], self._grown_capacity(robot)
         add_robot(self._spec, robot, prefix_of(slot), pos)
         self._recompile()
         index = self._index[slot] = index_robot(self._model, robot, prefix_of(slot))
-        root = slice(index.root_qpos, index.root_qpos + 7)
+        root = slice(index.root_qposadr, index.root_qposadr + 7)
         self._data.qpos[root] = (*pos, *quat_from_angles(*angles))
         mujoco.mj_kinematics(self._model, self._data)
-        low = lowest_point(self._model, self._data, np.isin(self._model.geom_bodyid, index.body))
-        self._data.qpos[index.root_qpos + 2] += self.lift(name, low, self.arena.floor)
-        self._homes[slot] = self._data.qpos[root].copy()
-        command = jax.tree.map(np.array, idle(robot))
-        new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, born=self.time)
+        low = lowest_point(self._model, self._data, np.isin(self._model.geom_bodyid, index.body_ids))
+        self._data.qpos[index.root_qposadr + 2] += self.floor_correction(name, low, self.arena.floor)
+        self._spawn_qpos[slot] = self._data.qpos[root].copy()
+        command = jax.tree.map(np.array, idle_command(robot))
+        new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         self.robots[slot] = new
-        self._stock[slot] = np.array([effecter.stock for effecter in new.effecters], np.int32)
+        self._stock[slot] = np.array([effecter.initial_stock for effecter in new.effecters], np.int32)
         self._spawned += 1
         self._memory[slot] = self._compiled[robot.name].start(
-            self._sight(new), self._noise(new, self._spawned)
+            self._sensor_input(new), self._noise(new, self._spawned)
         )
         return new
 
@@ -160,7 +160,7 @@ class LiveWorld(HostWorld):
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
             remove_robot(self._spec, prefix_of(robot.slot))
-            for table in (self._index, self._memory, self._stock, self._homes):
+            for table in (self._index, self._memory, self._stock, self._spawn_qpos):
                 table.pop(robot.slot)
             self._recompile()
 
@@ -173,7 +173,7 @@ class LiveWorld(HostWorld):
 
     def _free_bones(self) -> None:
         """Find the victims' boxes that move in the present model, and let them; see `move_geoms`."""
-        self._bones = [self._model.geom(f"{BONE}{i}").id for i in self._swinging]
+        self._bones = [self._model.geom(f"{VICTIM_PREFIX}{i}").id for i in self._swinging]
         self._model.geom_sameframe[self._bones] = 0
 
     def _move_victims(self) -> None:
@@ -181,26 +181,29 @@ class LiveWorld(HostWorld):
             pos, quat = segment_poses(self._victims, np.float32(self.time))
             move_geoms(self._model, self._bones, pos[self._swinging], quat[self._swinging])
 
-    def tell(self, robot: Robot, command: Command) -> None:
+    def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace what the robot is told to do."""
         robot.command = command
 
     def step(self) -> None:
         """Advance by one control step; a world that goes bad starts again where its robots appeared."""
-        for world in self.companions:
+        for world in self.other_worlds:
             world.step()
         data = self._data
         for slot, robot in self.robots.items():
-            index, targets = self._index[slot], list(self._index[slot].activation)
+            index, targets = self._index[slot], list(self._index[slot].actadr)
             act, time = data.act[targets].astype(np.float32), np.float32(self.time)
             powered = np.bool_(self.battery(robot) > 0)
             driven, drowned = self._compiled[robot.spec.name].drive(
                 robot.command, self._state(slot), act, time, powered
             )
             robot.drowned |= bool(drowned)
-            data.ctrl[list(index.actuator)], data.ctrl[list(index.hold)] = driven.ctrl, driven.hold
+            data.ctrl[list(index.actuator_ids)], data.ctrl[list(index.hold_actuator_ids)] = (
+                driven.ctrl,
+                driven.hold,
+            )
             data.act[targets] = driven.act
-            data.xfrc_applied[index.body[0]] = driven.wrench
+            data.xfrc_applied[index.body_ids[0]] = driven.wrench
         self._move_victims()
         before = buffer_warnings(data)
         mujoco.mj_step(self._model, data, nstep=self._physics.substeps)
@@ -208,13 +211,13 @@ class LiveWorld(HostWorld):
         if buffer_warnings(data) > before:
             log.error("contact buffers overflowed: contacts were lost")
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
-            self._start_over()
+            self._reset()
 
-    def _start_over(self) -> None:
+    def _reset(self) -> None:
         log.error("the physics is not finite any more: robots go back to where they appeared")
         mujoco.mj_resetData(self._model, self._data)
-        for slot, home in self._homes.items():
-            start = self._index[slot].root_qpos
+        for slot, home in self._spawn_qpos.items():
+            start = self._index[slot].root_qposadr
             self._data.qpos[start : start + 7] = home
 
     def observe(self, due: list[Robot]) -> None:
@@ -222,19 +225,19 @@ class LiveWorld(HostWorld):
         self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)
         geoms = self._geoms()
-        around = self._around() if any(robot.suite.looks_around for robot in due) else None
+        around = self._surroundings() if any(robot.suite.needs_surroundings for robot in due) else None
         for robot in due:
             compiled = self._compiled[robot.spec.name]
             state = self._state(robot.slot)
-            seeks = around if robot.suite.looks_around else None
-            bodies, origin, direction = compiled.stretch(state, seeks)
+            seeks = around if robot.suite.needs_surroundings else None
+            bodies, origin, direction = compiled.bodies_and_rays(state, seeks)
             hits = NO_HITS
-            for passes, mine in compiled.gazes:
-                gaze = Gaze(passes, incidence=True)
+            for passes, mine in compiled.ray_queries:
+                gaze = RayQuery(passes, incidence=True)
                 seen = self._cast(geoms, origin, direction, np.int32(robot.slot), gaze=gaze)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
-            time = np.float32(self.time - robot.born)
-            sight = Sight(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
+            time = np.float32(self.time - robot.spawn_time)
+            sight = SensorInput(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
             key = self._noise(robot, self._steps)
             memory, readings = compiled.read(sight, self._memory[robot.slot], key)
             self._memory[robot.slot] = memory
@@ -249,17 +252,17 @@ class LiveWorld(HostWorld):
         qpos, qvel = self._data.qpos.astype(np.float32), self._data.qvel.astype(np.float32)
         return robot_state(self._index[slot], qpos, qvel)
 
-    def _sight(self, robot: Robot) -> Sight:
+    def _sensor_input(self, robot: Robot) -> SensorInput:
         state = self._state(robot.slot)
-        around = self._around() if robot.suite.looks_around else None
-        bodies, _, _ = self._compiled[robot.spec.name].stretch(state, around)
-        time = np.float32(self.time - robot.born)
-        return Sight(time=time, state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
+        around = self._surroundings() if robot.suite.needs_surroundings else None
+        bodies, _, _ = self._compiled[robot.spec.name].bodies_and_rays(state, around)
+        time = np.float32(self.time - robot.spawn_time)
+        return SensorInput(time=time, state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
 
-    def _around(self) -> Surroundings:
+    def _surroundings(self) -> Surroundings:
         """Return the victims and tags as they are now."""
         time, floor = np.float32(self.time), np.float32(self.arena.floor)
-        around = survey(self._victims, self._tags, self.tags, time, floor, np)
+        around = surroundings_at(self._victims, self._tags, self.tags, time, floor, np)
         return jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == np.float64 else x, around)
 
     def _geoms(self) -> Geoms:
@@ -267,12 +270,12 @@ class LiveWorld(HostWorld):
         model, data = self._model, self._data
         owner_of_body = np.full(model.nbody, -1, np.int32)
         for slot, index in self._index.items():
-            owner_of_body[list(index.body)] = slot
-        pieces, geoms = self._pieces, _blank_geoms(self._room)
-        pos, mat = pieces.placed(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
+            owner_of_body[list(index.body_ids)] = slot
+        pieces, geoms = self._pieces, _blank_geoms(self._capacity)
+        pos, mat = pieces.world_poses(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
         owner = owner_of_body[model.geom_bodyid[pieces.geom]]
-        for kind, material, block in zip(geoms.types, geoms.materials, geoms.blocks, strict=True):
-            members = self._places.get((kind, material), np.zeros(0, int))
+        for kind, material, block in zip(geoms.kinds, geoms.materials, geoms.blocks, strict=True):
+            members = self._piece_indices.get((kind, material), np.zeros(0, int))
             n = len(members)
             block.pos[:n], block.mat[:n] = pos[members], mat[members]
             block.size[:n], block.owner[:n] = pieces.size[members], owner[members]
@@ -282,7 +285,7 @@ class LiveWorld(HostWorld):
         """Return where the robot is and how it moves."""
         return self._state(robot.slot)
 
-    def memory(self, robot: Robot) -> Memory:
+    def memory(self, robot: Robot) -> SensorMemory:
         """Return what the robot's sensors remember."""
         return self._memory[robot.slot]
 
@@ -290,7 +293,7 @@ class LiveWorld(HostWorld):
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
 
-    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
+    def snapshot(self, shots: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them."""
         self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)
@@ -299,21 +302,23 @@ class LiveWorld(HostWorld):
             for slot, robot in self.robots.items()
             if robot.command.light and self.battery(robot) > 0
         }
-        what = self._pieces, self._places, self._room, self._index, lit
-        stage = live_stage(self.arena, self._data, *what)
+        what = self._pieces, self._piece_indices, self._capacity, self._index, lit
+        stage = dynamic_render_scene(self.arena, self._data, *what)
         held = [(self.viewpoint(shot), shot.width, shot.height) for shot in shots]
-        return lambda: [jax.device_get(shoot(stage, *what)) for what in held]
+        return lambda: [jax.device_get(render_picture_jit(stage, *what)) for what in held]
 
-    def bodies(self, robot: Robot) -> Bodies:
+    def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are."""
         mujoco.mj_kinematics(self._model, self._data)
-        body = list(self._index[robot.slot].body)
+        body = list(self._index[robot.slot].body_ids)
         pos, mat = self._data.xpos[body], self._data.xmat[body].reshape(-1, 3, 3)
-        return Bodies(pos=pos.astype(np.float32), mat=mat.astype(np.float32))
+        return BodyPoses(pos=pos.astype(np.float32), mat=mat.astype(np.float32))
 
-    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
-        memory = robot.suite.order(sensor, opcode, params, self._sight(robot), self._memory[robot.slot])
+        memory = robot.suite.handle_set(
+            sensor, opcode, params, self._sensor_input(robot), self._memory[robot.slot]
+        )
         if memory is not None:
             self._memory[robot.slot] = memory
         return memory is not None
@@ -321,42 +326,42 @@ class LiveWorld(HostWorld):
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
         one, stock = robot.effecters[effecter], self._stock[robot.slot]
-        load, outcome = perform(
+        load, outcome = apply_operation(
             Operation(robot=robot.spec, effecter=one, opcode=opcode),
             np.array([value], np.float32),
-            Load(
+            EffecterState(
                 command=jax.tree.map(lambda x: x[None], robot.command),
                 stock=stock[effecter : effecter + 1],
                 tags=self.tags,
             ),
-            asked=np.array([self.battery(robot) > 0]),
+            mask=np.array([self.battery(robot) > 0]),
             ground=lambda: self._below(robot, one)[None],
             xp=np,
         )
-        self.tell(robot, jax.tree.map(lambda x: np.array(x[0]), load.command))
+        self.set_command(robot, jax.tree.map(lambda x: np.array(x[0]), load.command))
         stock[effecter], self.tags = load.stock[0], load.tags
         return status_of(jax.tree.map(lambda x: x[0], outcome))
 
     def _below(self, robot: Robot, effecter: Effecter) -> np.ndarray:
         """Return the ground below an effecter [m] (3,), infinitely low where there is none."""
-        bodies = self._sight(robot).bodies
-        point = mount_point(effecter, robot.plan, jax.device_get(bodies)).astype(float)
+        bodies = self._sensor_input(robot).bodies
+        point = effecter_position(effecter, robot.plan, jax.device_get(bodies)).astype(float)
         hit = np.zeros(1, np.int32)
         depth = mujoco.mj_ray(self._ground, self._ground_data, point, (0.0, 0.0, -1.0), None, 1, -1, hit)
         return point - (0.0, 0.0, depth if hit[0] >= 0 else np.inf)
 
 
-def _room_for(*places: dict[Sort, np.ndarray]) -> dict[Sort, int]:
+def _capacity_for(*places: dict[BlockKey, np.ndarray]) -> dict[BlockKey, int]:
     """Return for how many geoms of each sort to make room: the next power of two, with some to spare."""
     counts = {sort: sum(len(some.get(sort, ())) for some in places) for sort in set().union(*places)}
-    return {sort: max(SPARE, 1 << (n + SPARE - 1).bit_length()) for sort, n in counts.items()}
+    return {sort: max(SPARE_GEOMS, 1 << (n + SPARE_GEOMS - 1).bit_length()) for sort, n in counts.items()}
 
 
-def _blank_geoms(room: dict[Sort, int]) -> Geoms:
+def _blank_geoms(room: dict[BlockKey, int]) -> Geoms:
     sorts = sorted(room)
     blocks = tuple(
-        Block(
-            pos=np.full((n, 3), FAR_AWAY, np.float32),
+        GeomBlock(
+            pos=np.full((n, 3), PADDING_DISTANCE, np.float32),
             mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)),
             size=np.zeros((n, 3), np.float32),
             owner=np.full(n, -1, np.int32),
@@ -364,4 +369,4 @@ def _blank_geoms(room: dict[Sort, int]) -> Geoms:
         for n in map(room.__getitem__, sorts)
     )
     types, materials = (tuple(sort[k] for sort in sorts) for k in (0, 1))
-    return Geoms(blocks=blocks, types=types, materials=materials)  # type: ignore - numbers and words
+    return Geoms(blocks=blocks, kinds=types, materials=materials)  # type: ignore - numbers and words

@@ -6,105 +6,105 @@ import jax
 import mujoco
 import numpy as np
 
-from usarmjx.cameras.light import SUN, Headlights, lamps_of
+from usarmjx.cameras.light import SUN_DIRECTION, Headlights, point_lights
 from usarmjx.cameras.mounts import headlight_of
 from usarmjx.cameras.paint import (
-    ROBOT,
-    WATER,
-    WATER_CLEAR,
+    ROBOT_LABEL,
+    WATER_LABEL,
     WATER_RGB,
-    Paint,
-    clears,
-    glosses,
+    WATER_TRANSPARENCY,
+    GeomAppearance,
     labels_of,
-    piece_of,
+    reflectances,
+    robot_geom_owner,
+    transparencies,
 )
-from usarmjx.cameras.shading import Stage
+from usarmjx.cameras.shading import RenderScene
 from usarmjx.models.build.layout import RobotIndex
-from usarmjx.models.build.pieces import Pieces
+from usarmjx.models.build.pieces import RayPrimitives
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import GLASS, RobotSpec
-from usarmjx.sensors.rays.targets import FAR_AWAY, Block, Geoms, Sort
-from usarmjx.sim.views import EVERYWHERE, TILE
+from usarmjx.sensors.rays.targets import PADDING_DISTANCE, BlockKey, GeomBlock, Geoms
+from usarmjx.sim.views import CHECKER_SIZE, UNBOUNDED_EXTENT
 
-WATER_SORT: Sort = (int(mujoco.mjtGeom.mjGEOM_BOX), GLASS)
-BEAMS = 8
+WATER_SORT: BlockKey = (int(mujoco.mjtGeom.mjGEOM_BOX), GLASS)
+MAX_HEADLIGHTS = 8
 """Headlights that can shine at once; of more, those in the lowest slots do."""
 
-Columns = dict[str, np.ndarray]
-"""Geoms, by fields of `raycast.Block` and `paint.Paint`: each has a leading axis over them."""
+GeomColumns = dict[str, np.ndarray]
+"""Geoms, by fields of `raycast.Block` and `paint.GeomAppearance`: each has a leading axis over them."""
 
 
-def live_stage(
+def dynamic_render_scene(
     arena: ArenaSpec,
     data: mujoco.MjData,
-    pieces: Pieces,
-    places: Mapping[Sort, np.ndarray],
-    room: Mapping[Sort, int],
+    pieces: RayPrimitives,
+    piece_indices: Mapping[BlockKey, np.ndarray],
+    capacity: Mapping[BlockKey, int],
     index: Mapping[int, RobotIndex],
     lights: Mapping[int, RobotSpec],
-) -> Stage:
+) -> RenderScene:
     """Return all that cameras see of a world; numpy arrays.
 
     Args:
         arena: Its arena.
         data: The state of the model of arena and robots; kinematics must be current.
         pieces: What rays see of the model's geoms.
-        places: The pieces of each kind and material.
-        room: For how many of each kind and material there is room.
+        piece_indices: The pieces of each kind and material.
+        capacity: For how many of each kind and material there is room.
         index: Where each robot is in the model, by slot.
         lights: The robots whose headlights shine, by slot.
     """
     columns, water = _columns(arena, data, pieces, index), _water(arena)
     waters = len(arena.waters)
-    sorts = sorted({*room, WATER_SORT} if waters else room)
+    sorts = sorted({*capacity, WATER_SORT} if waters else capacity)
     blocks, paints = [], []
     for sort in sorts:
-        members = places.get(sort, np.zeros(0, int))
-        rows, n = {name: column[members] for name, column in columns.items()}, room.get(sort, 0)
+        members = piece_indices.get(sort, np.zeros(0, int))
+        rows, n = {name: column[members] for name, column in columns.items()}, capacity.get(sort, 0)
         if waters and sort == WATER_SORT:
             rows, n = {name: np.concatenate([own, water[name]]) for name, own in rows.items()}, n + waters
         rows = _padded(rows, n)
-        blocks.append(Block(**{name: rows[name] for name in ("pos", "mat", "size", "owner")}))
-        paints.append(Paint(**{name: rows[name] for name in ("rgb", "clear", "gloss", "label")}))
+        blocks.append(GeomBlock(**{name: rows[name] for name in ("pos", "mat", "size", "owner")}))
+        paints.append(GeomAppearance(**{name: rows[name] for name in ("rgb", "clear", "gloss", "label")}))
     types, materials = (tuple(sort[k] for sort in sorts) for k in (0, 1))
-    sun = np.array(SUN, np.float32)
-    return Stage(
-        geoms=Geoms(blocks=tuple(blocks), types=types, materials=materials),  # type: ignore - numbers and words
-        paint=jax.tree.map(lambda *parts: np.concatenate(parts), *paints),
-        sun=sun / np.linalg.norm(sun),
-        lamps=lamps_of(arena.lights, arena.floor),
+    sun = np.array(SUN_DIRECTION, np.float32)
+    return RenderScene(
+        geoms=Geoms(blocks=tuple(blocks), kinds=types, materials=materials),  # type: ignore - numbers and words
+        appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *paints),
+        sun_direction=sun / np.linalg.norm(sun),
+        lights=point_lights(arena.lights, arena.floor),
         headlights=_headlights(data, index, lights),
-        tile=np.float32(TILE),
-        tiled=np.array(EVERYWHERE, np.float32),
+        checker_size=np.float32(CHECKER_SIZE),
+        checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
     )
 
 
 def _columns(
-    arena: ArenaSpec, data: mujoco.MjData, pieces: Pieces, index: Mapping[int, RobotIndex]
-) -> Columns:
+    arena: ArenaSpec, data: mujoco.MjData, pieces: RayPrimitives, index: Mapping[int, RobotIndex]
+) -> GeomColumns:
     model = data.model
     owner = np.full(model.nbody, -1)
     for robot, layout in index.items():
-        owner[list(layout.body)] = robot
+        owner[list(layout.body_ids)] = robot
     slot = owner[model.geom_bodyid[pieces.geom]]
     piece = np.zeros(len(slot), int)
     for robot in index:
         piece[slot == robot] = np.arange((slot == robot).sum())
-    pos, mat = pieces.placed(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
+    pos, mat = pieces.world_poses(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
     return {
         "pos": pos,
         "mat": mat,
         "size": pieces.size,
-        "owner": np.where(slot >= 0, piece_of(slot, piece), -1),
+        "owner": np.where(slot >= 0, robot_geom_owner(slot, piece), -1),
         "rgb": model.geom_rgba[pieces.geom, :3],
-        "clear": clears(pieces.material),
-        "gloss": glosses(pieces.material),
-        "label": np.where(slot >= 0, ROBOT + slot, labels_of(model, arena)[pieces.geom]),
+        "clear": transparencies(pieces.material),
+        "gloss": reflectances(pieces.material),
+        "label": np.where(slot >= 0, ROBOT_LABEL + slot, labels_of(model, arena)[pieces.geom]),
     }
 
 
-def _water(arena: ArenaSpec) -> Columns:
+def _water(arena: ArenaSpec) -> GeomColumns:
     corners = np.array([(water.low, water.high) for water in arena.waters], np.float32).reshape(-1, 2, 3)
     n, low, high = len(corners), corners[:, 0], corners[:, 1]
     return {
@@ -113,15 +113,15 @@ def _water(arena: ArenaSpec) -> Columns:
         "size": (high - low) / 2,
         "owner": np.full(n, -1),
         "rgb": np.tile(WATER_RGB, (n, 1)),
-        "clear": np.full(n, WATER_CLEAR),
+        "clear": np.full(n, WATER_TRANSPARENCY),
         "gloss": np.zeros(n),
-        "label": np.full(n, WATER),
+        "label": np.full(n, WATER_LABEL),
     }
 
 
-def _padded(rows: Columns, room: int) -> Columns:
+def _padded(rows: GeomColumns, room: int) -> GeomColumns:
     """Return geoms with some that are far away, so that there are as many as there is room for."""
-    fills = {"pos": FAR_AWAY, "owner": -1}
+    fills = {"pos": PADDING_DISTANCE, "owner": -1}
     padded = {}
     for name, values in rows.items():
         whole = np.issubdtype(values.dtype, np.integer)
@@ -136,12 +136,12 @@ def _padded(rows: Columns, room: int) -> Columns:
 def _headlights(
     data: mujoco.MjData, index: Mapping[int, RobotIndex], lights: Mapping[int, RobotSpec]
 ) -> Headlights:
-    pos, along = np.zeros((BEAMS, 3), np.float32), np.zeros((BEAMS, 3), np.float32)
-    on, label = np.zeros(BEAMS, bool), np.zeros(BEAMS, np.int32)
-    for k, slot in enumerate(sorted(lights)[:BEAMS]):
+    pos, along = np.zeros((MAX_HEADLIGHTS, 3), np.float32), np.zeros((MAX_HEADLIGHTS, 3), np.float32)
+    on, label = np.zeros(MAX_HEADLIGHTS, bool), np.zeros(MAX_HEADLIGHTS, np.int32)
+    for k, slot in enumerate(sorted(lights)[:MAX_HEADLIGHTS]):
         lamp = headlight_of(lights[slot])
-        body = index[slot].body[lamp.body]
+        body = index[slot].body_ids[lamp.body]
         mat = data.xmat[body].reshape(3, 3)
-        pos[k], along[k] = data.xpos[body] + mat @ lamp.at, mat @ lamp.along
-        on[k], label[k] = True, ROBOT + slot
-    return Headlights(pos=pos, along=along, on=on, label=label)
+        pos[k], along[k] = data.xpos[body] + mat @ lamp.pos, mat @ lamp.direction
+        on[k], label[k] = True, ROBOT_LABEL + slot
+    return Headlights(pos=pos, direction=along, on=on, label=label)

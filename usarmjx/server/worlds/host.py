@@ -1,6 +1,6 @@
 """One served world as the adapter sees it: robots come and go, are told things and report.
 
-Two worlds implement it: `live.LiveWorld` (C MuJoCo, any class at any time) and `claim.ClaimedWorld`
+Two worlds implement it: `live.DynamicWorld` (C MuJoCo, any class at any time) and `claim.BatchWorld`
 (one world of a running batch, where robots wait parked).
 """
 
@@ -17,24 +17,24 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.mounts import Camera, cameras_of
-from usarmjx.cameras.picture import Picture, Viewpoint, viewpoint
-from usarmjx.models.build.body_plan import Bodies, BodyPlan
+from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint
+from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Effecter, Opcode, effecters_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.sketch import Sketch
-from usarmjx.sensors.suite import Memory, Suite, suite_of
-from usarmjx.server.messages.victims import written
+from usarmjx.sensors.sketch import OverlayLines
+from usarmjx.sensors.suite import SensorMemory, Suite, suite_of
+from usarmjx.server.messages.victims import initial_tag_texts
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.protocol.traces import Traces
-from usarmjx.server.protocol.viewports import Ties, Viewports
-from usarmjx.sim.control import Command
-from usarmjx.sim.operate import OK, Outcome
+from usarmjx.server.protocol.viewports import ViewBindings, Viewports
+from usarmjx.sim.control import RobotCommand
+from usarmjx.sim.operate import NO_NUMBER, OperationResult
 
 log = logging.getLogger(__name__)
 
-REACH = 1000.0
+MAX_COORDINATE = 1000.0
 """Nobody spawns further from the origin than this [m]: single precision gets coarse there."""
 
 
@@ -47,29 +47,29 @@ class Robot:
         name: Its name on the wire.
         suite: Its class's sensors.
         command: What it is told to do; numpy arrays.
-        born: World time at which it appeared [s].
+        spawn_time: World time at which it appeared [s].
         drowned: Whether water has killed its battery.
         pending: Readings that have not been reported yet, by place in the suite.
-        view: Its tile of the MultiView, -1 without one.
+        tile: Its tile of the MultiView, -1 without one.
     """
 
     slot: int
     name: str
     suite: Suite
-    command: Command
-    born: float
+    command: RobotCommand
+    spawn_time: float
     drowned: bool = False
     pending: dict[int, np.ndarray] = field(default_factory=dict)
-    view: int = -1
+    tile: int = -1
 
     def __post_init__(self) -> None:
         """Give it what its cameras start with."""
-        self.fovs = [camera.default for camera in self.cameras]
+        self.fovs = [camera.default_fov for camera in self.cameras]
         """Field of view in force of each camera [rad]."""
         self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])
 
     @property
-    def plan(self) -> BodyPlan:
+    def plan(self) -> KinematicTree:
         """Its body plan."""
         return self.suite.plan
 
@@ -88,14 +88,14 @@ class Robot:
         """Its class's cameras."""
         return cameras_of(self.spec)
 
-    def camera(self, name: str) -> int | None:
+    def camera_index(self, name: str) -> int | None:
         """Return the place of the first camera of that name, case ignored; None without one."""
         for place, camera in enumerate(self.cameras):
             if camera.mount.name.lower() == name.lower():
                 return place
         return None
 
-    def effecter(self, kind: str, name: str) -> int | None:
+    def effecter_index(self, kind: str, name: str) -> int | None:
         """Return the place of the first effecter of that type and name, case ignored; None without one."""
         for place, effecter in enumerate(self.effecters):
             if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
@@ -104,7 +104,7 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class Shot:
+class CameraRequest:
     """A picture to take.
 
     Attributes:
@@ -121,28 +121,28 @@ class Shot:
 
 
 @dataclass(frozen=True, eq=False)
-class Vista:
+class ViewpointRequest:
     """A picture to take from where no robot's camera need be.
 
     Attributes:
-        eye: From where; numpy arrays.
+        viewpoint: From where; numpy arrays.
         width: [pixels]
         height: [pixels]
     """
 
-    eye: Viewpoint
+    viewpoint: Viewpoint
     width: int
     height: int
 
 
-def status_of(outcome: Outcome) -> str:
+def status_of(outcome: OperationResult) -> str:
     """Return the Status that RES tells of one robot's operation (manual 11)."""
     if not outcome.done:
         return "Failed"
-    return "OK" if outcome.number == OK else str(int(outcome.number))
+    return "OK" if outcome.number == NO_NUMBER else str(int(outcome.number))
 
 
-class HostWorld(ABC):
+class ServedWorld(ABC):
     """A world that clients share. Positions and angles are in our axes."""
 
     arena: ArenaSpec
@@ -152,9 +152,9 @@ class HostWorld(ABC):
     """How all robots' cameras share a picture, if they do."""
 
     @cached_property
-    def ties(self) -> Ties:
+    def view_bindings(self) -> ViewBindings:
         """Whose view is tied to which camera."""
-        return Ties()
+        return ViewBindings()
 
     @cached_property
     def traces(self) -> Traces:
@@ -164,7 +164,7 @@ class HostWorld(ABC):
     @cached_property
     def tag_texts(self) -> dict[int, str]:
         """What is written on RFID tags, by ID; the others are empty."""
-        return written(self.arena)
+        return initial_tag_texts(self.arena)
 
     @property
     @abstractmethod
@@ -189,13 +189,13 @@ class HostWorld(ABC):
 
     def battery(self, robot: Robot) -> float:
         """Return for how long the robot's battery lasts yet [s]; 0 when water has killed it."""
-        return 0.0 if robot.drowned else max(0.0, robot.spec.battery_life - (self.time - robot.born))
+        return 0.0 if robot.drowned else max(0.0, robot.spec.battery_life - (self.time - robot.spawn_time))
 
-    def free_view(self, robot: RobotSpec) -> int:
+    def free_tile(self, robot: RobotSpec) -> int:
         """Return the tile of the MultiView that a new robot of a class gets; -1 when there is none."""
         if self.multi_view is None or not robot.cameras:
             return -1
-        taken = {other.view for other in self.robots.values()}
+        taken = {other.tile for other in self.robots.values()}
         return next((n for n in range(self.multi_view.camera_num) if n not in taken), -1)
 
     def zoom(self, robot: Robot, camera: int, fov: float) -> bool:
@@ -212,22 +212,22 @@ class HostWorld(ABC):
         robot.fovs[camera] = float(robot.cameras[camera].clamp(fov))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
-    def viewpoint(self, shot: Shot | Vista) -> Viewpoint:
+    def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
         """Return from where a picture would be taken now; numpy arrays."""
-        if isinstance(shot, Vista):
-            return shot.eye
-        robot, fov = shot.robot, np.float32(shot.robot.fovs[shot.camera])
-        return viewpoint(robot.cameras[shot.camera], self.bodies(robot), np.int32(robot.slot), fov)
+        if isinstance(request, ViewpointRequest):
+            return request.viewpoint
+        robot, fov = request.robot, np.float32(request.robot.fovs[request.camera])
+        return camera_viewpoint(robot.cameras[request.camera], self.bodies(robot), np.int32(robot.slot), fov)
 
     @abstractmethod
-    def expose(self, shots: Sequence[Shot | Vista]) -> Callable[[], list[Picture]]:
+    def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Hold still what pictures show; return what then takes them.
 
         The first half is quick. The second half may run in another thread, while the world goes on.
         """
 
     @abstractmethod
-    def tell(self, robot: Robot, command: Command) -> None:
+    def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace what the robot is told to do."""
 
     @abstractmethod
@@ -243,20 +243,20 @@ class HostWorld(ABC):
         """Return where the robot is and how it moves; numpy arrays."""
 
     @abstractmethod
-    def bodies(self, robot: Robot) -> Bodies:
+    def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are; numpy arrays."""
 
     @abstractmethod
-    def memory(self, robot: Robot) -> Memory:
+    def memory(self, robot: Robot) -> SensorMemory:
         """Return what the robot's sensors remember."""
 
-    def sketches(self) -> list[Sketch]:
+    def sketches(self) -> list[OverlayLines]:
         """Return what the robots' sensors draw into pictures; numpy arrays."""
         found = []
         for robot in self.robots.values():
-            draws = [place for place, sensor in enumerate(robot.suite.sensors) if sensor.draws]
+            draws = [place for place, sensor in enumerate(robot.suite.sensors) if sensor.has_overlay]
             own = self.memory(robot).own if draws else ()
-            found += [robot.suite.sensors[place].sketch(own[place]) for place in draws]
+            found += [robot.suite.sensors[place].overlay(own[place]) for place in draws]
         return jax.device_get(found)
 
     @abstractmethod
@@ -264,7 +264,7 @@ class HostWorld(ABC):
         """Return how far the arena's doors are open now [rad] (doors,)."""
 
     @abstractmethod
-    def order(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor; return whether it was valid."""
 
     @abstractmethod
@@ -282,17 +282,19 @@ class HostWorld(ABC):
         """
 
     @staticmethod
-    def check_place(pos: Vec3) -> None:
+    def check_position(pos: Vec3) -> None:
         """Refuse places out of reach.
 
         Raises:
             UsageError: Names the place and the reach.
         """
-        if not all(math.isfinite(v) and abs(v) <= REACH for v in pos):
-            raise UsageError(f"start position {pos} is out of reach: at most {REACH} m from the origin")
+        if not all(math.isfinite(v) and abs(v) <= MAX_COORDINATE for v in pos):
+            raise UsageError(
+                f"start position {pos} is out of reach: at most {MAX_COORDINATE} m from the origin"
+            )
 
     @staticmethod
-    def lift(name: str, low: float, floor: float) -> float:
+    def floor_correction(name: str, low: float, floor: float) -> float:
         """Return by how much to raise a robot whose lowest point is at `low` [m], and log it."""
         raised = max(0.0, floor - low)
         if raised > 0:

@@ -10,11 +10,11 @@ from usarmjx.engines import choose_engine
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.batch_world import ClaimedWorld
-from usarmjx.server.worlds.dynamic_world import LiveWorld
-from usarmjx.server.worlds.host import HostWorld
+from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.server.worlds.host import ServedWorld
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import Entry, build_scene
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 
 def parse_roster(text: str) -> list[str]:
@@ -33,7 +33,7 @@ def parse_roster(text: str) -> list[str]:
     return names
 
 
-def keep_compilations() -> None:
+def enable_compilation_cache() -> None:
     """Keep what JAX compiles in the user's cache folder, so that the next start is quick."""
     root = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     jax.config.update("jax_compilation_cache_dir", str(root / "usarmjx" / "jax"))
@@ -41,8 +41,8 @@ def keep_compilations() -> None:
 
 
 def make_world(
-    arena: str, *, engine: str, worlds: int, instance: int, roster: str, seats: int, seed: int
-) -> HostWorld:
+    arena: str, *, engine: str, worlds: int, instance: int, roster: str, max_robots: int, seed: int
+) -> ServedWorld:
     """Build a batch of worlds and return the one that clients will share.
 
     Raises:
@@ -50,20 +50,20 @@ def make_world(
         UnknownNameError: Unknown arena, engine or robot class.
         EngineError: The engine cannot run here.
     """
-    keep_compilations()
+    enable_compilation_cache()
     if not 0 <= instance < worlds:
         raise UsageError(f"instance {instance} is not among worlds 0 to {worlds - 1}")
     if choose_engine(engine, "serve") == "c":
         key = jax.random.key(seed)
         batch = [
-            LiveWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), seats)
+            DynamicWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), max_robots)
             for number in range(worlds)
         ]
         served = batch[instance]
-        served.companions = tuple(world for world in batch if world is not served)
+        served.other_worlds = tuple(world for world in batch if world is not served)
         return served
-    entries = [Entry(robot=name, parked=True) for name in parse_roster(roster)]
+    entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
     if not entries:
         raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
     scene = build_scene(arena, entries)
-    return ClaimedWorld(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed), instance)
+    return BatchWorld(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed), instance)

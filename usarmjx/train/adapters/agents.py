@@ -13,7 +13,7 @@ from usarmjx.base.transforms import Array
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
 
-MOST_SEED = 2**31 - 1
+MAX_SEED = 2**31 - 1
 """Seeds are drawn below this: an int32 holds them."""
 
 
@@ -22,7 +22,7 @@ class Agent(NamedTuple):
 
     name: str
     group: int
-    place: int
+    index: int
 
 
 def agents_of(env: "Env") -> tuple[Agent, ...]:
@@ -55,17 +55,17 @@ def check_one_group(env: "Env", purpose: str) -> None:
         raise UsageError(f"{purpose} needs robots of one class, but {env.name} has {names}")
 
 
-def stepper(env: "Env") -> "Callable[[EnvState, tuple[Array, ...]], EnvState]":
+def compiled_step(env: "Env") -> "Callable[[EnvState, tuple[Array, ...]], EnvState]":
     """Return the environment's step, compiled where it can be."""
     return jax.jit(env.step) if env.traceable else env.step
 
 
 def by_agent(env: "Env", values: tuple[Any, ...]) -> dict[str, Any]:
     """Return what each robot of the first world has of per-group arrays (worlds, robots, ...)."""
-    return {agent.name: values[agent.group][0, agent.place] for agent in agents_of(env)}
+    return {agent.name: values[agent.group][0, agent.index] for agent in agents_of(env)}
 
 
-def gather(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -> tuple[Any, ...]:
+def stack_actions(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -> tuple[Any, ...]:
     """Return the actions of one world's robots (action_size,) by group (1, robots, action_size).
 
     Raises:
@@ -85,6 +85,6 @@ def gather(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -> tuple
     return tuple(stacked)
 
 
-def drawn_seed(generator: np.random.Generator) -> int:
+def draw_seed(generator: np.random.Generator) -> int:
     """Return a seed for an environment."""
-    return int(generator.integers(MOST_SEED))
+    return int(generator.integers(MAX_SEED))

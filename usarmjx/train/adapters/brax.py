@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from brax.envs.base import Env as BraxEnv
 from brax.envs.base import State
 
-from usarmjx.train.adapters.agents import MOST_SEED, check_one_group
+from usarmjx.train.adapters.agents import MAX_SEED, check_one_group
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -55,7 +55,7 @@ class BatchedRobots(BraxEnv):
             rng: One key for all; of several (n,) the first counts.
         """
         key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
-        seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MOST_SEED)
+        seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
         return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
 
     def step(self, state: State, action: jax.Array) -> State:

@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Array
-from usarmjx.train.adapters.agents import check_one_group, drawn_seed, stepper
+from usarmjx.train.adapters.agents import check_one_group, compiled_step, draw_seed
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -58,7 +58,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = spaces.Box(-1.0, 1.0, (action,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._step = stepper(env)
+        self._step = compiled_step(env)
         self._seed = seed
         self._state: EnvState | None = None
 
@@ -79,7 +79,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if seed is None and self._np_random is None:
             seed = self._seed
         super().reset(seed=seed)
-        chosen = drawn_seed(self.np_random) if seed is None else seed
+        chosen = draw_seed(self.np_random) if seed is None else seed
         self._state = self.env.reset(chosen)
         return self._rows(jax.device_get(self._state.obs)), {}
 

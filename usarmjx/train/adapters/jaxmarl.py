@@ -9,7 +9,7 @@ from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box
 
 from usarmjx.base.errors import UsageError
-from usarmjx.train.adapters.agents import MOST_SEED, agents_of, by_agent, check_one_world, gather
+from usarmjx.train.adapters.agents import MAX_SEED, agents_of, by_agent, check_one_world, stack_actions
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -62,7 +62,7 @@ class MultiAgentWorld(MultiAgentEnv):
     @partial(jax.jit, static_argnums=0)
     def reset(self, key: jax.Array) -> "tuple[Values, EnvState]":
         """Return observations (obs_size,) by agent, and the state, of a new world."""
-        state = self.env.reset(jax.random.randint(key, (), 0, MOST_SEED))  # type: ignore - a traced seed
+        state = self.env.reset(jax.random.randint(key, (), 0, MAX_SEED))  # type: ignore - a traced seed
         return self.get_obs(state), state
 
     def step_env(
@@ -70,7 +70,7 @@ class MultiAgentWorld(MultiAgentEnv):
     ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
         """Let all robots act; observations are those before a restart, the state is that after it."""
         del key
-        state = self.env.step(state, gather(self.env, actions, jnp))
+        state = self.env.step(state, stack_actions(self.env, actions, jnp))
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
         score = jnp.where(state.done, state.final_score, state.score)

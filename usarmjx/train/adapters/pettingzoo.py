@@ -8,7 +8,14 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from usarmjx.base.errors import UsageError
-from usarmjx.train.adapters.agents import agents_of, by_agent, check_one_world, drawn_seed, gather, stepper
+from usarmjx.train.adapters.agents import (
+    agents_of,
+    by_agent,
+    check_one_world,
+    compiled_step,
+    draw_seed,
+    stack_actions,
+)
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -44,7 +51,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
             group = env.groups[agent.group]
             self.observation_spaces[agent.name] = spaces.Box(-np.inf, np.inf, (group.obs_size,), np.float32)
             self.action_spaces[agent.name] = spaces.Box(-1.0, 1.0, (group.action_size,), np.float32)
-        self._step = stepper(env)
+        self._step = compiled_step(env)
         self._seed = seed
         self._generator = np.random.default_rng(seed)
         self._state: EnvState | None = None
@@ -69,7 +76,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         elif self._state is None:
             seed = self._seed
         elif self.agents:
-            seed = drawn_seed(self._generator)
+            seed = draw_seed(self._generator)
         if seed is not None:
             self._state = self.env.reset(seed)
         self.agents = list(self.possible_agents)
@@ -95,7 +102,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         before = self._running
         if not self.agents:
             raise UsageError(f"{self.env.name}: the episode is over; call reset")
-        self._state = self._step(before, gather(self.env, actions))
+        self._state = self._step(before, stack_actions(self.env, actions))
         s = jax.device_get(self._state.replace(batch=None, memory=None))
         done, truncated = bool(s.done[0]), bool(s.truncated[0])
         info = {name: float(value[0]) for name, value in s.metrics.items()}

@@ -3,24 +3,24 @@
 from collections.abc import Callable
 
 from usarmjx.base.registry import Registry
-from usarmjx.train.baselines.climb import climber
-from usarmjx.train.baselines.frontier import frontier
-from usarmjx.train.baselines.goal import go_to_goal
-from usarmjx.train.baselines.hover import inspector
-from usarmjx.train.baselines.pursuit import pursuit
-from usarmjx.train.baselines.relay import relay
-from usarmjx.train.baselines.roam import roam
-from usarmjx.train.baselines.soccer import players
+from usarmjx.train.baselines.climb import climb_policy
+from usarmjx.train.baselines.frontier import frontier_policy
+from usarmjx.train.baselines.goal import bug_policy
+from usarmjx.train.baselines.hover import inspection_policy
+from usarmjx.train.baselines.pursuit import pursuit_policy
+from usarmjx.train.baselines.relay import relay_policy
+from usarmjx.train.baselines.roam import roam_policy
+from usarmjx.train.baselines.soccer import soccer_policy
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 
 BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
-BASELINES.add("drive-to-goal", go_to_goal)
-BASELINES.add("wander", roam)
-BASELINES.add("explore", frontier)
-BASELINES.add("victim-search", frontier)
-BASELINES.add("relay-chain", relay)
-BASELINES.add("convoy", pursuit)
-BASELINES.add("stairs", climber)
-BASELINES.add("hover-inspect", inspector)
-BASELINES.add("soccer", players)
+BASELINES.add("drive-to-goal", bug_policy)
+BASELINES.add("wander", roam_policy)
+BASELINES.add("explore", frontier_policy)
+BASELINES.add("victim-search", frontier_policy)
+BASELINES.add("relay-chain", relay_policy)
+BASELINES.add("convoy", pursuit_policy)
+BASELINES.add("stairs", climb_policy)
+BASELINES.add("hover-inspect", inspection_policy)
+BASELINES.add("soccer", soccer_policy)

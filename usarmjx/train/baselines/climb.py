@@ -7,8 +7,8 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.tasks.stairs import RAISED, Stairs
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.tasks.stairs import MAX_FLIPPER_ANGLE, Stairs
 
 UP = 0.6
 """How far the front flippers are up before the first step [rad]."""
@@ -18,7 +18,7 @@ STEER = 1.5
 """How much one track is slower than the other, as a share, per radian off the goal."""
 
 
-def climb(seen: jax.Array, pace: float) -> jax.Array:
+def climb_action(seen: jax.Array, pace: float) -> jax.Array:
     """Return the action (2,) or (4,) for one robot's observation of `Stairs` (n,); `pace` is a share."""
     off = jnp.arctan2(seen[1], seen[0])
     turn = jnp.clip(STEER * off, -1.0, 1.0)
@@ -26,14 +26,14 @@ def climb(seen: jax.Array, pace: float) -> jax.Array:
     return jnp.stack([left, right])
 
 
-def flippers(seen: jax.Array, taper: float) -> jax.Array:
+def flipper_targets(seen: jax.Array, taper: float) -> jax.Array:
     """Return where front and rear flippers shall go (2,); `taper` is their lower edge's angle [rad]."""
     on_stairs = seen[6] > ON_STAIRS
     front = jnp.where(on_stairs, -taper, UP)
-    return jnp.stack([front, jnp.where(on_stairs, -taper, 0.0)]) / RAISED
+    return jnp.stack([front, jnp.where(on_stairs, -taper, 0.0)]) / MAX_FLIPPER_ANGLE
 
 
-def climber(env: Env) -> Policy:
+def climb_policy(env: Env) -> Policy:
     """Return the baseline of `stairs`; it has no memory.
 
     Raises:
@@ -42,7 +42,7 @@ def climber(env: Env) -> Policy:
     task = env.task
     if not isinstance(task, Stairs):
         raise UsageError(f"this policy climbs stairs, not {env.name}")
-    robot, size = env.scene.teams[0].robot, env.groups[0].action_size
+    robot, size = env.scene.groups[0].robot, env.groups[0].action_size
     pace, taper = min(1.0, 0.6 / robot.drive.top_speed), 0.0
     tip = [part for part in robot.parts if part.parent == "FRFlipper"]
     if tip:
@@ -50,11 +50,11 @@ def climber(env: Env) -> Policy:
         taper = math.asin((robot.wheel_radius - tip[-1].shapes[0].size[0]) / tip[-1].at[0])
 
     def one(seen: jax.Array) -> jax.Array:
-        tracks = climb(seen, pace)
-        return tracks if size == 2 else jnp.concatenate([tracks, flippers(seen, taper)])
+        tracks = climb_action(seen, pace)
+        return tracks if size == 2 else jnp.concatenate([tracks, flipper_targets(seen, taper)])
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
         return memory, (jax.vmap(jax.vmap(one))(obs[0]),)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)

@@ -4,33 +4,33 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.mapping.knowledge import SECTORS
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.mapping.knowledge import SECTOR_COUNT
 
 TURN, FASTEST_TURN = 0.8, 0.5
 """Turning over the bearing of the next place [1/rad], and the most of it."""
 CRUISE = 0.9
-CLOSE = 0.35 / 4
+STOP_RANGE = 0.35 / 4
 """What is so near ahead stops a robot; as observed (0.35 m)."""
 STUCK = 0.3
 """A robot that has come less far lately than this share of 0.5 m, though it should, backs up."""
-TURN_OF, BACK = 20, 5
+BACK_UP_PERIOD, BACK_UP_STEPS = 20, 5
 """Of so many steps it backs up for so many, and then tries again."""
-THERE = 0.05
+ARRIVED = 0.05
 """The next place is so near, as observed, only where there is no way (6 cm)."""
 
 
-def frontier(env: Env) -> Policy:
+def frontier_policy(env: Env) -> Policy:
     """Return the policy for an environment of a team task; it has no memory."""
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, tuple(drive(seen, env.episode_steps) for seen in obs)
+        return memory, tuple(frontier_action(seen, env.episode_steps) for seen in obs)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)
 
 
-def drive(seen: jax.Array, steps: int) -> jax.Array:
+def frontier_action(seen: jax.Array, steps: int) -> jax.Array:
     """Return actions (..., 2) of robots that drive the way they observe (..., n); see `TeamTask`.
 
     Args:
@@ -39,15 +39,17 @@ def drive(seen: jax.Array, steps: int) -> jax.Array:
     """
     ahead, left = seen[..., 0], seen[..., 1]
     moved = seen[..., 5]
-    clear, time = seen[..., 6 : 6 + SECTORS], seen[..., 6 + SECTORS]
+    clear, time = seen[..., 6 : 6 + SECTOR_COUNT], seen[..., 6 + SECTOR_COUNT]
     bearing = jnp.arctan2(left, ahead)
     turn = jnp.clip(TURN * bearing, -FASTEST_TURN, FASTEST_TURN)
-    middle = clear[..., SECTORS // 2 - 2 : SECTORS // 2 + 2].min(-1)
-    speed = CRUISE * jnp.clip(jnp.cos(bearing), 0.0, 1.0) ** 3 * jnp.clip((middle - 0.05) / CLOSE, 0.0, 1.0)
-    idle = jnp.hypot(ahead, left) < THERE
+    middle = clear[..., SECTOR_COUNT // 2 - 2 : SECTOR_COUNT // 2 + 2].min(-1)
+    speed = (
+        CRUISE * jnp.clip(jnp.cos(bearing), 0.0, 1.0) ** 3 * jnp.clip((middle - 0.05) / STOP_RANGE, 0.0, 1.0)
+    )
+    idle = jnp.hypot(ahead, left) < ARRIVED
     # Backing up and turning to the side that is freer.
-    sides = clear[..., SECTORS // 2 :].min(-1) - clear[..., : SECTORS // 2].min(-1)
-    back = (moved < STUCK) & (jnp.mod(jnp.round(time * steps), TURN_OF) < BACK) & ~idle
+    sides = clear[..., SECTOR_COUNT // 2 :].min(-1) - clear[..., : SECTOR_COUNT // 2].min(-1)
+    back = (moved < STUCK) & (jnp.mod(jnp.round(time * steps), BACK_UP_PERIOD) < BACK_UP_STEPS) & ~idle
     speed = jnp.where(back, -0.5, speed)
     turn = jnp.where(back, 0.3 * jnp.sign(sides), turn)
     return jnp.where(idle[..., None], 0.0, jnp.stack([speed, turn], -1))

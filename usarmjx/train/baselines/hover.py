@@ -5,8 +5,8 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.tasks.hover_inspect import FAR, PACE, TURN, HoverInspect
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.tasks.hover_inspect import POSITION_SCALE, SPEED_SCALE, TURN_RATE_SCALE, HoverInspect
 
 GAIN, TURN_GAIN = 1.0, 1.2
 """Speed over distance and turning rate over angle [1/s]."""
@@ -16,15 +16,15 @@ SQUARE = 0.12
 """Off the window's middle or its axis by less than this it flies through [m, rad]."""
 TURN_FIRST = 0.6
 """With the point farther off its nose than this it turns on the spot [rad]."""
-INSIDE = 0.6
+COMMIT_DISTANCE = 0.6
 """Nearer to the wall than this there is no way but on [m]: its front is in the window."""
-THROUGH = 0.8
+WINDOW_SPEED = 0.8
 """How fast [m/s]."""
 
 
-def inspect(seen: jax.Array) -> jax.Array:
+def inspection_action(seen: jax.Array) -> jax.Array:
     """Return the action (4,) for one robot's observation of `HoverInspect` (n,)."""
-    point, window = FAR * seen[:3], FAR * seen[3:6]
+    point, window = POSITION_SCALE * seen[:3], POSITION_SCALE * seen[3:6]
     yaw, there = jnp.arctan2(seen[7], seen[8]), seen[6] > 0.5
     return jnp.where(there, _through(point, window, yaw), _before(point))
 
@@ -36,8 +36,8 @@ def _through(point: jax.Array, window: jax.Array, yaw: jax.Array) -> jax.Array:
     x, y = window[0] * cos - window[1] * sin, window[0] * sin + window[1] * cos
     side = jnp.sign(point[0] * cos - point[1] * sin - x)
     square = (jnp.abs(y) < SQUARE) & (jnp.abs(window[2]) < SQUARE) & (jnp.abs(yaw) < SQUARE)
-    inside = side * x < INSIDE
-    along = jnp.where(square | inside, side * THROUGH, GAIN * (x - side * STANDOFF))
+    inside = side * x < COMMIT_DISTANCE
+    along = jnp.where(square | inside, side * WINDOW_SPEED, GAIN * (x - side * STANDOFF))
     return _action(along * cos + GAIN * y * sin, GAIN * y * cos - along * sin, GAIN * window[2], -yaw)
 
 
@@ -53,11 +53,13 @@ def _action(forward: jax.Array, left: jax.Array, up: jax.Array, turn: jax.Array)
     """Return the action for speeds [m/s], slower if they are too fast, and a turn to the left [rad]."""
     speed = jnp.stack([forward, -left])
     speed = speed / jnp.maximum(jnp.linalg.norm(speed), 1.0)
-    clockwise = jnp.clip(-TURN_GAIN * turn / TURN, -1.0, 1.0)
-    return jnp.concatenate([jnp.clip(up / PACE, -0.5, 0.5)[None], speed / PACE, clockwise[None]])
+    clockwise = jnp.clip(-TURN_GAIN * turn / TURN_RATE_SCALE, -1.0, 1.0)
+    return jnp.concatenate(
+        [jnp.clip(up / SPEED_SCALE, -0.5, 0.5)[None], speed / SPEED_SCALE, clockwise[None]]
+    )
 
 
-def inspector(env: Env) -> Policy:
+def inspection_policy(env: Env) -> Policy:
     """Return the baseline of `hover-inspect`; it has no memory.
 
     Raises:
@@ -66,8 +68,8 @@ def inspector(env: Env) -> Policy:
     if not isinstance(env.task, HoverInspect):
         raise UsageError(f"this policy inspects points from the air, not {env.name}")
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(inspect))(obs[0]),)
+        return memory, (jax.vmap(jax.vmap(inspection_action))(obs[0]),)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)

@@ -7,8 +7,8 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.tasks.convoy import AHEAD, BEAMS, REACH, TOP, Convoy
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.tasks.convoy import AHEAD, BEAMS, RANGE_SCALE, SPEED_SCALE, Convoy
 
 LOOKAHEAD = 3.0, 0.6
 """Along the lane from the rear axle to the point that is steered for: at rest [m], and more per speed [s]."""
@@ -18,20 +18,20 @@ CATCH_UP = 1.25
 """At most so many times the speed that is told, to close a gap."""
 
 
-def pursue(seen: jax.Array, task: Convoy) -> jax.Array:
+def pursuit_action(seen: jax.Array, task: Convoy) -> jax.Array:
     """Return the action (2,) for one car's observation of `Convoy` (n,)."""
     car = task.robots[0]
     assert isinstance(car.drive, Ackermann)  # as `robots` says
-    speed, told = TOP * seen[3], TOP * seen[4]
-    points = REACH * seen[5 : 5 + 2 * len(AHEAD)].reshape(-1, 2)
+    speed, told = SPEED_SCALE * seen[3], SPEED_SCALE * seen[4]
+    points = RANGE_SCALE * seen[5 : 5 + 2 * len(AHEAD)].reshape(-1, 2)
     goal = _between(points, LOOKAHEAD[0] + LOOKAHEAD[1] * speed)
     # The circle through the rear axle, along the car's heading there, and the point.
     bend = 2.0 * goal[1] / jnp.maximum((goal**2).sum(), 1e-3)
     steer = jnp.arctan(car.wheel_base * bend) / car.drive.max_front_steer
-    gap = _gap(REACH * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
-    wanted = jnp.where(gap >= REACH, told, (gap - task.standstill) / task.headway)
-    catching = jnp.where(gap >= REACH, 1.0, CATCH_UP) * told
-    return jnp.clip(jnp.stack([jnp.clip(wanted, 0.0, catching) / TOP, steer]), -1.0, 1.0)
+    gap = _gap(RANGE_SCALE * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
+    wanted = jnp.where(gap >= RANGE_SCALE, told, (gap - task.standstill) / task.headway)
+    catching = jnp.where(gap >= RANGE_SCALE, 1.0, CATCH_UP) * told
+    return jnp.clip(jnp.stack([jnp.clip(wanted, 0.0, catching) / SPEED_SCALE, steer]), -1.0, 1.0)
 
 
 def _between(points: jax.Array, along: jax.Array) -> jax.Array:
@@ -46,10 +46,10 @@ def _gap(scan: jax.Array, points: jax.Array, front: float) -> jax.Array:
     x = jnp.arange(0.0, AHEAD[-1], 0.5)
     lane = jnp.stack([jnp.interp(x, np.array(AHEAD), points[:, i]) for i in range(2)], -1)
     aside = jnp.linalg.norm(hit[:, None] - lane, axis=-1).min(-1)
-    return jnp.where((aside < LANE) & (scan < 0.999 * REACH), scan, REACH).min()
+    return jnp.where((aside < LANE) & (scan < 0.999 * RANGE_SCALE), scan, RANGE_SCALE).min()
 
 
-def pursuit(env: Env) -> Policy:
+def pursuit_policy(env: Env) -> Policy:
     """Return the baseline of `convoy`; it has no memory.
 
     Raises:
@@ -59,8 +59,8 @@ def pursuit(env: Env) -> Policy:
     if not isinstance(task, Convoy):
         raise UsageError(f"this policy drives in convoys, not in {env.name}")
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(lambda seen: pursue(seen, task)))(obs[0]),)
+        return memory, (jax.vmap(jax.vmap(lambda seen: pursuit_action(seen, task)))(obs[0]),)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)

@@ -3,40 +3,40 @@
 import jax
 import jax.numpy as jnp
 
-from usarmjx.train.baselines.frontier import drive, frontier
+from usarmjx.train.baselines.frontier import frontier_action, frontier_policy
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.mapping.knowledge import SECTORS
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.mapping.knowledge import SECTOR_COUNT
 
-STOP, SLOW = 0.1, 0.2
+STOP, SLOW_MARGIN = 0.1, 0.2
 """Power above the cutoff, as observed, at which a robot stops, and up to which it is slow: 2 and 4 dB."""
-AWAY = 2.0 / 60.0
+HOMING_AGE = 2.0 / 60.0
 """Age of the last contact, as observed, from which a robot drives home without looking at powers."""
 
 
-def relay(env: Env) -> Policy:
+def relay_policy(env: Env) -> Policy:
     """Return the policy for an environment of `relay-chain`; it has no memory.
 
     The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
     which leads outward, and stops where the signal of the one before it gets weak; so the first ones become
     relays, and the last one goes farthest. Where the task's `talk` is none they do not look at the radio.
     """
-    robots = env.scene.robots
+    robots = env.scene.num_robots
     if getattr(env.task, "talk", "all") == "none":
-        return frontier(env)
+        return frontier_policy(env)
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
         return memory, tuple(_chained(seen, robots, env.episode_steps) for seen in obs)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)
 
 
 def _chained(seen: jax.Array, robots: int, steps: int) -> jax.Array:
-    told = drive(seen, steps)
-    slot = jnp.round(seen[..., 7 + SECTORS] * robots).astype(jnp.int32)
+    told = frontier_action(seen, steps)
+    slot = jnp.round(seen[..., 7 + SECTOR_COUNT] * robots).astype(jnp.int32)
     powers = seen[..., -(robots - 1) :]
     before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]
     age = seen[..., -robots]
-    go = jnp.where(age > AWAY, 1.0, jnp.clip((before - STOP) / (SLOW - STOP), 0.0, 1.0))
+    go = jnp.where(age > HOMING_AGE, 1.0, jnp.clip((before - STOP) / (SLOW_MARGIN - STOP), 0.0, 1.0))
     return told * go[..., None]

@@ -7,24 +7,24 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.train.baselines.steering import ANGLES, UNSEEN, driver, obstacles, way_lengths
+from usarmjx.train.baselines.steering import ANGLES, NO_OBSTACLE_DISTANCE, driver, free_distances, obstacles
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
-from usarmjx.train.scenes.clearance import hull_of
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.scenes.clearance import bounding_box_of
 from usarmjx.train.tasks.wander import Wander
 
-STOP, GO, SLOW = 0.2, 0.45, 0.7
+STOP, GO, SLOW_DISTANCE = 0.2, 0.45, 0.7
 """Free ahead of the robot's front [m]: below the first it turns, until the second is free; below the third
 it is slow."""
 KEEP_OFF = 0.35
 """Nearer than this beside the robot pushes it to the other side [m]."""
 STEER = 2.5
 """Turn, as a share, per metre of that."""
-BESIDE = 1.2
+BESIDE_SHARE = 1.2
 """What is less far ahead and behind than this, in half lengths of the robot, is beside it."""
 
 
-def about(
+def roam_action(
     robot: RobotSpec, kinds: tuple[str, ...], turning: jax.Array, obs: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return the memory () and the action (keys,) for one robot's observation of `Wander` (n,).
@@ -36,7 +36,7 @@ def about(
         obs: Its observation.
     """
     points = obstacles(obs, robot, kinds)
-    lengths = way_lengths(points, robot)
+    lengths = free_distances(points, robot)
     front = lengths[int(np.argmin(np.abs(ANGLES)))]
     left, right = (_beside(points, robot, side) for side in (1.0, -1.0))
     reach = jnp.minimum(lengths, 3.0)
@@ -45,7 +45,7 @@ def about(
     ends = front < jnp.where(turning == 0, STOP, GO)
     turning = jnp.where(ends, jnp.where(turning == 0, better, turning), 0.0)
     push = jnp.maximum(KEEP_OFF - right, 0.0) - jnp.maximum(KEEP_OFF - left, 0.0)
-    ahead = jnp.clip(front / SLOW, 0.25, 1.0)
+    ahead = jnp.clip(front / SLOW_DISTANCE, 0.25, 1.0)
     drive = driver(robot)
     going = drive(ahead, jnp.clip(STEER * push, -1.0, 1.0))
     # A car, which cannot turn on the spot, backs up the other way.
@@ -59,13 +59,13 @@ def about(
 
 def _beside(points: jax.Array, robot: RobotSpec, side: float) -> jax.Array:
     """Return how far the robot's side is from what is beside it: 1 for the left, -1 for the right [m] ()."""
-    low, high = hull_of(robot)
+    low, high = bounding_box_of(robot)
     away = side * points[:, 1] - float(max(high[1], -low[1]))
-    here = (jnp.abs(points[:, 0]) < BESIDE * float(high[0])) & (side * points[:, 1] > 0)
-    return jnp.where(here, away, UNSEEN).min(initial=UNSEEN)
+    here = (jnp.abs(points[:, 0]) < BESIDE_SHARE * float(high[0])) & (side * points[:, 1] > 0)
+    return jnp.where(here, away, NO_OBSTACLE_DISTANCE).min(initial=NO_OBSTACLE_DISTANCE)
 
 
-def roam(env: Env) -> Policy:
+def roam_policy(env: Env) -> Policy:
     """Return the baseline of `wander`.
 
     Raises:
@@ -74,11 +74,11 @@ def roam(env: Env) -> Policy:
     task = env.task
     if not isinstance(task, Wander):
         raise UsageError(f"this policy wanders as wander asks for, not as {env.name} does")
-    robot, kinds = env.scene.teams[0].robot, task.ranges
+    robot, kinds = env.scene.groups[0].robot, task.ranges
 
-    def act(turning: jax.Array, obs: Observations, key: jax.Array) -> tuple[jax.Array, Actions]:
+    def act(turning: jax.Array, obs: ObservationArrays, key: jax.Array) -> tuple[jax.Array, ActionArrays]:
         del key
-        turning, actions = jax.vmap(jax.vmap(lambda t, o: about(robot, kinds, t, o)))(turning, obs[0])
+        turning, actions = jax.vmap(jax.vmap(lambda t, o: roam_action(robot, kinds, t, o)))(turning, obs[0])
         return turning, (actions,)
 
-    return Policy(start=lambda worlds: jnp.zeros((worlds, 1)), act=act)
+    return Policy(initial_carry=lambda worlds: jnp.zeros((worlds, 1)), act=act)

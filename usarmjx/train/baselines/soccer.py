@@ -4,12 +4,12 @@ import jax
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Actions, Observations, Policy
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.soccer import Soccer
-from usarmjx.train.tasks.soccer_play import play
+from usarmjx.train.tasks.soccer_play import soccer_action
 
 
-def players(env: Env) -> Policy:
+def soccer_policy(env: Env) -> Policy:
     """Return the baseline of `soccer`; it has no memory.
 
     Raises:
@@ -18,8 +18,8 @@ def players(env: Env) -> Policy:
     if not isinstance(env.task, Soccer):
         raise UsageError(f"this policy plays soccer, not {env.name}")
 
-    def act(memory: tuple[()], obs: Observations, key: jax.Array) -> tuple[tuple[()], Actions]:
+    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(play))(obs[0]),)
+        return memory, (jax.vmap(jax.vmap(soccer_action))(obs[0]),)
 
-    return Policy(start=lambda worlds: (), act=act)
+    return Policy(initial_carry=lambda worlds: (), act=act)

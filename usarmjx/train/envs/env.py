@@ -10,13 +10,19 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.arena_set import Site
+from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.world import first_episode
-from usarmjx.train.envs.episode import finish, look, open_episode, reopen, tell
-from usarmjx.train.envs.recipe import Generated
-from usarmjx.train.envs.state import AgentGroup, EnvState, Opening
-from usarmjx.train.envs.task import Task, Verdict
+from usarmjx.sim.world import init_world
+from usarmjx.train.envs.episode import (
+    apply_policy_actions,
+    evaluate_step,
+    make_view,
+    reset_done_worlds,
+    start_episode,
+)
+from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart
+from usarmjx.train.envs.task import StepResult, Task
 
 Array = jax.Array
 
@@ -59,12 +65,12 @@ class Env:
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
         arenas = task.arenas
-        self._generated = arenas if isinstance(arenas, Generated) else None
-        self.levels = arenas.levels if isinstance(arenas, Generated) else ()
-        self._tell = self._compile(jax.vmap(partial(tell, self.scene, task)))
-        self._open = self._compile(jax.vmap(partial(open_episode, self.scene, task)))
-        self._finish = self._compile(partial(finish, self.scene, task))
-        self._reopen = self._compile(partial(reopen, self.scene, task))
+        self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
+        self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
+        self._tell = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
+        self._open = self._compile(jax.vmap(partial(start_episode, self.scene, task)))
+        self._finish = self._compile(partial(evaluate_step, self.scene, task))
+        self._reopen = self._compile(partial(reset_done_worlds, self.scene, task))
         self._library = self._compile(self._library_at)
         self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
             self._compile(self._step) if self.traceable else self._step
@@ -83,34 +89,34 @@ class Env:
         """Return the agents, the size of `privileged` and the names of the metrics."""
         scene, task = self.scene, self.task
 
-        def once(key: Array) -> tuple[Opening, Verdict]:
-            sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.sites)
-            world, qpos = first_episode(scene, key, jnp.int32(0), sites, shuffle=task.shuffle)
+        def once(key: Array) -> tuple[EpisodeStart, StepResult]:
+            sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
+            world, qpos = init_world(scene, key, jnp.int32(0), sites, shuffle=task.shuffle)
             model = scene.model
             physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
-            world, opening = open_episode(scene, task, world, physics)
-            return opening, task.judge(look(scene, world, physics)[1], opening.memory)
+            world, opening = start_episode(scene, task, world, physics)
+            return opening, task.evaluate(make_view(scene, world, physics)[1], opening.memory)
 
         opening, verdict = jax.eval_shape(once, jax.random.key(0))
         groups = []
         for number, obs, actions in zip(
-            task.groups(scene), opening.obs, task.action_sizes(scene), strict=True
+            task.agent_groups(scene), opening.obs, task.action_sizes(scene), strict=True
         ):
-            team = scene.teams[number]
+            team = scene.groups[number]
             names = tuple(scene.roster[slot].name or f"{team.robot.name}{slot}" for slot in team.slots)
             groups.append(AgentGroup(team.robot.name, names, obs.shape[-1], actions))
         return tuple(groups), opening.privileged.shape[-1], tuple(verdict.metrics)
 
-    def _library_at(self, library: Site, level: Array) -> Site:
+    def _library_at(self, library: ArenaState, level: Array) -> ArenaState:
         """Return a library in which only the arenas in play are, over and over."""
         assert self._generated is not None  # as the caller says
-        places = self._generated.in_play(level)
-        return jax.tree.map(lambda rows: rows[places], library)
+        index = self._generated.arena_indices(level)
+        return jax.tree.map(lambda rows: rows[index], library)
 
-    def _arenas(self, level: Array) -> Site | None:
+    def _arenas(self, level: Array) -> ArenaState | None:
         if self._generated is None or self.scene.arenas is None:
             return None
-        return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.sites), level)
+        return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.states), level)
 
     def reset(self, seed: int | None = None, level: float = 1.0) -> EnvState:
         """Return all worlds at the start of their first episode.
@@ -155,12 +161,12 @@ class Env:
         """
         level = jnp.asarray(level, jnp.float32)
         library = self._arenas(level)
-        batch = state.batch if library is None else state.batch.replace(library=library)
+        batch = state.batch if library is None else state.batch.replace(arenas=library)
         return state.replace(batch=batch, level=level)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
-        batch, before = state.batch, state.batch.worlds.status
+        batch, before = state.batch, state.batch.worlds.faults
         worlds = self._tell(batch.worlds, self.batch.physics(batch), state.memory, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
         worlds, state = self._finish(
@@ -168,10 +174,10 @@ class Env:
         )
         state = state.replace(batch=batch.replace(worlds=worlds))
         if self.traceable:
-            return jax.lax.cond(state.done.any(), self._restart, lambda s: s, state)
-        return self._restart(state) if np.asarray(state.done).any() else state
+            return jax.lax.cond(state.done.any(), self._reset_done, lambda s: s, state)
+        return self._reset_done(state) if np.asarray(state.done).any() else state
 
-    def _restart(self, state: EnvState) -> EnvState:
+    def _reset_done(self, state: EnvState) -> EnvState:
         batch = self.batch.reset_where(state.batch, state.done)
         worlds, state = self._reopen(state.replace(batch=None), batch.worlds, self.batch.physics(batch))
         return state.replace(batch=batch.replace(worlds=worlds))

@@ -1,6 +1,6 @@
 """What episodes of a task are made of: their beginning, their steps, their end. Pure functions to be traced.
 
-`look`, `open_episode` and `tell` are of one world; `finish` and `reopen` of a batch.
+`make_view`, `start_episode` and `apply_policy_actions` are of one world; `evaluate_step` and `reset_done_worlds` of a batch.
 """
 
 from functools import partial
@@ -11,41 +11,45 @@ import jax.numpy as jnp
 
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.batch import choose
-from usarmjx.sim.radio import present_links
+from usarmjx.sim.batch import select_worlds
+from usarmjx.sim.radio import update_links
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import Status, World, episode_key, observe
-from usarmjx.train.envs.actions import carry_out
-from usarmjx.train.envs.state import EnvState, Opening
-from usarmjx.train.envs.task import TASK_STREAM, Task, View
+from usarmjx.sim.world import FaultCounts, World, episode_key, observe
+from usarmjx.train.envs.actions import apply_actions
+from usarmjx.train.envs.state import EnvState, EpisodeStart
+from usarmjx.train.envs.task import TASK_STREAM, Task, TaskView
 
 Array = jax.Array
 
 
-def look(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, View]:
+def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, TaskView]:
     """Read sensors and links."""
     world, readings = observe(scene, world, physics)
     if scene.radio is not None:
-        world = world.replace(links=present_links(scene, world, physics))
-    return world, View(world=world, physics=physics, readings=readings, scene=scene)
+        world = world.replace(links=update_links(scene, world, physics))
+    return world, TaskView(world=world, physics=physics, readings=readings, scene=scene)
 
 
-def _see(task: Task, view: View, memory: Any) -> tuple[tuple[Array, ...], Array]:  # noqa: ANN401
+def _see(task: Task, view: TaskView, memory: Any) -> tuple[tuple[Array, ...], Array]:  # noqa: ANN401
     """Return what agents and critics see."""
     obs = tuple(jnp.asarray(seen, jnp.float32) for seen in task.observe(view, memory))
     return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
 
 
-def open_episode(scene: Scene, task: Task, world: World, physics: PhysicsState) -> tuple[World, Opening]:
+def start_episode(
+    scene: Scene, task: Task, world: World, physics: PhysicsState
+) -> tuple[World, EpisodeStart]:
     """Begin an episode."""
-    world, view = look(scene, world, physics)
+    world, view = make_view(scene, world, physics)
     memory = task.start(view, episode_key(world, TASK_STREAM))
     obs, privileged = _see(task, view, memory)
     zero = jnp.zeros((), jnp.int32)
-    return world, Opening(memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero)
+    return world, EpisodeStart(
+        memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero
+    )
 
 
-def tell(
+def apply_policy_actions(
     scene: Scene,
     task: Task,
     world: World,
@@ -57,14 +61,14 @@ def tell(
     told = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
     last = tuple(
         tuple(Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last)
-        for state in world.teams
+        for state in world.groups
     )
-    view = View(world=world, physics=physics, readings=last, scene=scene)
-    return carry_out(scene, world, physics, task.act(view, memory, told))
+    view = TaskView(world=world, physics=physics, readings=last, scene=scene)
+    return apply_actions(scene, world, physics, task.act(view, memory, told))
 
 
-def finish(
-    scene: Scene, task: Task, state: EnvState, worlds: World, physics: PhysicsState, before: Status
+def evaluate_step(
+    scene: Scene, task: Task, state: EnvState, worlds: World, physics: PhysicsState, before: FaultCounts
 ) -> tuple[World, EnvState]:
     """Judge a step of all worlds.
 
@@ -76,10 +80,10 @@ def finish(
         physics: Their physics.
         before: The status before it.
     """
-    now = worlds.status
+    now = worlds.faults
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
-    worlds, views = jax.vmap(partial(look, scene))(worlds, physics)
-    verdict = jax.vmap(task.judge)(views, state.memory)
+    worlds, views = jax.vmap(partial(make_view, scene))(worlds, physics)
+    verdict = jax.vmap(task.evaluate)(views, state.memory)
     obs, privileged = jax.vmap(partial(_see, task))(views, verdict.memory)
     length = state.length + 1
     terminated, late = verdict.terminated & ~bad, length >= task.episode_steps
@@ -102,12 +106,12 @@ def finish(
     )
 
 
-def reopen(
+def reset_done_worlds(
     scene: Scene, task: Task, state: EnvState, worlds: World, physics: PhysicsState
 ) -> tuple[World, EnvState]:
     """Begin an episode in the worlds that are done; `state` is without its batch."""
-    fresh, opening = jax.vmap(partial(open_episode, scene, task))(worlds, physics)
-    here = partial(choose, state.done)
+    fresh, opening = jax.vmap(partial(start_episode, scene, task))(worlds, physics)
+    here = partial(select_worlds, state.done)
     changed = {
         name: jax.tree.map(here, getattr(opening, name), getattr(state, name))
         for name in ("memory", "obs", "privileged", "score", "length")

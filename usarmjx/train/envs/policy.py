@@ -6,8 +6,8 @@ from typing import Any
 
 import jax
 
-Observations = tuple[jax.Array, ...]
-Actions = tuple[jax.Array, ...]
+ObservationArrays = tuple[jax.Array, ...]
+ActionArrays = tuple[jax.Array, ...]
 
 
 @dataclass(frozen=True)
@@ -15,10 +15,10 @@ class Policy:
     """A policy of all groups of an environment.
 
     Attributes:
-        start: Returns the memory at the start of an episode, for a number of worlds (worlds, ...).
+        initial_carry: Returns the memory at the start of an episode, for a number of worlds (worlds, ...).
         act: Returns the memory and the actions, per group (worlds, robots, action_size), from the memory, the
             observations, per group (worlds, robots, obs_size), and a random key. It is pure.
     """
 
-    start: Callable[[int], Any]
-    act: Callable[[Any, Observations, jax.Array], tuple[Any, Actions]]
+    initial_carry: Callable[[int], Any]
+    act: Callable[[Any, ObservationArrays, jax.Array], tuple[Any, ActionArrays]]

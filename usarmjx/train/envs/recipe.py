@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.models.build.reach import Size
+from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec
 
-APART = 1.0
+MIN_START_DISTANCE = 1.0
 """Least distance of two start poses on an open floor [m]."""
 LEVEL_ATOL = 1e-6
 """Levels that rise in single precision are this far off at most."""
@@ -23,7 +23,7 @@ TRIES = 100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Generated:
+class GeneratedArenas:
     """A library of generated arenas, from easy to hard; every world gets another one at each reset.
 
     Attributes:
@@ -42,7 +42,7 @@ class Generated:
     levels: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
     size: tuple[int, int] = (5, 4)
     seed: int = 0
-    robot: str | Size = "P2AT"
+    robot: str | RobotFootprint = "P2AT"
     reachable: float = 1.0
     victims: int | None = None
 
@@ -71,7 +71,7 @@ class Generated:
             for seed, level in zip(seeds, levels, strict=True)
         )
 
-    def in_play(self, level: jax.Array) -> jax.Array:
+    def arena_indices(self, level: jax.Array) -> jax.Array:
         """Return the arenas that a library of as many holds at a level, by number (arenas,).
 
         They are those whose difficulty is at most the level, and always the easiest; over and over, each as
@@ -87,12 +87,12 @@ class Generated:
         return jnp.where(slots < len(slots) - rest, slots % there, spread)
 
 
-Arenas = str | ArenaSpec | Sequence[ArenaSpec] | Generated
+Arenas = str | ArenaSpec | Sequence[ArenaSpec] | GeneratedArenas
 """What a task's arenas may be given as: a name, a description, several, or what generates them."""
 
 
 def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
-    """Return an empty floor with start poses at random, `APART` from each other if there is room.
+    """Return an empty floor with start poses at random, `MIN_START_DISTANCE` from each other if there is room.
 
     Args:
         side: Side of the square in which they are [m].
@@ -103,7 +103,7 @@ def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
     for _ in range(starts):
         for _ in range(TRIES):
             place = draw.uniform(-side / 2, side / 2, 2).round(3)
-            if all(np.hypot(*(place - other)) >= APART for other in places):
+            if all(np.hypot(*(place - other)) >= MIN_START_DISTANCE for other in places):
                 break
         places.append(place)
     poses = [
@@ -118,13 +118,13 @@ def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
     )
 
 
-def resolve(arenas: Arenas, robot: str) -> Arenas:
+def resolve_arenas(arenas: Arenas, robot: str) -> Arenas:
     """Return arenas with the names that only tasks know resolved: kinds to generate for a robot, `floor`."""
     if not isinstance(arenas, str):
         return arenas
     if arenas.lower() == "floor":
         return open_floor()
-    return Generated(kind=arenas, robot=robot) if arenas in KINDS else arenas
+    return GeneratedArenas(kind=arenas, robot=robot) if arenas in KINDS else arenas
 
 
 def spec_of(robot: str | RobotSpec) -> RobotSpec:
@@ -136,7 +136,7 @@ def spec_of(robot: str | RobotSpec) -> RobotSpec:
     return ROBOTS.get(robot) if isinstance(robot, str) else robot
 
 
-def equipped(robots: Sequence[str | RobotSpec], keep: Sequence[str | Mount] | None) -> list[RobotSpec]:
+def with_sensors(robots: Sequence[str | RobotSpec], keep: Sequence[str | Mount] | None) -> list[RobotSpec]:
     """Return robots with only some of their sensors; no others are computed.
 
     Args:

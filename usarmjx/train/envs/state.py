@@ -66,7 +66,7 @@ class EnvState(struct.PyTreeNode, kw_only=True):
     level: Array | None = None
 
 
-class Opening(struct.PyTreeNode, kw_only=True):
+class EpisodeStart(struct.PyTreeNode, kw_only=True):
     """What an episode begins with."""
 
     memory: Any

@@ -17,26 +17,26 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
-from usarmjx.comms.mail import Mail, MailSettings
+from usarmjx.comms.mail import Inboxes, MessageSettings
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.variation import Variation
+from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.build.victims import VictimTable
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.radio import boxes
+from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.site import start_poses, victims_of
-from usarmjx.sim.world import World, episode_key, team_states, time_of
-from usarmjx.train.envs.actions import Orders
-from usarmjx.train.envs.recipe import Arenas, Generated, equipped, resolve, spec_of
+from usarmjx.sim.world import World, episode_key, robot_states, time_of
+from usarmjx.train.envs.actions import Actions
+from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, spec_of, with_sensors
 
-TASK_STREAM, ACT_STREAM = 5, 6
+TASK_STREAM, STEP_STREAM = 5, 6
 """First folds of a world's key: numbers that a task draws at an episode's start, and at its steps."""
 
 
-class View(struct.PyTreeNode, kw_only=True):
+class TaskView(struct.PyTreeNode, kw_only=True):
     """What one world offers to a task's functions at one moment. Teams are numbered as `scene.teams`.
 
     Attributes:
@@ -59,23 +59,23 @@ class View(struct.PyTreeNode, kw_only=True):
     @property
     def key(self) -> jax.Array:
         """A random key of this moment, for tasks that draw at every step."""
-        return jax.random.fold_in(episode_key(self.world, ACT_STREAM), self.world.step)
+        return jax.random.fold_in(episode_key(self.world, STEP_STREAM), self.world.step)
 
-    def sensor(self, team: int, kind: str) -> jax.Array:
+    def sensor(self, group: int, kind: str) -> jax.Array:
         """Return what the first sensor of a type last reported (robots, ...), as `sensors` says.
 
         Raises:
             UnknownNameError: The robots have none, or the task does not ask for it; lists those there are.
         """
-        return self.readings[team][self.scene.teams[team].suite.place(kind)].value
+        return self.readings[group][self.scene.groups[group].suite.index(kind)].value
 
-    def fresh(self, team: int, kind: str) -> jax.Array:
+    def is_fresh(self, group: int, kind: str) -> jax.Array:
         """Return whether that was measured now, not at an earlier scan (robots,)."""
-        return self.readings[team][self.scene.teams[team].suite.place(kind)].fresh
+        return self.readings[group][self.scene.groups[group].suite.index(kind)].fresh
 
-    def robots(self, team: int) -> RobotState:
+    def robots(self, group: int) -> RobotState:
         """Return where a team's robots truly are; leading axis over them. Not for `observe`."""
-        return team_states(self.scene.teams[team], self.physics)
+        return robot_states(self.scene.groups[group], self.physics)
 
     @property
     def links(self) -> Links:
@@ -89,26 +89,26 @@ class View(struct.PyTreeNode, kw_only=True):
         return self.world.links
 
     @property
-    def mail(self) -> Mail:
+    def mail(self) -> Inboxes:
         """What came since the last observation, by slot.
 
         Raises:
             UsageError: The task has no mail.
         """
-        return boxes(self.scene, self.world)
+        return mailboxes(self.scene, self.world)
 
     @property
     def starts(self) -> jax.Array:
         """Start poses of the world's arena: x, y, z [m] above its floor, yaw [rad] (starts, 4)."""
-        return start_poses(self.scene, self.world.site)
+        return start_poses(self.scene, self.world.arena_state)
 
     @property
     def victims(self) -> VictimTable:
         """The victims of the world's arena. Not for `observe`."""
-        return victims_of(self.scene, self.world.site)
+        return victims_of(self.scene, self.world.arena_state)
 
 
-class Verdict(NamedTuple):
+class StepResult(NamedTuple):
     """What a task says of a step.
 
     Attributes:
@@ -154,9 +154,9 @@ class Task(ABC):
     repeat: int = 10
     episode_steps: int = 100
     radio: RadioSettings | None = None
-    mail: MailSettings | None = None
+    mail: MessageSettings | None = None
     shuffle: bool = True
-    vary: Variation | None = None
+    vary: DomainRandomization | None = None
 
     @property
     @abstractmethod
@@ -171,7 +171,7 @@ class Task(ABC):
     @property
     def arenas(self) -> Arenas:
         """The arenas, names that only tasks know resolved; generated ones are for the first robot."""
-        return resolve(self.arena, spec_of(self.robots[0]).name)
+        return resolve_arenas(self.arena, spec_of(self.robots[0]).name)
 
     @property
     def scripted(self) -> Sequence[str]:
@@ -184,22 +184,22 @@ class Task(ABC):
         Raises:
             UsageError: See `build_scene`.
         """
-        robots = equipped(self.robots, self.equipment)
+        robots = with_sensors(self.robots, self.equipment)
         arenas = self.arenas
-        if isinstance(arenas, Generated):
+        if isinstance(arenas, GeneratedArenas):
             arenas = arenas.arenas()
         return build_scene(arenas, robots, self.physics, radio=self.radio, mail=self.mail, vary=self.vary)
 
-    def groups(self, scene: Scene) -> tuple[int, ...]:
+    def agent_groups(self, scene: Scene) -> tuple[int, ...]:
         """Return the teams whose robots are agents."""
         idle = {name.lower() for name in self.scripted}
-        return tuple(t for t, team in enumerate(scene.teams) if team.robot.name.lower() not in idle)
+        return tuple(t for t, team in enumerate(scene.groups) if team.robot.name.lower() not in idle)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Return how many numbers from -1 to 1 an action of each group has."""
-        return tuple(len(drive_keys(scene.teams[team].robot)) for team in self.groups(scene))
+        return tuple(len(drive_keys(scene.groups[team].robot)) for team in self.agent_groups(scene))
 
-    def act(self, view: View, memory: Any, actions: tuple[jax.Array, ...]) -> Orders:  # noqa: ANN401
+    def act(self, view: TaskView, memory: Any, actions: tuple[jax.Array, ...]) -> Actions:  # noqa: ANN401
         """Return what the robots are told until the next action; by default each key of DRIVE is a share.
 
         Args:
@@ -208,35 +208,35 @@ class Task(ABC):
             actions: Per group (robots, action_size), finite and from -1 to 1.
         """
         del memory
-        groups = zip(self.groups(view.scene), actions, strict=True)
-        return Orders(drive={team: drive_all(view.scene.teams[team].robot, told) for team, told in groups})
+        groups = zip(self.agent_groups(view.scene), actions, strict=True)
+        return Actions(drive={team: drive_all(view.scene.groups[team].robot, told) for team, told in groups})
 
-    def privileged(self, view: View, memory: Any) -> jax.Array:  # noqa: ANN401
+    def privileged(self, view: TaskView, memory: Any) -> jax.Array:  # noqa: ANN401
         """Return what only critics see (privileged_size,); by default nothing."""
         del view, memory
         return jnp.zeros(0)
 
     @abstractmethod
-    def start(self, view: View, key: jax.Array) -> Any:  # noqa: ANN401
+    def start(self, view: TaskView, key: jax.Array) -> Any:  # noqa: ANN401
         """Return the task's memory at the start of an episode, from a key of that episode."""
 
     @abstractmethod
-    def observe(self, view: View, memory: Any) -> tuple[jax.Array, ...]:  # noqa: ANN401
+    def observe(self, view: TaskView, memory: Any) -> tuple[jax.Array, ...]:  # noqa: ANN401
         """Return what the agents see: per group (robots, obs_size)."""
 
     @abstractmethod
-    def judge(self, view: View, memory: Any) -> Verdict:  # noqa: ANN401
+    def evaluate(self, view: TaskView, memory: Any) -> StepResult:  # noqa: ANN401
         """Return what the step that ended with this view was worth."""
 
 
 def drive_keys(robot: RobotSpec) -> tuple[str, ...]:
     """Return the keys of DRIVE that do something to a robot, in their order."""
-    return tuple(key for key, limit in robot.drive.full.items() if limit > 0)
+    return tuple(key for key, limit in robot.drive.full_scale.items() if limit > 0)
 
 
 def drive_all(robot: RobotSpec, actions: jax.Array) -> dict[str, jax.Array]:
     """Return numbers for `drive_keys` (...) from actions from -1 to 1 (..., keys)."""
-    full = robot.drive.full
+    full = robot.drive.full_scale
     return {key: actions[..., i] * full[key] for i, key in enumerate(drive_keys(robot))}
 
 

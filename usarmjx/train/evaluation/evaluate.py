@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from usarmjx.base.errors import UsageError
-from usarmjx.sim.batch import choose
+from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 
@@ -26,7 +26,7 @@ class Episodes:
         scores: Their final scores (episodes,).
         lengths: Their steps (episodes,).
         worlds: Where they took place (episodes,).
-        turns: How many episodes there had been in that world before (episodes,).
+        episode_index: How many episodes there had been in that world before (episodes,).
         bad: How many were left out.
     """
 
@@ -34,7 +34,7 @@ class Episodes:
     scores: np.ndarray
     lengths: np.ndarray
     worlds: np.ndarray
-    turns: np.ndarray
+    episode_index: np.ndarray
     bad: int
 
 
@@ -53,13 +53,13 @@ class Evaluation:
 
     Attributes:
         score: Mean score: over the seeds' means if there are several, else over the episodes.
-        seeds: The episodes of each seed.
-        rows: Of each seed, over its episodes.
+        episodes: The episodes of each seed.
+        seed_scores: Of each seed, over its episodes.
     """
 
     score: Interval
-    seeds: tuple[Episodes, ...]
-    rows: tuple[Interval, ...]
+    episodes: tuple[Episodes, ...]
+    seed_scores: tuple[Interval, ...]
 
 
 def interval(values: np.ndarray) -> Interval:
@@ -78,7 +78,9 @@ def interval(values: np.ndarray) -> Interval:
     return Interval(mean=mean, low=mean - half, high=mean + half)
 
 
-def rollout(env: Env, policy: Policy, episodes: int, seed: int = 0, level: float | None = None) -> Episodes:
+def run_episodes(
+    env: Env, policy: Policy, episodes: int, seed: int = 0, level: float | None = None
+) -> Episodes:
     """Return whole episodes of a policy: as many of each world, so that short ones do not count more often.
 
     Args:
@@ -94,7 +96,7 @@ def rollout(env: Env, policy: Policy, episodes: int, seed: int = 0, level: float
     if episodes < 1:
         raise UsageError(f"{episodes} episodes, expected at least 1")
     each = -(-episodes // env.worlds)
-    act, begin = jax.jit(policy.act), policy.start(env.worlds)
+    act, begin = jax.jit(policy.act), policy.initial_carry(env.worlds)
     state = env.reset(seed) if level is None else env.reset(seed, level)
     memory, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
@@ -106,7 +108,7 @@ def rollout(env: Env, policy: Policy, episodes: int, seed: int = 0, level: float
         done = np.asarray(state.done)
         if not done.any():
             continue
-        memory = jax.tree.map(partial(choose, state.done), begin, memory)
+        memory = jax.tree.map(partial(select_worlds, state.done), begin, memory)
         counts, wrong = done & (ended < each), np.asarray(state.bad)
         here = np.flatnonzero(counts & ~wrong)
         rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], strict=True)
@@ -117,20 +119,20 @@ def rollout(env: Env, policy: Policy, episodes: int, seed: int = 0, level: float
     return Episodes(seed=seed, scores=scores, bad=bad, **{k: v.astype(int) for k, v in places.items()})
 
 
-def evaluate(
+def evaluate_episodes(
     env: Env, policy: Policy, episodes: int = 100, seeds: Sequence[int] = (0,), level: float | None = None
 ) -> Evaluation:
-    """Return what a policy scores in so many episodes of each seed; see `rollout`.
+    """Return what a policy scores in so many episodes of each seed; see `run_episodes`.
 
     Raises:
         UsageError: No seeds or episodes, or none of a seed's ended well.
     """
     if not seeds:
         raise UsageError("an evaluation needs at least one seed")
-    runs = tuple(rollout(env, policy, episodes, seed, level) for seed in seeds)
+    runs = tuple(run_episodes(env, policy, episodes, seed, level) for seed in seeds)
     rows = tuple(interval(run.scores) for run in runs)
     score = rows[0] if len(rows) == 1 else interval(np.array([row.mean for row in rows]))
-    return Evaluation(score=score, seeds=runs, rows=rows)
+    return Evaluation(score=score, episodes=runs, seed_scores=rows)
 
 
 def as_record(found: Evaluation) -> dict[str, Any]:
@@ -138,16 +140,16 @@ def as_record(found: Evaluation) -> dict[str, Any]:
 
     `episodes` has a row for each: with the same seed, worlds and engine, the same episode comes again.
     """
-    seeds = zip(found.seeds, found.rows, strict=True)
+    seeds = zip(found.episodes, found.seed_scores, strict=True)
     return {
         "score": _plain(found.score),
         "seeds": [{"seed": run.seed, "bad": run.bad, **_plain(row)} for run, row in seeds],
-        "episodes": [row for run in found.seeds for row in _rows(run)],
+        "episodes": [row for run in found.episodes for row in _rows(run)],
     }
 
 
 def _rows(run: Episodes) -> list[dict[str, Any]]:
-    columns = {"world": run.worlds, "episode": run.turns, "score": run.scores, "steps": run.lengths}
+    columns = {"world": run.worlds, "episode": run.episode_index, "score": run.scores, "steps": run.lengths}
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [{"seed": run.seed, **dict(zip(columns, row, strict=True))} for row in values]
 

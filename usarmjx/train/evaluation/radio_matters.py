@@ -19,12 +19,12 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.recipe import Generated
+from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.evaluation.evaluate import Interval, interval
 from usarmjx.train.make import make_task
 from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import PERFECT
+from usarmjx.train.tasks.team_parts import PERFECT_RADIO
 
 GAIN, UNLINKED = 0.1, 0.2
 """What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""
@@ -32,7 +32,7 @@ VARIANTS = ("perfect", "real", "none")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class VariantResult:
     """One variant of a task.
 
     Attributes:
@@ -51,7 +51,7 @@ class Row:
 def variants(task: TeamTask) -> dict[str, TeamTask]:
     """Return a task with a perfect radio, with its own, and with messages to nobody but the base."""
     quiet = replace(task, talk="base" if task.reports else "none")
-    return {"perfect": replace(task, radio=PERFECT), "real": task, "none": quiet}
+    return {"perfect": replace(task, radio=PERFECT_RADIO), "real": task, "none": quiet}
 
 
 def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
@@ -61,17 +61,17 @@ def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
         UsageError: Worlds that are no multiple of the levels.
     """
     arena = task.arena
-    if not isinstance(arena, Generated):
+    if not isinstance(arena, GeneratedArenas):
         return task
     if worlds % len(arena.levels):
         raise UsageError(f"{worlds} worlds for {len(arena.levels)} levels of arenas: expected a multiple")
     return replace(task, arena=replace(arena, count=worlds // len(arena.levels)))
 
 
-def play(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out."""
     policy = BASELINES.get(name)(env)
-    act, memory, state = jax.jit(policy.act), policy.start(env.worlds), env.reset(seed)
+    act, memory, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     good, score, metrics = np.ones(env.worlds, bool), np.zeros(env.worlds), {}
     for step in range(env.episode_steps):
         memory, actions = act(memory, state.obs, jax.random.fold_in(jax.random.key(seed), step))
@@ -88,7 +88,7 @@ def measure(
     seeds: Sequence[int],
     engine: str = "auto",
     **overrides: Any,  # noqa: ANN401
-) -> tuple[Row, ...]:
+) -> tuple[VariantResult, ...]:
     """Return what the task's baseline scores in each variant.
 
     Args:
@@ -107,14 +107,16 @@ def measure(
         raise UsageError(f"{name} is no task for a team: its robots have no radio")
     for variant, task in variants(few_arenas(team, worlds)).items():
         env = Env(task, worlds, name=name, engine=engine)
-        runs = [play(env, name, seed) for seed in seeds]
+        runs = [run_variant(env, name, seed) for seed in seeds]
         means = [float(scores.mean()) for scores, _ in runs]
         ends = {key: float(np.mean([m[key].mean() for _, m in runs])) for key in runs[0][1]}
-        rows.append(Row(name=variant, score=interval(np.array(means)), seeds=tuple(means), metrics=ends))
+        rows.append(
+            VariantResult(name=variant, score=interval(np.array(means)), seeds=tuple(means), metrics=ends)
+        )
     return tuple(rows)
 
 
-def holds(rows: Sequence[Row]) -> dict[str, bool]:
+def check_results(rows: Sequence[VariantResult]) -> dict[str, bool]:
     """Return what of the check holds: see the module."""
     perfect, real, none = (next(row for row in rows if row.name == name) for name in VARIANTS)
     return {
@@ -126,7 +128,7 @@ def holds(rows: Sequence[Row]) -> dict[str, bool]:
     }
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[VariantResult]) -> str:
     """Return the rows as a Markdown table."""
     names = list(rows[0].metrics)
     lines = [" | ".join(["| radio", "score", "95 % interval", *names]) + " |"]
@@ -151,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     told = parser.parse_args(arguments)
     overrides = {} if told.steps is None else {"episode_steps": told.steps}
     rows = measure(told.task, told.worlds, range(told.seeds), told.engine, **overrides)
-    verdict = holds(rows)
+    verdict = check_results(rows)
     print(table(rows))
     print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in verdict.items()))
     if told.json:

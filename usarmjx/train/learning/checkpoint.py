@@ -19,8 +19,8 @@ import orbax.checkpoint as ocp
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.record import RunRecord, load_record
-from usarmjx.train.learning.train_state import make_learner, make_networks, policy_params
-from usarmjx.train.processes.group import Team
+from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
+from usarmjx.train.processes.group import ProcessGroup
 
 FOLDER = "checkpoints"
 FORMAT = 1
@@ -52,14 +52,16 @@ def _flat(array: np.ndarray) -> np.ndarray:
     return row.view(np.uint32) if row.itemsize == 8 else row
 
 
-def _write(folder: Path, name: str, tree: Any, team: Team) -> None:  # noqa: ANN401
+def _write(folder: Path, name: str, tree: Any, process_group: ProcessGroup) -> None:  # noqa: ANN401
     """Write what this process has of a tree; all processes do, into one array with a row of each."""
     arrays = _arrays(tree)
     rows = {f"{i:05d}": _flat(array)[None] for i, array in enumerate(arrays.values()) if array.size}
     with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as saver:
-        saver.save((folder / name).absolute(), team.whole(jax.device_put(rows, team.device), 0))
+        saver.save(
+            (folder / name).absolute(), process_group.to_global(jax.device_put(rows, process_group.device), 0)
+        )
     content = {"leaves": _described(arrays), "checksums": [_checksum(array) for array in arrays.values()]}
-    (folder / f"{name}_{team.index}.json").write_text(json.dumps(content))
+    (folder / f"{name}_{process_group.index}.json").write_text(json.dumps(content))
 
 
 def _read(folder: Path, name: str, wanted: dict[str, np.ndarray], index: int) -> list[np.ndarray]:
@@ -132,13 +134,13 @@ class Checkpoints:
 
     Args:
         run: Folder of the run.
-        team: All processes; None: only this one, to read.
+        process_group: All processes; None: only this one, to read.
         keep: Latest ones that are kept; the best one is kept too.
     """
 
-    def __init__(self, run: Path, team: Team | None = None, keep: int = 1) -> None:
+    def __init__(self, run: Path, process_group: ProcessGroup | None = None, keep: int = 1) -> None:
         self.run, self.folder = Path(run), Path(run) / FOLDER
-        self.team, self.keep = team, keep
+        self.process_group, self.keep = process_group, keep
 
     def all(self) -> list[Path]:
         """Return all that are whole, the oldest first."""
@@ -181,32 +183,32 @@ class Checkpoints:
         score = self.meta(path)["score"]
         return (float("-inf") if score is None else score, path.name)
 
-    def save(self, iteration: int, learner: Any, worlds: Any, note: dict[str, Any]) -> None:  # noqa: ANN401
+    def save(self, iteration: int, train_state: Any, worlds: Any, note: dict[str, Any]) -> None:  # noqa: ANN401
         """Write a checkpoint, unless there is one of that iteration, and drop old ones; all processes do.
 
         Args:
             iteration: After which.
-            learner: The same in all processes.
+            train_state: The same in all processes.
             worlds: Of this process.
             note: For `meta`; must have `score`, a number or None.
         """
-        team, name = self.team or Team(), f"{iteration:08d}"
+        process_group, name = self.process_group or ProcessGroup(), f"{iteration:08d}"
         if (self.folder / name).exists():
             return
         fresh = self.folder / (name + PARTIAL)
-        if team.index == 0:
+        if process_group.index == 0:
             shutil.rmtree(fresh, ignore_errors=True)
             fresh.mkdir(parents=True)
-        team.meet(f"begin {name}")
-        _write(fresh, "learner", learner, team)
-        _write(fresh, "worlds", worlds, team)
-        team.meet(f"written {name}")
-        if team.index == 0:
-            meta = {"format": FORMAT, "iteration": iteration, "processes": team.count, **note}
+        process_group.barrier(f"begin {name}")
+        _write(fresh, "learner", train_state, process_group)
+        _write(fresh, "worlds", worlds, process_group)
+        process_group.barrier(f"written {name}")
+        if process_group.index == 0:
+            meta = {"format": FORMAT, "iteration": iteration, "processes": process_group.count, **note}
             (fresh / "meta.json").write_text(json.dumps(meta))
             fresh.rename(self.folder / name)
             self._drop_old()
-        team.meet(f"done {name}")
+        process_group.barrier(f"done {name}")
 
     def _drop_old(self) -> None:
         there = self.all()
@@ -231,5 +233,5 @@ def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyPa
     record = load_record(run)
     path = Checkpoints(run).find(which)
     networks = make_networks(record.groups, record.privileged_size, record.config)
-    learner = read_part(path, "learner", make_learner(networks, record.config))
+    learner = read_part(path, "learner", make_train_state(networks, record.config))
     return networks.policy, policy_params(learner), record

@@ -16,7 +16,7 @@ def advantages(
     last_value: jax.Array,
     ends: tuple[jax.Array, ...],
     discount: float,
-    trace: float,
+    gae_lambda: float,
 ) -> jax.Array:
     """Return how much better than expected each action turned out.
 
@@ -28,17 +28,17 @@ def advantages(
         ends: Whether the episode ended with the step, whether that was by time-out, and whether the
             transition is bad, each (steps, ...).
         discount: Of the next step's value.
-        trace: Lambda: weight of what lies further ahead.
+        gae_lambda: Lambda: weight of what lies further ahead.
     """
     done, truncated, bad = ends
     following = jnp.concatenate([value[1:], last_value[None]])
     following = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), following)
-    surprise = jnp.where(bad, 0.0, reward + discount * following - value)
-    keep = jnp.where(done | bad, 0.0, discount * trace)
+    td_error = jnp.where(bad, 0.0, reward + discount * following - value)
+    keep = jnp.where(done | bad, 0.0, discount * gae_lambda)
 
     def back(later: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         now = step[0] + step[1] * later
         return now, now
 
-    _, found = jax.lax.scan(back, jnp.zeros_like(last_value), (surprise, keep), reverse=True)
+    _, found = jax.lax.scan(back, jnp.zeros_like(last_value), (td_error, keep), reverse=True)
     return found

@@ -16,7 +16,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 
-DEVIATION = 0.3
+TEACHER_STD = 0.3
 """Deviation of actions before they are squashed that PPO is to begin with."""
 
 
@@ -34,9 +34,9 @@ def teacher_of(env: Env) -> Policy:
     return BASELINES.get(env.name)(env)
 
 
-def restart(teacher: Policy, memory: Any, done: jax.Array) -> Any:  # noqa: ANN401 - the teacher's own
+def reset_carry(teacher: Policy, memory: Any, done: jax.Array) -> Any:  # noqa: ANN401 - the teacher's own
     """Return a teacher's memory with that of worlds where the episode is over (worlds,) as at the start."""
-    blank = teacher.start(len(done))
+    blank = teacher.initial_carry(len(done))
 
     def one(start: jax.Array, now: jax.Array) -> jax.Array:
         return jnp.where(done.reshape(-1, *[1] * (now.ndim - 1)), start, now)
@@ -44,17 +44,17 @@ def restart(teacher: Policy, memory: Any, done: jax.Array) -> Any:  # noqa: ANN4
     return jax.tree.map(one, blank, memory)
 
 
-def imitation_loss(kind: NormalTanhDistribution, logits: jax.Array, shown: jax.Array) -> jax.Array:
-    """Return how far the most probable actions are from those shown, and their deviation from `DEVIATION`.
+def imitation_loss(kind: NormalTanhDistribution, logits: jax.Array, teacher_action: jax.Array) -> jax.Array:
+    """Return how far the most probable actions are from those shown, and their deviation from `TEACHER_STD`.
 
     Args:
         kind: The family of distributions.
         logits: Its parameters (..., 2 action_size).
-        shown: What the teacher would have done, from -1 to 1 (..., action_size).
+        teacher_action: What the teacher would have done, from -1 to 1 (..., action_size).
 
     Returns:
         Half the sum of the squares of both (...).
     """
-    off = kind.mode(logits) - jnp.clip(shown, -1.0, 1.0)
-    spread = kind.create_dist(logits).scale - DEVIATION
+    off = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
+    spread = kind.create_dist(logits).scale - TEACHER_STD
     return 0.5 * (off**2 + spread**2).sum(-1)

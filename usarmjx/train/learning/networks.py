@@ -21,7 +21,7 @@ Params = Any
 MIN_STD = 0.01
 """Least deviation of an action before it is squashed."""
 ROOT_TWO = 2.0**0.5
-SMALL = 0.01
+POLICY_HEAD_SCALE = 0.01
 """Scale of the policy's last layer at the start: the first actions are about 0, with a deviation of 0.7."""
 
 
@@ -44,7 +44,7 @@ class Network(nn.Module):
 
     @nn.compact
     def __call__(
-        self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, fresh: jax.Array
+        self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, is_first: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Return what comes out for a sequence of steps, and what is remembered after it.
 
@@ -52,7 +52,7 @@ class Network(nn.Module):
             seen: Of each robot (steps, worlds, robots, n).
             shared: What all robots of a world have in common (steps, worlds, m); None: nothing.
             carry: What is remembered before the first step (worlds, robots, memory).
-            fresh: Whether everything is forgotten before the step (steps, worlds).
+            is_first: Whether everything is forgotten before the step (steps, worlds).
         """
         x = nn.Dense(self.layers[0], kernel_init=nn.initializers.orthogonal(ROOT_TWO), name="layer_0")(seen)
         if shared is not None and shared.shape[-1]:
@@ -65,7 +65,7 @@ class Network(nn.Module):
             init = nn.initializers.orthogonal(ROOT_TWO)
             x = nn.elu(nn.Dense(width, kernel_init=init, name=f"layer_{i}")(x))
         if self.memory:
-            x, carry = self._remember(x, carry, fresh)
+            x, carry = self._remember(x, carry, is_first)
         init = nn.initializers.orthogonal(self.scale)
         return nn.Dense(self.outputs, kernel_init=init, name="head")(x), carry
 
@@ -120,7 +120,7 @@ class LearnedPolicy:
     def network(self, group: int) -> Network:
         """Return the network of a group."""
         outputs = 2 * self.groups[group].action_size
-        return Network(self.layers, self.memory, outputs, scale=SMALL)
+        return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
 
     def distribution(self, group: int) -> NormalTanhDistribution:
         """Return the family of distributions that a group's actions are drawn from."""
@@ -133,16 +133,16 @@ class LearnedPolicy:
             for g, group in enumerate(self.groups)
         )
 
-    def start(self, worlds: int) -> tuple[jax.Array, ...]:
+    def initial_carry(self, worlds: int) -> tuple[jax.Array, ...]:
         """Return what robots remember at the start of an episode, per group (worlds, robots, memory)."""
         return tuple(jnp.zeros((worlds, len(group.agents), self.memory)) for group in self.groups)
 
     @staticmethod
-    def forget(carry: tuple[jax.Array, ...], done: jax.Array) -> tuple[jax.Array, ...]:
+    def reset_carry(carry: tuple[jax.Array, ...], done: jax.Array) -> tuple[jax.Array, ...]:
         """Return the memories with those of worlds where the episode is over (worlds,) blank."""
         return tuple(jnp.where(done[:, None, None], 0.0, memory) for memory in carry)
 
-    def parameters(
+    def distribution_params(
         self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
         """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and memories."""
@@ -179,15 +179,15 @@ class LearnedPolicy:
         """
         if key is None and not deterministic:
             raise UsageError("actions are drawn with a key: give one, or ask for deterministic ones")
-        logits, carry = self.parameters(params, obs, carry)
+        logits, carry = self.distribution_params(params, obs, carry)
         kinds = [self.distribution(g) for g in range(len(self.groups))]
         if key is None or deterministic:
             return tuple(kind.mode(told) for kind, told in zip(kinds, logits, strict=True)), carry
         keys = fold_each(key, jnp.arange(len(obs[0])))
-        raw = draw(self, logits, keys)
+        raw = sample_actions(self, logits, keys)
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry
 
-    def actor(self, params: PolicyParams, deterministic: bool = True) -> Policy:
+    def as_policy(self, params: PolicyParams, deterministic: bool = True) -> Policy:
         """Return the policy with its parameters, as evaluation and adapters want it."""
 
         def act(
@@ -196,7 +196,7 @@ class LearnedPolicy:
             actions, carry = self.act(params, obs, carry, key, deterministic)
             return carry, actions
 
-        return Policy(start=self.start, act=act)
+        return Policy(initial_carry=self.initial_carry, act=act)
 
 
 def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:
@@ -204,7 +204,9 @@ def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:
     return jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
 
 
-def draw(policy: LearnedPolicy, logits: Sequence[jax.Array], keys: jax.Array) -> tuple[jax.Array, ...]:
+def sample_actions(
+    policy: LearnedPolicy, logits: Sequence[jax.Array], keys: jax.Array
+) -> tuple[jax.Array, ...]:
     """Draw actions, before they are squashed, with a key for each world (worlds,)."""
     return tuple(
         jax.vmap(policy.distribution(g).sample_no_postprocessing)(told, fold_all(keys, g))

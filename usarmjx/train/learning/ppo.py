@@ -17,24 +17,24 @@ from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.gae import advantages
 from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.networks import fold_all, fold_each
-from usarmjx.train.learning.statistics import normalise, update
+from usarmjx.train.learning.statistics import normalise, update_statistics
 from usarmjx.train.learning.train_state import (
     UPDATE_STREAM,
-    Learner,
+    ActorCriticParams,
     Networks,
-    Weights,
-    judge,
+    TrainState,
+    critic_values,
     make_optimiser,
 )
-from usarmjx.train.learning.trajectory import Bounds, Steps
-from usarmjx.train.processes.group import AXIS
+from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
+from usarmjx.train.processes.group import PROCESS_AXIS
 
-MOST_LOG_RATIO = 20.0
-FASTEST, SLOWEST = 1e-2, 1e-5
+MAX_LOG_RATIO = 20.0
+MAX_LEARNING_RATE, MIN_LEARNING_RATE = 1e-2, 1e-5
 """Bounds of the learning rate that `adaptive` sets."""
 
 
-class Lesson(struct.PyTreeNode, kw_only=True):
+class Minibatch(struct.PyTreeNode, kw_only=True):
     """What is learned from: the steps, and what became of them.
 
     Attributes:
@@ -44,41 +44,45 @@ class Lesson(struct.PyTreeNode, kw_only=True):
         target: What the critics should have said, in their own scale, per group (steps, worlds, robots).
     """
 
-    steps: Steps
-    bounds: Bounds
+    steps: Trajectory
+    bounds: RolloutEnds
     advantage: tuple[jax.Array, ...]
     target: tuple[jax.Array, ...]
 
-    def some(self, worlds: jax.Array) -> "Lesson":
+    def select_worlds(self, worlds: jax.Array) -> "Minibatch":
         """Return that of some worlds only (places,)."""
         timed = (self.steps, self.advantage, self.target)
         steps, advantage, target = jax.tree.map(lambda leaf: leaf[:, worlds], timed)
         bounds = jax.tree.map(lambda leaf: leaf[worlds], self.bounds)
-        return Lesson(steps=steps, bounds=bounds, advantage=advantage, target=target)
+        return Minibatch(steps=steps, bounds=bounds, advantage=advantage, target=target)
 
 
 def _total(values: jax.Array) -> jax.Array:
-    return jax.lax.psum(values.sum(), AXIS)
+    return jax.lax.psum(values.sum(), PROCESS_AXIS)
 
 
 def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: float) -> jax.Array:
     """Return the clipped surrogate objective of actions: what is to be made large."""
-    ratio = jnp.exp(jnp.clip(log_prob - old, -MOST_LOG_RATIO, MOST_LOG_RATIO))
+    ratio = jnp.exp(jnp.clip(log_prob - old, -MAX_LOG_RATIO, MAX_LOG_RATIO))
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
 
 
-def study(
-    networks: Networks, learner: Learner, steps: Steps, bounds: Bounds, config: Config
-) -> tuple[Lesson, tuple[jax.Array, ...]]:
+def compute_targets(
+    networks: Networks,
+    train_state: TrainState,
+    trajectory: Trajectory,
+    rollout_ends: RolloutEnds,
+    config: Config,
+) -> tuple[Minibatch, tuple[jax.Array, ...]]:
     """Return the lesson of what happened, and the returns that were estimated, in rewards."""
-    ends = tuple(one[..., None] for one in (steps.done, steps.truncated, steps.bad))
+    ends = tuple(one[..., None] for one in (trajectory.done, trajectory.truncated, trajectory.bad))
     normal, targets, returns = [], [], []
     for g in range(len(networks.groups)):
         found = advantages(
-            steps.reward[g],
-            steps.value[g],
-            steps.bootstrap[g],
-            bounds.last_value[g],
+            trajectory.reward[g],
+            trajectory.value[g],
+            trajectory.bootstrap_value[g],
+            rollout_ends.last_value[g],
             ends,
             config.discount,
             config.trace,
@@ -88,15 +92,20 @@ def study(
         mean = _total(jnp.where(valid, found, 0.0)) / count
         deviation = jnp.sqrt(_total(jnp.where(valid, (found - mean) ** 2, 0.0)) / count)
         normal.append(jnp.where(valid, (found - mean) / (deviation + 1e-8), 0.0))
-        returns.append(found + steps.value[g])
-        scale = learner.value[g]
+        returns.append(found + trajectory.value[g])
+        scale = train_state.return_statistics[g]
         targets.append((returns[g] - scale.mean) / scale.std)
-    lesson = Lesson(steps=steps, bounds=bounds, advantage=tuple(normal), target=tuple(targets))
+    lesson = Minibatch(steps=trajectory, bounds=rollout_ends, advantage=tuple(normal), target=tuple(targets))
     return lesson, tuple(returns)
 
 
 def loss(
-    weights: Weights, networks: Networks, learner: Learner, lesson: Lesson, key: jax.Array, config: Config
+    weights: ActorCriticParams,
+    networks: Networks,
+    train_state: TrainState,
+    minibatch: Minibatch,
+    key: jax.Array,
+    config: Config,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Return the sum of the losses of a lesson's steps, and of what is worth knowing of them.
 
@@ -105,36 +114,40 @@ def loss(
     Args:
         weights: What the loss is a function of.
         networks: Shapes.
-        learner: Statistics that observations are normalised by; its weights are not used.
-        lesson: Some worlds.
+        train_state: Statistics that observations are normalised by; its weights are not used.
+        minibatch: Some worlds.
         key: Of the random numbers that the entropy is estimated with.
         config: Settings.
     """
-    steps, bounds = lesson.steps, lesson.bounds
-    keys = fold_each(key, bounds.number)
-    learner = learner.replace(weights=weights)
-    values, _ = judge(networks, learner, (steps.obs, steps.privileged), bounds.critic, steps.fresh)
+    steps, bounds = minibatch.steps, minibatch.bounds
+    keys = fold_each(key, bounds.world_index)
+    train_state = train_state.replace(params=weights)
+    values, _ = critic_values(
+        networks, train_state, (steps.obs, steps.privileged), bounds.critic_carry, steps.is_first
+    )
     sums: dict[str, Any] = {}
-    imitating, policies = networks.imitating(learner, config), weights.policies
-    for g, raw in enumerate(steps.raw):
-        seen = normalise(learner.obs[g].mean, learner.obs[g].std, steps.obs[g])
-        logits, _ = networks.policy.network(g).apply(policies[g], seen, None, bounds.policy[g], steps.fresh)
+    imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
+    for g, raw in enumerate(steps.raw_action):
+        seen = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
+        logits, _ = networks.policy.network(g).apply(
+            policies[g], seen, None, bounds.policy_carry[g], steps.is_first
+        )
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
         # Entropy of a squashed action has no closed form: it is estimated from one drawn per step.
         entropy = jax.vmap(kind.entropy, in_axes=(1, 0), out_axes=1)(logits, fold_all(keys, g))
-        change = jnp.clip(log_prob - steps.log_prob[g], -MOST_LOG_RATIO, MOST_LOG_RATIO)
+        change = jnp.clip(log_prob - steps.log_prob[g], -MAX_LOG_RATIO, MAX_LOG_RATIO)
         ratio = jnp.exp(change)
         found = {
-            "policy": -surrogate(log_prob, steps.log_prob[g], lesson.advantage[g], config.clip),
-            "value": 0.5 * (values[g] - lesson.target[g]) ** 2,
+            "policy": -surrogate(log_prob, steps.log_prob[g], minibatch.advantage[g], config.clip),
+            "value": 0.5 * (values[g] - minibatch.target[g]) ** 2,
             "entropy": entropy,
             "divergence": ratio - 1.0 - change,  # an estimate of the Kullback-Leibler divergence
             "clipped": (jnp.abs(ratio - 1.0) > config.clip).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
-        if steps.shown:
-            found["imitation"] = imitation_loss(kind, logits, steps.shown[g])
+        if steps.teacher_action:
+            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g])
             found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
         valid = ~steps.bad[..., None]
         for name, one in found.items():
@@ -160,94 +173,114 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
 
-def learn(
-    networks: Networks, config: Config, processes: int, learner: Learner, lesson: Lesson, key: jax.Array
-) -> tuple[Learner, dict[str, jax.Array]]:
+def run_epochs(
+    networks: Networks,
+    config: Config,
+    processes: int,
+    train_state: TrainState,
+    batch: Minibatch,
+    key: jax.Array,
+) -> tuple[TrainState, dict[str, jax.Array]]:
     """Go through a lesson, `epochs` times, and return what is worth knowing of it, means over minibatches."""
     optimiser = make_optimiser(config)
-    worlds, blocks = lesson.steps.done.shape[1], config.shuffled_blocks // processes
+    worlds, blocks = batch.steps.done.shape[1], config.shuffled_blocks // processes
     if config.schedule == "linear":
-        left = 1.0 - learner.iteration / config.iterations(networks.agents)
-        learner = learner.replace(rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32))
+        left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
+        train_state = train_state.replace(
+            learning_rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
+        )
 
-    def minibatch(learner: Learner, now: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
+    def minibatch(
+        learner: TrainState, now: tuple[jax.Array, jax.Array]
+    ) -> tuple[TrainState, dict[str, jax.Array]]:
         places, key = now
         gradient, sums = jax.grad(loss, has_aux=True)(
-            learner.weights, networks, learner, lesson.some(places), key, config
+            learner.params, networks, learner, batch.select_worlds(places), key, config
         )
-        gradient, sums = jax.lax.psum((gradient, sums), AXIS)
+        gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
         weight = jnp.maximum(sums.pop("weight"), 1.0)
         gradient, known = jax.tree.map(lambda one: one / weight, (gradient, sums))
         length = optax.tree.norm(gradient)
         sound = jnp.isfinite(length)
-        steps, moments = optimiser.update(gradient, learner.optimiser)
-        weights = jax.tree.map(lambda old, step: old - learner.rate * step, learner.weights, steps)
-        new = learner.replace(weights=weights, optimiser=moments)
+        steps, moments = optimiser.update(gradient, learner.opt_state)
+        weights = jax.tree.map(lambda old, step: old - learner.learning_rate * step, learner.params, steps)
+        new = learner.replace(params=weights, opt_state=moments)
         new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, learner)
         if config.schedule == "adaptive":
-            rate = _adapt(learner.rate, known["divergence"], config)
-            new = new.replace(rate=jnp.where(networks.imitating(learner, config), learner.rate, rate))
+            rate = _adapt(learner.learning_rate, known["divergence"], config)
+            new = new.replace(
+                learning_rate=jnp.where(networks.is_imitating(learner, config), learner.learning_rate, rate)
+            )
         return new, {**known, "gradient": jnp.where(sound, length, 0.0), "skipped": 1.0 - sound}
 
-    def epoch(learner: Learner, number: jax.Array) -> tuple[Learner, dict[str, jax.Array]]:
+    def epoch(learner: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         now = jax.random.fold_in(key, number)
-        first = jax.lax.axis_index(AXIS) * blocks
+        first = jax.lax.axis_index(PROCESS_AXIS) * blocks
         places = _shuffle(now, worlds, blocks, first, config.minibatches)
         keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.minibatches))
         return jax.lax.scan(minibatch, learner, (places, keys))
 
-    learner, known = jax.lax.scan(epoch, learner, jnp.arange(config.epochs))
-    return learner, jax.tree.map(jnp.mean, known)
+    train_state, known = jax.lax.scan(epoch, train_state, jnp.arange(config.epochs))
+    return train_state, jax.tree.map(jnp.mean, known)
 
 
 def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
     """Return a slower rate if the policy changed by much more than wanted, a faster one if by much less."""
     slower = jnp.where(divergence > 2.0 * config.target_kl, rate / 1.5, rate)
     faster = jnp.where(divergence < 0.5 * config.target_kl, rate * 1.5, slower)
-    return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), SLOWEST, FASTEST)
+    return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), MIN_LEARNING_RATE, MAX_LEARNING_RATE)
 
 
-def improve(
+def update(
     networks: Networks,
     config: Config,
     processes: int,
-    learner: Learner,
-    experience: tuple[Steps, Bounds, dict[str, jax.Array]],
-) -> tuple[Learner, dict[str, jax.Array]]:
+    train_state: TrainState,
+    experience: tuple[Trajectory, RolloutEnds, dict[str, jax.Array]],
+) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the learner after an update, and what is worth knowing; in every process at once.
 
     Args:
         networks: Shapes.
         config: Settings.
         processes: How many share the worlds.
-        learner: The same in all.
+        train_state: The same in all.
         experience: Of this process: what happened (steps, worlds, ...), what was known at the ends
             (worlds, ...), and sums for the log (1,).
     """
     steps, bounds, sums = experience
     stream = jax.random.fold_in(jax.random.key(config.seed), UPDATE_STREAM)
-    key = jax.random.fold_in(stream, learner.iteration)
-    lesson, returns = study(networks, learner, steps, bounds, config)
-    old = learner
-    learner, known = learn(networks, config, processes, learner, lesson, key)
+    key = jax.random.fold_in(stream, train_state.iteration)
+    lesson, returns = compute_targets(networks, train_state, steps, bounds, config)
+    old = train_state
+    train_state, known = run_epochs(networks, config, processes, train_state, lesson, key)
     good = ~steps.bad
     everyone: list[jax.Array] = [jnp.broadcast_to(good[..., None], one.shape) for one in returns]
     if config.normalise_obs:
         obs = tuple(
-            update(one, seen, who, AXIS) for one, seen, who in zip(old.obs, steps.obs, everyone, strict=True)
+            update_statistics(one, seen, who, PROCESS_AXIS)
+            for one, seen, who in zip(old.obs_statistics, steps.obs, everyone, strict=True)
         )
-        learner = learner.replace(obs=obs, privileged=update(old.privileged, steps.privileged, good, AXIS))
+        train_state = train_state.replace(
+            obs_statistics=obs,
+            privileged_statistics=update_statistics(
+                old.privileged_statistics, steps.privileged, good, PROCESS_AXIS
+            ),
+        )
     if config.normalise_values:
-        value = tuple(update(one, v, w, AXIS) for one, v, w in zip(old.value, returns, everyone, strict=True))
-        learner = learner.replace(value=value)
+        value = tuple(
+            update_statistics(one, v, w, PROCESS_AXIS)
+            for one, v, w in zip(old.return_statistics, returns, everyone, strict=True)
+        )
+        train_state = train_state.replace(return_statistics=value)
     known = {f"loss/{name}": one for name, one in known.items()}
     known["loss/explained"] = _explained(steps, returns, everyone)
-    known["loss/rate"] = learner.rate
-    totals = {name: jax.lax.psum(one.sum(), AXIS) for name, one in sums.items()}
-    return learner.replace(iteration=learner.iteration + 1), {**known, **totals}
+    known["loss/rate"] = train_state.learning_rate
+    totals = {name: jax.lax.psum(one.sum(), PROCESS_AXIS) for name, one in sums.items()}
+    return train_state.replace(iteration=train_state.iteration + 1), {**known, **totals}
 
 
-def _explained(steps: Steps, returns: tuple[jax.Array, ...], valid: list[jax.Array]) -> jax.Array:
+def _explained(steps: Trajectory, returns: tuple[jax.Array, ...], valid: list[jax.Array]) -> jax.Array:
     """Return the share of the returns' variance that the critics foresaw."""
     count = jnp.maximum(sum(_total(one) for one in valid), 1)
 

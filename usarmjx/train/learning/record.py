@@ -10,7 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
 
-FILE = "config.json"
+RECORD_FILE = "config.json"
 FORMAT = 1
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
 MAY_CHANGE = ("steps", "keep", "checkpoint_every")
@@ -19,7 +19,7 @@ FIXED = ("task", "engine", "overrides", "groups", "privileged_size", "episode_st
 
 
 @dataclass(frozen=True)
-class Origin:
+class EnvArguments:
     """What an environment was made with; see `make`.
 
     Attributes:
@@ -31,7 +31,7 @@ class Origin:
     overrides: dict[str, str] = field(default_factory=dict)
 
 
-UNKNOWN = Origin()
+DEFAULT_ENV_ARGUMENTS = EnvArguments()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +65,9 @@ class RunRecord:
     def save(self, folder: Path) -> None:
         """Write the record into a folder."""
         text = json.dumps({"format": FORMAT, **asdict(self)}, indent=1)
-        fresh = folder / f"{FILE}.new"
+        fresh = folder / f"{RECORD_FILE}.new"
         fresh.write_text(text + "\n")
-        fresh.replace(folder / FILE)
+        fresh.replace(folder / RECORD_FILE)
 
     def check_resumes(self, old: "RunRecord", folder: Path) -> None:
         """Refuse to go on with a run that was started as another one.
@@ -91,7 +91,9 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - anything that JSON can hold
     return json.loads(json.dumps(value))
 
 
-def make_record(env: Env, config: Config, processes: int, origin: Origin = UNKNOWN) -> RunRecord:
+def make_record(
+    env: Env, config: Config, processes: int, origin: EnvArguments = DEFAULT_ENV_ARGUMENTS
+) -> RunRecord:
     """Return the record of a run."""
     return RunRecord(
         task=env.name,
@@ -113,9 +115,9 @@ def load_record(folder: Path) -> RunRecord:
     Raises:
         UsageError: There is none, or it does not read.
     """
-    file = Path(folder) / FILE
+    file = Path(folder) / RECORD_FILE
     if not file.is_file():
-        raise UsageError(f"{folder} is no run: it has no {FILE}")
+        raise UsageError(f"{folder} is no run: it has no {RECORD_FILE}")
     try:
         values = json.loads(file.read_text())
         if values.pop("format") != FORMAT:

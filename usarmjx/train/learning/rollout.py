@@ -10,20 +10,28 @@ import numpy as np
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import restart
-from usarmjx.train.learning.networks import draw, fold_each
+from usarmjx.train.learning.imitation import reset_carry
+from usarmjx.train.learning.networks import fold_each, sample_actions
 from usarmjx.train.learning.train_state import (
     STAGGER_STREAM,
-    Learner,
     Networks,
-    in_reward,
-    judge,
+    TrainState,
+    critic_values,
     policy_params,
+    unscaled_values,
 )
-from usarmjx.train.learning.trajectory import Bounds, Collector, Decision, Groups, Seen, Steps, look
+from usarmjx.train.learning.trajectory import (
+    Decision,
+    GroupArrays,
+    RolloutEnds,
+    RolloutState,
+    StepView,
+    Trajectory,
+    step_view,
+)
 
 
-def _stacked(rows: list[tuple[Steps, dict[str, jax.Array]]]) -> tuple[Steps, dict[str, jax.Array]]:
+def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Trajectory, dict[str, jax.Array]]:
     """Return steps with a leading axis over them, and what they sum up to."""
     steps, sums = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
     return steps, jax.tree.map(lambda one: one.sum(0), sums)
@@ -54,12 +62,12 @@ class Rollout:
         self._account = jax.jit(self._accounted)
         self._stack = jax.jit(_stacked)
         self._bound = jax.jit(self._bounded)
-        self.collect: Callable[..., tuple[Collector, Steps, Bounds, dict[str, jax.Array]]] = (
+        self.collect: Callable[..., tuple[RolloutState, Trajectory, RolloutEnds, dict[str, jax.Array]]] = (
             jax.jit(self._scan) if env.traceable else self._loop
         )
         """From learner, worlds and key to worlds, what happened, and sums over it for the log."""
 
-    def start(self, level: float) -> Collector:
+    def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
         generated = {} if not config.curriculum else {"level": level}
@@ -67,76 +75,78 @@ class Rollout:
         number, late, blank = jax.jit(self._opened)()
         if config.stagger:
             env = env.replace(length=late.astype(env.length.dtype))
-        return Collector(
-            env=env,
-            number=number,
-            policy=blank,
-            critic=blank,
-            teacher=() if self.teacher is None else self.teacher.start(self.env.worlds),
-            gained=jnp.zeros(self.env.worlds),
-            fresh=jnp.ones(self.env.worlds, bool),
+        return RolloutState(
+            env_state=env,
+            world_index=number,
+            policy_carry=blank,
+            critic_carry=blank,
+            teacher_carry=() if self.teacher is None else self.teacher.initial_carry(self.env.worlds),
+            episode_return=jnp.zeros(self.env.worlds),
+            is_first=jnp.ones(self.env.worlds, bool),
         )
 
-    def _opened(self) -> tuple[jax.Array, jax.Array, Groups]:
+    def _opened(self) -> tuple[jax.Array, jax.Array, GroupArrays]:
         """Return the worlds' numbers, how late their first episodes are, and blank memories."""
         number = self.first + jnp.arange(self.env.worlds)
         keys = fold_each(jax.random.fold_in(jax.random.key(self.config.seed), STAGGER_STREAM), number)
         late = jax.vmap(lambda key: jax.random.randint(key, (), 0, self.env.episode_steps))(keys)
-        return number, late, self.networks.policy.start(self.env.worlds)
+        return number, late, self.networks.policy.initial_carry(self.env.worlds)
 
     def _decided(
         self,
-        learner: Learner,
-        seen: Seen,
-        memory: tuple[Groups, Groups, Any],
+        train_state: TrainState,
+        seen: StepView,
+        memory: tuple[GroupArrays, GroupArrays, Any],
         worlds: jax.Array,
         key: Any,  # noqa: ANN401
-    ) -> tuple[Groups, Decision]:
+    ) -> tuple[GroupArrays, Decision]:
         """Return actions, and what led to them; `key` is the rollout's and the number of the step."""
         policy = self.networks.policy
-        logits, after = policy.parameters(policy_params(learner), seen.obs, memory[0])
-        raw = draw(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
+        logits, after = policy.distribution_params(policy_params(train_state), seen.obs, memory[0])
+        raw = sample_actions(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
-        value, critic = self._value(learner, seen.obs, seen.privileged, memory[1])
-        teacher, shown = self._taught(learner, seen.obs, memory[2], jax.random.fold_in(*key))
+        value, critic = self._value(train_state, seen.obs, seen.privileged, memory[1])
+        teacher, shown = self._taught(train_state, seen.obs, memory[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
-            raw=raw,
+            raw_action=raw,
             log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
             value=value,
-            shown=shown,
-            policy=after,
-            critic=critic,
-            teacher=teacher,
+            teacher_action=shown,
+            policy_carry=after,
+            critic_carry=critic,
+            teacher_carry=teacher,
         )
 
-    def _taught(self, learner: Learner, obs: Groups, memory: Any, key: jax.Array) -> tuple[Any, Groups]:  # noqa: ANN401
+    def _taught(
+        self, train_state: TrainState, obs: GroupArrays, memory: Any, key: jax.Array
+    ) -> tuple[Any, GroupArrays]:
         """Return what the teacher remembers and would do; zeros when nobody imitates him any more."""
         teacher, groups = self.teacher, self.networks.groups
         if teacher is None:
             return memory, ()
         nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
         return jax.lax.cond(
-            self.networks.imitating(learner, self.config),
+            self.networks.is_imitating(train_state, self.config),
             lambda: teacher.act(memory, obs, key),
             lambda: (memory, nothing),
         )
 
     def _value(
-        self, learner: Learner, obs: Groups, privileged: jax.Array, carry: Groups
-    ) -> tuple[Groups, Groups]:
+        self, train_state: TrainState, obs: GroupArrays, privileged: jax.Array, carry: GroupArrays
+    ) -> tuple[GroupArrays, GroupArrays]:
         seen = tuple(one[None] for one in obs)
         no = jnp.zeros((1, len(privileged)), bool)
-        value, after = judge(self.networks, learner, (seen, privileged[None]), carry, no)
-        return in_reward(learner, tuple(one[0] for one in value)), after
+        value, after = critic_values(self.networks, train_state, (seen, privileged[None]), carry, no)
+        return unscaled_values(train_state, tuple(one[0] for one in value)), after
 
     def _accounted(
         self,
-        learner: Learner,
+        train_state: TrainState,
         told: tuple[jax.Array, jax.Array],
         decision: Decision,
-        before: Seen,
-        after: Seen,
-    ) -> tuple[Steps, tuple[Groups, Groups, Any], jax.Array, dict[str, jax.Array]]:
+        before: StepView,
+        after: StepView,
+    ) -> tuple[Trajectory, tuple[GroupArrays, GroupArrays, Any], jax.Array, dict[str, jax.Array]]:
         """Write down a step; `told` is what was gained in the episode, and whether it began with the step."""
         gained, fresh = told
         seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
@@ -147,27 +157,29 @@ class Rollout:
         blank = tuple(jnp.zeros_like(value) for value in decision.value)
         bootstrap = jax.lax.cond(
             truncated.any(),
-            lambda: self._value(learner, after.final_obs, after.final_privileged, decision.critic)[0],
+            lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
+                0
+            ],
             lambda: blank,
         )
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
         robots = sum(one.shape[1] for one in reward)
         gained = gained + sum(one.sum(1) for one in reward) / robots
         ended = done & ~bad
-        forget = self.networks.policy.forget
-        step = Steps(
+        forget = self.networks.policy.reset_carry
+        step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
-            raw=decision.raw,
+            raw_action=decision.raw_action,
             log_prob=decision.log_prob,
             value=decision.value,
             reward=tuple(one * self.config.reward_scale for one in reward),
-            bootstrap=bootstrap,
-            fresh=fresh,
+            bootstrap_value=bootstrap,
+            is_first=fresh,
             done=done,
             truncated=truncated,
             bad=bad,
-            shown=decision.shown,
+            teacher_action=decision.teacher_action,
         )
         sums = {
             "episodes": ended.sum(),
@@ -180,47 +192,62 @@ class Rollout:
             **{f"end/{name}": jnp.where(ended, one, 0.0).sum() for name, one in after.metrics.items()},
         }
         sums = {name: jnp.asarray(one, jnp.float32) for name, one in sums.items()}
-        teacher = decision.teacher if self.teacher is None else restart(self.teacher, decision.teacher, done)
-        memory = (forget(decision.policy, done), forget(decision.critic, done), teacher)
+        teacher = (
+            decision.teacher_carry
+            if self.teacher is None
+            else reset_carry(self.teacher, decision.teacher_carry, done)
+        )
+        memory = (forget(decision.policy_carry, done), forget(decision.critic_carry, done), teacher)
         return step, memory, jnp.where(done, 0.0, gained), sums
 
-    def _bounded(self, learner: Learner, before: tuple[Groups, Groups], after: Any, seen: Seen) -> Bounds:  # noqa: ANN401
+    def _bounded(
+        self, train_state: TrainState, before: tuple[GroupArrays, GroupArrays], after: Any, seen: StepView
+    ) -> RolloutEnds:
         """Return what is known at the ends; `after` is the worlds' numbers, and the critics' memories."""
-        last, _ = self._value(learner, seen.obs, seen.privileged, after[1])
-        return Bounds(number=after[0], policy=before[0], critic=before[1], last_value=last)
+        last, _ = self._value(train_state, seen.obs, seen.privileged, after[1])
+        return RolloutEnds(
+            world_index=after[0], policy_carry=before[0], critic_carry=before[1], last_value=last
+        )
 
     def _step(
         self,
-        learner: Learner,
-        now: Collector,
+        train_state: TrainState,
+        now: RolloutState,
         key: jax.Array,
         step: Any,  # noqa: ANN401 - int32 of any make
-    ) -> tuple[Collector, tuple[Steps, Any]]:
-        before = look(now.env)
-        memory = (now.policy, now.critic, now.teacher)
-        actions, decision = self._decide(learner, before, memory, now.number, (key, step))
-        env = self.env.step(now.env, actions)
+    ) -> tuple[RolloutState, tuple[Trajectory, Any]]:
+        before = step_view(now.env_state)
+        memory = (now.policy_carry, now.critic_carry, now.teacher_carry)
+        actions, decision = self._decide(train_state, before, memory, now.world_index, (key, step))
+        env = self.env.step(now.env_state, actions)
         row, (policy, critic, teacher), gained, sums = self._account(
-            learner, (now.gained, now.fresh), decision, before, look(env)
+            train_state, (now.episode_return, now.is_first), decision, before, step_view(env)
         )
         now = now.replace(
-            env=env, policy=policy, critic=critic, teacher=teacher, gained=gained, fresh=row.done
+            env_state=env,
+            policy_carry=policy,
+            critic_carry=critic,
+            teacher_carry=teacher,
+            episode_return=gained,
+            is_first=row.done,
         )
         return now, (row, sums)
 
-    def _scan(self, learner: Learner, start: Collector, key: jax.Array) -> Any:  # noqa: ANN401
+    def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Any:  # noqa: ANN401
         numbers = jnp.arange(self.config.rollout)
-        now, (steps, sums) = jax.lax.scan(lambda now, i: self._step(learner, now, key, i), start, numbers)
-        return now, steps, self._ends(learner, start, now), jax.tree.map(lambda one: one.sum(0), sums)
+        now, (steps, sums) = jax.lax.scan(lambda now, i: self._step(train_state, now, key, i), start, numbers)
+        return now, steps, self._ends(train_state, start, now), jax.tree.map(lambda one: one.sum(0), sums)
 
-    def _loop(self, learner: Learner, start: Collector, key: jax.Array) -> Any:  # noqa: ANN401
+    def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Any:  # noqa: ANN401
         now, rows = start, []
         for step in range(self.config.rollout):
-            now, row = self._step(learner, now, key, np.int32(step))
+            now, row = self._step(train_state, now, key, np.int32(step))
             rows.append(row)
         steps, sums = self._stack(rows)
-        return now, steps, self._ends(learner, start, now), sums
+        return now, steps, self._ends(train_state, start, now), sums
 
-    def _ends(self, learner: Learner, start: Collector, end: Collector) -> Bounds:
-        after = (end.number, end.critic)
-        return self._bound(learner, (start.policy, start.critic), after, look(end.env))
+    def _ends(self, train_state: TrainState, start: RolloutState, end: RolloutState) -> RolloutEnds:
+        after = (end.world_index, end.critic_carry)
+        return self._bound(
+            train_state, (start.policy_carry, start.critic_carry), after, step_view(end.env_state)
+        )

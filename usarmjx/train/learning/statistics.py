@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from brax.training.acme import running_statistics
 from flax import struct
 
-LIMIT = 10.0
+MAX_NORMALISED = 10.0
 """Normalised observations are cut to +- this many deviations."""
 LEAST_DEVIATION = 1e-2
 """A quantity that has hardly changed so far is not blown up beyond this."""
@@ -33,13 +33,13 @@ class Statistics(struct.PyTreeNode, kw_only=True):
         return self.running.std
 
 
-def blank(*shape: int) -> Statistics:
+def init_statistics(*shape: int) -> Statistics:
     """Return statistics of nothing yet: mean 0, deviation 1."""
     state = running_statistics.init_state(jnp.zeros(shape), std_eps=0.0)
     return Statistics(running=jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), state))
 
 
-def update(statistics: Statistics, values: jax.Array, valid: jax.Array, axis: str) -> Statistics:
+def update_statistics(statistics: Statistics, values: jax.Array, valid: jax.Array, axis: str) -> Statistics:
     """Take in values (..., *shape) where valid (...), of all processes along a mesh axis."""
     here = valid.reshape(*valid.shape, *[1] * (values.ndim - valid.ndim))
     weights = valid.astype(jnp.float32)
@@ -56,5 +56,7 @@ def update(statistics: Statistics, values: jax.Array, valid: jax.Array, axis: st
 
 
 def normalise(mean: jax.Array, std: jax.Array, values: jax.Array) -> jax.Array:
-    """Return values shifted and scaled, never beyond `LIMIT`; what is not finite counts as usual."""
-    return jnp.clip((jnp.where(jnp.isfinite(values), values, mean) - mean) / std, -LIMIT, LIMIT)
+    """Return values shifted and scaled, never beyond `MAX_NORMALISED`; what is not finite counts as usual."""
+    return jnp.clip(
+        (jnp.where(jnp.isfinite(values), values, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED
+    )

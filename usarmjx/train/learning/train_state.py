@@ -12,56 +12,57 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import LearnedPolicy, Network, Params, PolicyParams, init_network
-from usarmjx.train.learning.statistics import Statistics, blank, normalise
+from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
 
 POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = range(5)
 """First folds of the run's key."""
 
 
-class Weights(struct.PyTreeNode, kw_only=True):
+class ActorCriticParams(struct.PyTreeNode, kw_only=True):
     """Weights of the networks.
 
     Attributes:
         policy: Per group; of a policy that all share only one.
         critic: Per group.
-        classes: What a shared policy adds to its first layer for each group (width,); else nothing.
+        group_bias: What a shared policy adds to its first layer for each group (width,); else nothing.
     """
 
     policy: tuple[Params, ...]
     critic: tuple[Params, ...]
-    classes: tuple[jax.Array, ...] = ()
+    group_bias: tuple[jax.Array, ...] = ()
 
     @property
-    def policies(self) -> tuple[Params, ...]:
+    def group_policies(self) -> tuple[Params, ...]:
         """Those of each group's policy."""
-        if not self.classes:
+        if not self.group_bias:
             return self.policy
         params = self.policy[0]["params"]
         first = params["layer_0"]
         return tuple(
-            {"params": {**params, "layer_0": {**first, "bias": first["bias"] + own}}} for own in self.classes
+            {"params": {**params, "layer_0": {**first, "bias": first["bias"] + own}}}
+            for own in self.group_bias
         )
 
 
-class Learner(struct.PyTreeNode, kw_only=True):
+class TrainState(struct.PyTreeNode, kw_only=True):
     """All that an update changes; the same in every process.
 
     Attributes:
-        weights: Of all networks.
-        optimiser: Adam's moments.
-        obs: Statistics of the observations, per group (obs_size,).
-        privileged: Those of what critics see besides (privileged_size,).
-        value: Those of the returns, per group ().
-        rate: Learning rate ().
+        params: Of all networks.
+        opt_state: Adam's moments.
+        obs_statistics: Statistics of the observations, per group (obs_size,).
+        privileged_statistics: Those of what critics see besides (privileged_size,).
+        return_statistics: Those of the returns, per group ().
+        learning_rate: Learning rate ().
         iteration: Updates so far ().
     """
 
-    weights: Weights
-    optimiser: Any
-    obs: tuple[Statistics, ...]
-    privileged: Statistics
-    value: tuple[Statistics, ...]
-    rate: jax.Array
+    params: ActorCriticParams
+    opt_state: Any
+    obs_statistics: tuple[Statistics, ...]
+    privileged_statistics: Statistics
+    return_statistics: tuple[Statistics, ...]
+    learning_rate: jax.Array
     iteration: jax.Array
 
 
@@ -92,22 +93,22 @@ class Networks:
         return Network(self.critic_layers, self.policy.memory, 1, robots=robots)
 
     @property
-    def agents(self) -> int:
+    def agent_count(self) -> int:
         """Robots of a world that learn."""
         return sum(len(group.agents) for group in self.groups)
 
-    def imitating(self, learner: "Learner", config: Config) -> jax.Array:
+    def is_imitating(self, train_state: "TrainState", config: Config) -> jax.Array:
         """Return whether the learner still imitates a teacher ()."""
-        return learner.iteration < config.imitations(self.agents)
+        return train_state.iteration < config.imitations(self.agent_count)
 
-    def init(self, key: jax.Array) -> Weights:
+    def init(self, key: jax.Array) -> ActorCriticParams:
         """Return weights to begin with."""
         policy, critic = (jax.random.fold_in(key, s) for s in (POLICY_STREAM, CRITIC_STREAM))
         policies = self.policy.init(policy)
         none = jnp.zeros(self.policy.layers[0])
-        return Weights(
+        return ActorCriticParams(
             policy=policies[:1] if self.shared else policies,
-            classes=tuple(none for _ in self.groups) if self.shared else (),
+            group_bias=tuple(none for _ in self.groups) if self.shared else (),
             critic=tuple(
                 init_network(self.critic(g), jax.random.fold_in(critic, g), group, self.privileged_size)
                 for g, group in enumerate(self.groups)
@@ -133,36 +134,36 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.scale_by_adam(eps=1e-5))
 
 
-def make_learner(networks: Networks, config: Config) -> Learner:
+def make_train_state(networks: Networks, config: Config) -> TrainState:
     """Return a learner that has learned nothing."""
     return jax.jit(lambda: _blank_learner(networks, config))()  # one compilation instead of dozens
 
 
-def _blank_learner(networks: Networks, config: Config) -> Learner:
+def _blank_learner(networks: Networks, config: Config) -> TrainState:
     weights: Any = networks.init(jax.random.key(config.seed))
-    return Learner(
-        weights=weights,
-        optimiser=make_optimiser(config).init(weights),
-        obs=tuple(blank(group.obs_size) for group in networks.groups),
-        privileged=blank(networks.privileged_size),
-        value=tuple(blank() for _ in networks.groups),
-        rate=jnp.float32(config.learning_rate),
+    return TrainState(
+        params=weights,
+        opt_state=make_optimiser(config).init(weights),
+        obs_statistics=tuple(init_statistics(group.obs_size) for group in networks.groups),
+        privileged_statistics=init_statistics(networks.privileged_size),
+        return_statistics=tuple(init_statistics() for _ in networks.groups),
+        learning_rate=jnp.float32(config.learning_rate),
         iteration=jnp.int32(0),
     )
 
 
-def policy_params(learner: Learner) -> PolicyParams:
+def policy_params(train_state: TrainState) -> PolicyParams:
     """Return the policy alone."""
     return PolicyParams(
-        weights=learner.weights.policies,
-        mean=tuple(one.mean for one in learner.obs),
-        std=tuple(one.std for one in learner.obs),
+        weights=train_state.params.group_policies,
+        mean=tuple(one.mean for one in train_state.obs_statistics),
+        std=tuple(one.std for one in train_state.obs_statistics),
     )
 
 
-def judge(
+def critic_values(
     networks: Networks,
-    learner: Learner,
+    train_state: TrainState,
     seen: tuple[tuple[jax.Array, ...], jax.Array],
     carry: tuple[jax.Array, ...],
     fresh: jax.Array,
@@ -171,7 +172,7 @@ def judge(
 
     Args:
         networks: Shapes.
-        learner: Weights and statistics.
+        train_state: Weights and statistics.
         seen: Observations, per group (steps, worlds, robots, obs_size), and what critics see besides
             (steps, worlds, privileged_size).
         carry: What the critics remember before, per group (worlds, robots, memory).
@@ -182,15 +183,19 @@ def judge(
         (steps, worlds, robots), and what the critics remember afterwards.
     """
     obs, privileged = seen
-    shared = normalise(learner.privileged.mean, learner.privileged.std, privileged)
+    shared = normalise(
+        train_state.privileged_statistics.mean, train_state.privileged_statistics.std, privileged
+    )
     found = []
     for g, rows in enumerate(obs):
-        x = normalise(learner.obs[g].mean, learner.obs[g].std, rows)
-        value, after = networks.critic(g).apply(learner.weights.critic[g], x, shared, carry[g], fresh)
+        x = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, rows)
+        value, after = networks.critic(g).apply(train_state.params.critic[g], x, shared, carry[g], fresh)
         found.append((value[..., 0], after))
     return tuple(value for value, _ in found), tuple(after for _, after in found)
 
 
-def in_reward(learner: Learner, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+def unscaled_values(train_state: TrainState, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
     """Return the critics' values in the unit of rewards."""
-    return tuple(one * stats.std + stats.mean for one, stats in zip(values, learner.value, strict=True))
+    return tuple(
+        one * stats.std + stats.mean for one, stats in zip(values, train_state.return_statistics, strict=True)
+    )

@@ -17,33 +17,40 @@ from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.metrics import Log, read_lines, summary
-from usarmjx.train.learning.ppo import improve
-from usarmjx.train.learning.record import FILE, UNKNOWN, Origin, RunRecord, load_record, make_record
+from usarmjx.train.learning.ppo import update
+from usarmjx.train.learning.record import (
+    DEFAULT_ENV_ARGUMENTS,
+    RECORD_FILE,
+    EnvArguments,
+    RunRecord,
+    load_record,
+    make_record,
+)
 from usarmjx.train.learning.rollout import Rollout
-from usarmjx.train.learning.train_state import ROLLOUT_STREAM, Learner, make_learner, make_networks
-from usarmjx.train.learning.trajectory import Collector
-from usarmjx.train.processes.group import AXIS, Team
+from usarmjx.train.learning.train_state import ROLLOUT_STREAM, TrainState, make_networks, make_train_state
+from usarmjx.train.learning.trajectory import RolloutState
+from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.processes.launch import check_parent
 
-Factory = Callable[[int, int], Env]
+EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrainResult:
     """What became of a run.
 
     Attributes:
         run: Its folder.
         iterations: Updates in all.
         agent_steps: Steps of all robots in all.
-        last: What was written of the last iteration.
+        last_metrics: What was written of the last iteration.
     """
 
     run: Path
     iterations: int
     agent_steps: int
-    last: dict[str, Any]
+    last_metrics: dict[str, Any]
 
 
 class Trainer:
@@ -52,17 +59,17 @@ class Trainer:
     Args:
         env: The worlds of this process, or what makes them.
         config: Settings.
-        team: All processes.
+        process_group: All processes.
     """
 
-    def __init__(self, env: Env | Factory, config: Config, team: Team) -> None:
-        config.check_processes(team.count)
-        share = config.worlds // team.count
+    def __init__(self, env: Env | EnvFactory, config: Config, process_group: ProcessGroup) -> None:
+        config.check_processes(process_group.count)
+        share = config.worlds // process_group.count
         if callable(env):
-            env = env(share, team.index * share)
+            env = env(share, process_group.index * share)
         if env.worlds != share:
             raise UsageError(
-                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {team.count} processes "
+                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} processes "
                 f"need {share}"
             )
         if config.curriculum and not env.levels:
@@ -70,40 +77,42 @@ class Trainer:
                 f"curriculum is {config.curriculum}, but {env.name} has no generated arenas that could get "
                 "harder: set arena=maze, or leave curriculum out"
             )
-        self.env, self.config, self.team = env, config, team
+        self.env, self.config, self.process_group = env, config, process_group
         self.networks = make_networks(env.groups, env.privileged_size, config)
-        self.agents = self.networks.agents
+        self.agents = self.networks.agent_count
         self.iterations = config.iterations(self.agents)
         teacher = teacher_of(env) if config.imitate else None
-        self.rollout = Rollout(env, self.networks, config, team.index * share, teacher)
-        timed, once = PartitionSpec(None, AXIS), PartitionSpec(AXIS)
-        self._improve = jax.jit(
+        self.rollout = Rollout(env, self.networks, config, process_group.index * share, teacher)
+        timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
+        self._update = jax.jit(
             jax.shard_map(
-                partial(improve, self.networks, config, team.count),
-                mesh=team.mesh,
+                partial(update, self.networks, config, process_group.count),
+                mesh=process_group.mesh,
                 in_specs=(PartitionSpec(), (timed, once, once)),
                 out_specs=(PartitionSpec(), PartitionSpec()),
                 check_vma=False,
             )
         )
-        self._key = team.keep(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
+        self._key = process_group.device_put(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
         self._fold = jax.jit(jax.random.fold_in)
         self._sums = jax.jit(lambda sums: jax.tree.map(lambda one: one[None], sums))
 
-    def start(self) -> tuple[Learner, Collector]:
+    def start(self) -> tuple[TrainState, RolloutState]:
         """Return a learner that has learned nothing, and worlds at their start."""
-        return self.team.keep((make_learner(self.networks, self.config), self.rollout.start(self.level(0))))
+        return self.process_group.device_put(
+            (make_train_state(self.networks, self.config), self.rollout.start(self.level(0)))
+        )
 
     def level(self, iteration: int) -> float:
         """Return how difficult the arenas in play are before an iteration, counted from 0."""
         share = self.config.curriculum * self.iterations
         return min(1.0, iteration / share) if share else 1.0
 
-    def iterate(self, learner: Learner, worlds: Collector, iteration: int) -> Any:  # noqa: ANN401
+    def iterate(self, train_state: TrainState, worlds: RolloutState, iteration: int) -> Any:  # noqa: ANN401
         """Let the robots act and learn from it.
 
         Args:
-            learner: So far.
+            train_state: So far.
             worlds: Of this process.
             iteration: Number of this one, from 0.
 
@@ -111,25 +120,25 @@ class Trainer:
             Learner and worlds, and sums for the log.
         """
         if self.config.curriculum:
-            worlds = worlds.replace(env=self.env.at_level(worlds.env, self.level(iteration)))
+            worlds = worlds.replace(env_state=self.env.at_level(worlds.env_state, self.level(iteration)))
         key = self._fold(self._key, iteration)
-        worlds, steps, bounds, sums = self.rollout.collect(learner, worlds, key)
-        whole = self.team.whole
+        worlds, steps, bounds, sums = self.rollout.collect(train_state, worlds, key)
+        whole = self.process_group.to_global
         experience = (whole(steps, 1), whole(bounds, 0), whole(self._sums(sums), 0))
-        learner, known = self.team.part(self._improve(whole(learner, None), experience))
-        return learner, worlds, known
+        train_state, known = self.process_group.to_local(self._update(whole(train_state, None), experience))
+        return train_state, worlds, known
 
 
 def train(
-    env: Env | Factory,
+    env: Env | EnvFactory,
     config: Config,
     out: str | Path,
     resume: bool = False,
     *,
-    origin: Origin = UNKNOWN,
+    origin: EnvArguments = DEFAULT_ENV_ARGUMENTS,
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
-) -> Outcome:
+) -> TrainResult:
     """Train a policy; in every process at once, if there are several (see `distributed`).
 
     Args:
@@ -146,41 +155,43 @@ def train(
         UsageError: The folder has a run already, or none to resume, or one that was started otherwise; a
             broken checkpoint; numbers of worlds, minibatches and processes that do not fit.
     """
-    out, team = Path(out), Team()
-    if resume and not (out / FILE).exists():
-        raise UsageError(f"nothing to resume in {out}: it has no {FILE}")
-    if not resume and (out / FILE).exists():
+    out, process_group = Path(out), ProcessGroup()
+    if resume and not (out / RECORD_FILE).exists():
+        raise UsageError(f"nothing to resume in {out}: it has no {RECORD_FILE}")
+    if not resume and (out / RECORD_FILE).exists():
         raise UsageError(f"{out} has a run already; resume it, or choose another folder")
-    team.meet("look for a run")  # before anyone writes one
-    trainer = Trainer(env, config, team)
-    record = make_record(trainer.env, config, team.count, origin)
+    process_group.barrier("look for a run")  # before anyone writes one
+    trainer = Trainer(env, config, process_group)
+    record = make_record(trainer.env, config, process_group.count, origin)
     if resume:
         record.check_resumes(load_record(out), out)
-    _prepare(out, record, team)
-    checkpoints = Checkpoints(out, team, config.keep)
-    learner, worlds, before = _where_left(trainer, checkpoints)
-    log = Log(out, trainer.iterations, before, bar=progress) if team.index == 0 else None
+    _prepare(out, record, process_group)
+    checkpoints = Checkpoints(out, process_group, config.keep)
+    learner, worlds, before = _restore(trainer, checkpoints)
+    log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
     return _run(trainer, checkpoints, (learner, worlds, before), log, watch)
 
 
-def _prepare(out: Path, record: RunRecord, team: Team) -> None:
-    if team.index == 0:
+def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
+    if process_group.index == 0:
         out.mkdir(parents=True, exist_ok=True)
         record.save(out)
-    team.meet("prepared")
+    process_group.barrier("prepared")
 
 
-def _where_left(trainer: Trainer, checkpoints: Checkpoints) -> tuple[Learner, Collector, int]:
+def _restore(trainer: Trainer, checkpoints: Checkpoints) -> tuple[TrainState, RolloutState, int]:
     learner, worlds = trainer.start()
     if not checkpoints.all():
         return learner, worlds, 0
-    path, index = checkpoints.find("last"), trainer.team.index
+    path, index = checkpoints.find("last"), trainer.process_group.index
     meta = checkpoints.meta(path)
-    if meta["processes"] != trainer.team.count:
-        raise UsageError(f"{path} is of {meta['processes']} processes, these are {trainer.team.count}")
+    if meta["processes"] != trainer.process_group.count:
+        raise UsageError(
+            f"{path} is of {meta['processes']} processes, these are {trainer.process_group.count}"
+        )
     learner = read_part(path, "learner", learner, index)
     worlds = read_part(path, "worlds", worlds, index)
-    return *trainer.team.keep((learner, worlds)), meta["iteration"]
+    return *trainer.process_group.device_put((learner, worlds)), meta["iteration"]
 
 
 def _mean_score(lines: list[dict[str, Any]]) -> float | None:
@@ -193,10 +204,10 @@ def _mean_score(lines: list[dict[str, Any]]) -> float | None:
 def _run(
     trainer: Trainer,
     checkpoints: Checkpoints,
-    left: tuple[Learner, Collector, int],
+    left: tuple[TrainState, RolloutState, int],
     log: Log | None,
     watch: Callable[[dict[str, Any]], None] | None,
-) -> Outcome:
+) -> TrainResult:
     """Iterate to the end, from where it was left."""
     learner, worlds, before = left
     config, iterations, out = trainer.config, trainer.iterations, checkpoints.run
@@ -230,4 +241,4 @@ def _run(
             check_parent()
     if not line:  # the run was over already
         line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
-    return Outcome(out, iterations, iterations * world_steps * trainer.agents, line)
+    return TrainResult(out, iterations, iterations * world_steps * trainer.agents, line)

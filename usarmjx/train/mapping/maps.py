@@ -13,17 +13,17 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Array
-from usarmjx.models.build.reach import Size, reach_map
+from usarmjx.models.build.reach import RobotFootprint, reach_map
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.ranging import ScannerSettings
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
 """What a square is known to be; a mark is something that was looked for, as a victim."""
-SURE = 4
+MAX_EVIDENCE = 4
 """So often is a square seen as free, or as a wall, until further looks count no more."""
-SMOOTH = 1.0
+MAX_SURFACE_GAP = 1.0
 """Two neighbouring beams that end closer to each other than this met one surface [m]."""
-PER_NUMBER = 12
+SQUARES_PER_NUMBER = 12
 """Squares in a number of a message: 2 bits each, in the 24 bits that single precision holds exactly."""
 
 
@@ -42,24 +42,24 @@ class MapGrid:
     shape: tuple[int, int]
 
     @property
-    def squares(self) -> int:
+    def square_count(self) -> int:
         """How many there are."""
         return self.shape[0] * self.shape[1]
 
     @property
-    def numbers(self) -> int:
+    def packed_size(self) -> int:
         """How many numbers of a message a map takes."""
-        return -(-self.squares // PER_NUMBER)
+        return -(-self.square_count // SQUARES_PER_NUMBER)
 
     @property
-    def middles(self) -> np.ndarray:
+    def centres(self) -> np.ndarray:
         """The middles of all squares [m] (i, j, 2)."""
         steps = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1)
         return (np.array(self.low) + self.cell * steps).astype(np.float32)
 
-    def index(self, place: Array) -> jax.Array:
+    def index(self, position: Array) -> jax.Array:
         """Return the square that places [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
-        steps = jnp.round((jnp.asarray(place) - np.array(self.low, np.float32)) / self.cell)
+        steps = jnp.round((jnp.asarray(position) - np.array(self.low, np.float32)) / self.cell)
         return jnp.clip(steps.astype(jnp.int32), 0, np.array(self.shape) - 1)
 
 
@@ -77,14 +77,16 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
     return MapGrid(low=(float(low[0]), float(low[1])), cell=cell, shape=(int(counts[0]), int(counts[1])))
 
 
-def reachable_squares(arena: ArenaSpec, grid: MapGrid, size: Size) -> np.ndarray:
+def reachable_squares(arena: ArenaSpec, grid: MapGrid, size: RobotFootprint) -> np.ndarray:
     """Return in which squares' middles a robot's middle can be, from the first start pose (i, j)."""
     there = reach_map(arena, size.radius, size.step, height=size.height, cell=grid.cell / 6)
-    flat = [there.reachable(float(x), float(y)) for x, y in grid.middles.reshape(-1, 2)]
+    flat = [there.reachable(float(x), float(y)) for x, y in grid.centres.reshape(-1, 2)]
     return np.array(flat).reshape(grid.shape)
 
 
-def look(grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array) -> tuple[jax.Array, jax.Array]:
+def classify_scan(
+    grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array
+) -> tuple[jax.Array, jax.Array]:
     """Return which squares a scan shows to be free, and which to be a wall, (i, j) each.
 
     For each square the two beams on either side of its middle are looked up. Where both met one surface, that
@@ -99,7 +101,7 @@ def look(grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array) ->
         pose: Where it is, or believes to be: x, y [m] and yaw [rad] (3,).
         ranges: What it measured [m] (beams,).
     """
-    away = grid.middles - pose[:2]
+    away = grid.centres - pose[:2]
     distance = jnp.sqrt((away**2).sum(-1))
     bearing = jnp.arctan2(away[..., 1], away[..., 0]) - pose[2]
     bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
@@ -114,7 +116,7 @@ def look(grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array) ->
         jnp.sin(step - share) / jnp.maximum(one, 1e-3) + jnp.sin(share) / jnp.maximum(two, 1e-3)
     )
     apart = jnp.sqrt(jnp.maximum(one**2 + two**2 - 2 * one * two * math.cos(step), 0.0))
-    smooth = (apart < SMOOTH) & (jnp.maximum(one, two) < scanner.max_range)
+    smooth = (apart < MAX_SURFACE_GAP) & (jnp.maximum(one, two) < scanner.max_range)
     near = jnp.where(place - first < 0.5, one, two)
     end, half = jnp.where(smooth, flat, near), grid.cell / 2
     wall = seen & (end < scanner.max_range) & (jnp.abs(distance - end) <= half)
@@ -123,20 +125,20 @@ def look(grid: MapGrid, scanner: ScannerSettings, pose: Array, ranges: Array) ->
     return free, wall & ~free
 
 
-def weigh(evidence: Array, free: Array, wall: Array) -> jax.Array:
+def update_evidence(evidence: Array, free: Array, wall: Array) -> jax.Array:
     """Return how sure a robot is of squares after a look: below 0 free, above 0 a wall, int8 (i, j).
 
     What moves, as other robots, so is forgotten after some looks.
     """
     change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
-    return jnp.clip(evidence + change, -SURE, SURE).astype(jnp.int8)
+    return jnp.clip(evidence + change, -MAX_EVIDENCE, MAX_EVIDENCE).astype(jnp.int8)
 
 
-def known(evidence: Array, marked: Array, told: Array) -> jax.Array:
+def fuse_maps(evidence: Array, marked: Array, told: Array) -> jax.Array:
     """Return what a robot knows of squares, uint8 (i, j): what it has seen itself goes before hearsay.
 
     Args:
-        evidence: See `weigh`.
+        evidence: See `update_evidence`.
         marked: Where it has put marks.
         told: What others told it of, as this function returns it.
     """
@@ -144,7 +146,7 @@ def known(evidence: Array, marked: Array, told: Array) -> jax.Array:
     return jnp.where(marked | (told == MARK), MARK, own).astype(jnp.uint8)
 
 
-def hear(told: Array, news: Array) -> jax.Array:
+def merge_received(told: Array, news: Array) -> jax.Array:
     """Return hearsay (i, j) after another map came in.
 
     Marks go before all else, and what anybody has seen to be free before what another took for a wall: that
@@ -155,20 +157,20 @@ def hear(told: Array, news: Array) -> jax.Array:
 
 
 def pack(squares: Array) -> jax.Array:
-    """Return a map (i, j) as numbers of a message, float32 (numbers,), of `PER_NUMBER` squares each."""
+    """Return a map (i, j) as numbers of a message, float32 (numbers,), of `SQUARES_PER_NUMBER` squares each."""
     flat = jnp.ravel(squares).astype(jnp.int32)
-    rows = jnp.pad(flat, (0, -flat.shape[0] % PER_NUMBER)).reshape(-1, PER_NUMBER)
-    return (rows * 4 ** np.arange(PER_NUMBER)).sum(-1).astype(jnp.float32)
+    rows = jnp.pad(flat, (0, -flat.shape[0] % SQUARES_PER_NUMBER)).reshape(-1, SQUARES_PER_NUMBER)
+    return (rows * 4 ** np.arange(SQUARES_PER_NUMBER)).sum(-1).astype(jnp.float32)
 
 
 def unpack(numbers: Array, shape: tuple[int, int]) -> jax.Array:
     """Return the map of that shape that was packed, uint8."""
     whole = jnp.asarray(numbers).astype(jnp.int32)
-    rows = (whole[:, None] >> (2 * np.arange(PER_NUMBER))) & 3
+    rows = (whole[:, None] >> (2 * np.arange(SQUARES_PER_NUMBER))) & 3
     return jnp.ravel(rows)[: shape[0] * shape[1]].reshape(shape).astype(jnp.uint8)
 
 
-def around(grid: MapGrid, squares: Array, pose: Array, width: int, spacing: float) -> jax.Array:
+def egocentric_map(grid: MapGrid, squares: Array, pose: Array, width: int, spacing: float) -> jax.Array:
     """Return a map as seen from a robot: x ahead, y to the left, the robot in the middle (width, width).
 
     Args:
@@ -181,8 +183,8 @@ def around(grid: MapGrid, squares: Array, pose: Array, width: int, spacing: floa
     line = (np.arange(width) - (width - 1) / 2) * spacing
     ahead, aside = np.meshgrid(line, line, indexing="ij")
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    place = jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
-    steps = jnp.round((place - np.array(grid.low, np.float32)) / grid.cell).astype(jnp.int32)
+    position = jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
+    steps = jnp.round((position - np.array(grid.low, np.float32)) / grid.cell).astype(jnp.int32)
     inside = ((steps >= 0) & (steps < np.array(grid.shape))).all(-1)
-    there = grid.index(place)
+    there = grid.index(position)
     return jnp.where(inside, squares[there[..., 0], there[..., 1]], WALL)

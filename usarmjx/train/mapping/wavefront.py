@@ -10,8 +10,8 @@ import numpy as np
 from usarmjx.base.transforms import Array
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 
-AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
-FAR = 1e6
+NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
+UNREACHABLE = 1e6
 """The distance to where no way leads, in squares."""
 
 
@@ -22,43 +22,43 @@ def shifted(values: Array, step: tuple[int, int], edge: Array) -> jax.Array:
     return padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
 
 
-def beside(mask: Array, *, corners: bool = True) -> jax.Array:
+def has_neighbour(mask: Array, *, corners: bool = True) -> jax.Array:
     """Return which squares have a neighbour in a mask (i, j)."""
-    steps = AROUND if corners else [step for step in AROUND if 0 in step]
+    steps = NEIGHBOURS if corners else [step for step in NEIGHBOURS if 0 in step]
     return jnp.stack([shifted(mask, step, False) for step in steps]).any(0)
 
 
 def passable(squares: Array) -> jax.Array:
     """Return which squares a robot may drive through: free ones, no neighbour of which is a wall (i, j)."""
-    return (squares == FREE) & ~beside(squares == WALL)
+    return (squares == FREE) & ~has_neighbour(squares == WALL)
 
 
 def frontier(squares: Array) -> jax.Array:
     """Return which free squares border on unknown ones (i, j)."""
-    return (squares == FREE) & beside(squares == UNKNOWN, corners=False)
+    return (squares == FREE) & has_neighbour(squares == UNKNOWN, corners=False)
 
 
 def distances(
     start: Array, open_: Array, toll: Array | float = 0.0, *, until: Array | None = None
 ) -> jax.Array:
-    """Return how far each square is from the nearest start, in squares (i, j); `FAR` and more: no way leads.
+    """Return how far each square is from the nearest start, in squares (i, j); `UNREACHABLE` and more: no way leads.
 
     Steps go to all eight neighbours, slanting ones count sqrt(2). A wave spreads from the starts through the
     open squares until nothing changes.
 
     Args:
-        start: What a way that begins in a square costs at its beginning; `FAR`: none begins there (i, j).
+        start: What a way that begins in a square costs at its beginning; `UNREACHABLE`: none begins there (i, j).
         open_: Which squares ways lead through; those that ways begin in need not be (i, j).
         toll: What it costs to enter a square, beside the step (i, j).
         until: A square (2,) that is asked for: only for it, and for what lies on the way from it, the
             distances are right, and found the sooner; None: all are right.
     """
-    costs = [np.float32(math.hypot(*step)) for step in AROUND]
+    costs = [np.float32(math.hypot(*step)) for step in NEIGHBOURS]
 
     def spread(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         count, far, _ = state
         # One after the other, not stacked: they melt into one loop over the squares, seven times as fast.
-        ways = [shifted(far, step, FAR) + cost for step, cost in zip(AROUND, costs, strict=True)]
+        ways = [shifted(far, step, UNREACHABLE) + cost for step, cost in zip(NEIGHBOURS, costs, strict=True)]
         reached = reduce(jnp.minimum, ways) + toll
         nearer = jnp.where(open_, jnp.minimum(far, reached), far)
         return count + 1, nearer, (nearer < far).any()
@@ -72,14 +72,14 @@ def distances(
     return jax.lax.while_loop(goes_on, spread, (jnp.int32(0), start, jnp.ones((), bool)))[1]
 
 
-def descend(far: Array, square: Array, steps: int) -> jax.Array:
+def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
     """Return the squares (steps, 2) that lie on the way from one (2,), by `distances`.
 
     Where the way ends the last square is repeated.
     """
-    moves = np.array(AROUND, np.int32)
+    moves = np.array(NEIGHBOURS, np.int32)
     costs = np.hypot(*moves.T).astype(np.float32)
-    padded = jnp.pad(jnp.asarray(far), 1, constant_values=FAR)
+    padded = jnp.pad(jnp.asarray(far), 1, constant_values=UNREACHABLE)
 
     def down(here: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         there = here + moves
@@ -93,6 +93,6 @@ def descend(far: Array, square: Array, steps: int) -> jax.Array:
     return jax.lax.scan(down, jnp.asarray(square, jnp.int32), None, length=steps)[1]
 
 
-def place_of(grid: MapGrid, square: Array) -> jax.Array:
+def square_centre(grid: MapGrid, square: Array) -> jax.Array:
     """Return the middle of squares (..., 2) [m]."""
     return jnp.asarray(grid.low, jnp.float32) + grid.cell * jnp.asarray(square, jnp.float32)

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from usarmjx.train.learning.record import RunRecord
 
 FORMAT = 1
-LIMIT = 10.0  # as in `statistics`
+MAX_NORMALISED = 10.0  # as in `statistics`
 MIN_STD = 0.01  # as in `networks`
 
 Vector = np.ndarray
-Weights = Mapping[str, Any]
+ParamTree = Mapping[str, Any]
 
 
 def _sigmoid(x: Vector) -> Vector:
@@ -35,11 +35,11 @@ def _elu(x: Vector) -> Vector:
     return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
 
 
-def _dense(layer: Weights, x: Vector) -> Vector:
+def _dense(layer: ParamTree, x: Vector) -> Vector:
     return x @ layer["kernel"] + layer["bias"]
 
 
-def forward(weights: Weights, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
+def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
     """Return what a policy's network says (..., outputs), and what is remembered after it (..., memory).
 
     Args:
@@ -112,12 +112,12 @@ class NumpyPolicy:
             UsageError: The policy has none; lists those it has.
         """
         known = [one["name"] for one in self.groups]
-        for place, one in enumerate(known):
+        for index, one in enumerate(known):
             if one.lower() == name.lower():
-                return place
+                return index
         raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
 
-    def start(self, group: int, *shape: int) -> Vector:
+    def initial_carry(self, group: int, *shape: int) -> Vector:
         """Return what robots of a group remember at first (*shape, memory)."""
         return np.zeros((*shape, self.memory), np.float32)
 
@@ -138,7 +138,7 @@ class NumpyPolicy:
         obs, mean, std = np.asarray(obs, np.float32), self.mean[group], self.std[group]
         if obs.shape[-1:] != mean.shape:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
-        seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -LIMIT, LIMIT)
+        seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
         told, carry = forward(self.weights[group], self.layers, seen, carry)
         loc, scale = np.split(told, 2, axis=-1)
         if draw is not None:
@@ -160,7 +160,7 @@ def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
     return found
 
 
-def _flat(tree: Weights, start: str) -> dict[str, Vector]:
+def _flat(tree: ParamTree, start: str) -> dict[str, Vector]:
     found = {}
     for name, value in tree.items():
         nested = isinstance(value, Mapping)

@@ -20,7 +20,7 @@ from usarmjx.train.policies.export import NumpyPolicy
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class PolicySource:
     """A policy that was found.
 
     Attributes:
@@ -50,7 +50,7 @@ class Source:
                 f"{self.name} is for robots (class, numbers in observation and action) {mine}; {env.name} "
                 f"as it is set up has {theirs}"
             )
-        return policy.actor(params)
+        return policy.as_policy(params)
 
     def env(
         self, settings: Sequence[str] = (), *, worlds: int = 1, engine: str = "auto", seed: int = 0
@@ -102,7 +102,7 @@ def task_settings(
     return parse_settings([*before, *settings], simple, task), notes
 
 
-def find_source(what: str, checkpoint: str = "best") -> Source:
+def find_source(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
@@ -116,16 +116,16 @@ def find_source(what: str, checkpoint: str = "best") -> Source:
     path = Path(what)
     if path.is_dir():
         policy, params, record = load_policy(path, checkpoint)
-        return Source(name=what, task=record.task, overrides=record.overrides, learned=(policy, params))
+        return PolicySource(name=what, task=record.task, overrides=record.overrides, learned=(policy, params))
     if path.exists():
-        return exported(path)
+        return load_exported(path)
     if what in POLICIES:
-        return exported(POLICIES.get(what))
+        return load_exported(POLICIES.get(what))
     known = ", ".join(POLICIES.names()) or "none"
     raise UnknownNameError(f"{what} is no folder of a run, no exported policy, nor a packaged one: {known}")
 
 
-def exported(file: Path) -> Source:
+def load_exported(file: Path) -> PolicySource:
     """Return the policy of a file that `usarmjx export` has written.
 
     Raises:
@@ -140,14 +140,14 @@ def exported(file: Path) -> Source:
         std=tuple(map(jnp.asarray, told.std)),
     )
     learned = LearnedPolicy(groups, widths, told.memory), params
-    return Source(name=str(file), task=told.task, overrides=told.overrides, learned=learned)
+    return PolicySource(name=str(file), task=told.task, overrides=told.overrides, learned=learned)
 
 
-def baseline(name: str, task: str | None = None) -> Source:
+def baseline(name: str, task: str | None = None) -> PolicySource:
     """Return the policy written by hand for a task, to be tried on that task or another one.
 
     Raises:
         UnknownNameError: No such baseline; lists those there are.
     """
     BASELINES.get(name)
-    return Source(name=name, task=task or name)
+    return PolicySource(name=name, task=task or name)

@@ -17,21 +17,21 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from usarmjx.base.errors import UsageError, UsarmjxError
-from usarmjx.train.processes.launch import Place, place_of
+from usarmjx.train.processes.launch import ProcessInfo, process_info
 
-AXIS = "process"
+PROCESS_AXIS = "process"
 """Axis of the mesh of all processes."""
 
 
-def join(environment: Mapping[str, str] | None = None) -> Place:
+def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
     """Join the other processes, if there are any; before anything runs on a device.
 
     Raises:
         UsageError: The environment variables contradict each other, or JAX runs already.
     """
-    place = place_of(os.environ if environment is None else environment)
+    place = process_info(os.environ if environment is None else environment)
     if place is None:
-        return Place(1, 0, 0)
+        return ProcessInfo(1, 0, 0)
     if jax.distributed.is_initialized():
         return place
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
@@ -39,23 +39,23 @@ def join(environment: Mapping[str, str] | None = None) -> Place:
     if place.coordinator:
         told["coordinator_address"] = place.coordinator
     try:
-        jax.distributed.initialize(**told, local_device_ids=None if _chosen() else [place.local])
+        jax.distributed.initialize(**told, local_device_ids=None if _chosen() else [place.local_index])
     except (RuntimeError, ValueError) as error:
         raise UsageError(f"process {place.index} of {place.count} cannot join the others: {error}") from error
     return place
 
 
 @contextmanager
-def together() -> Iterator[Place]:
+def distributed_run() -> Iterator[ProcessInfo]:
     """Join the other processes, and fail at once if this one fails: else they would wait for each other.
 
     JAX has each process wait for all others at its end, for minutes, while those wait for what this one
     was to add. So the process ends without goodbye, and `spawn`, or the launcher, ends the others.
 
     Raises:
-        UsageError: See `join`.
+        UsageError: See `initialize`.
     """
-    place = join()
+    place = initialize()
     try:
         yield place
     except BaseException as error:
@@ -76,7 +76,7 @@ def _chosen() -> bool:
     return os.environ.get("JAX_PLATFORMS") == "cpu" or (shown is not None and "," not in shown)
 
 
-class Team:
+class ProcessGroup:
     """All processes, as the update sees them.
 
     Attributes:
@@ -92,9 +92,9 @@ class Team:
         for device in jax.devices():
             firsts.setdefault(device.process_index, device)
         self.device = firsts[self.index]
-        self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (AXIS,))
+        self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (PROCESS_AXIS,))
 
-    def keep(self, tree: Any) -> Any:  # noqa: ANN401 - any tree
+    def device_put(self, tree: Any) -> Any:  # noqa: ANN401 - any tree
         """Return a tree with its JAX arrays placed on this process's device; others stay as they are."""
         # Without weak types, so that the second iteration finds what the first one compiled.
         return jax.tree.map(
@@ -102,14 +102,14 @@ class Team:
             tree,
         )
 
-    def whole(self, tree: Any, axis: int | None) -> Any:  # noqa: ANN401
+    def to_global(self, tree: Any, axis: int | None) -> Any:  # noqa: ANN401
         """Return arrays that all processes see, of which this one has the part `tree`.
 
         Args:
             tree: Arrays of this process.
             axis: Which the parts are joined along; None: all processes have the same.
         """
-        spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, AXIS)
+        spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, PROCESS_AXIS)
         sharding = NamedSharding(self.mesh, spec)
 
         def join_up(leaf: jax.Array) -> jax.Array:
@@ -121,11 +121,11 @@ class Team:
         return jax.tree.map(join_up, tree)
 
     @staticmethod
-    def part(tree: Any) -> Any:  # noqa: ANN401
+    def to_local(tree: Any) -> Any:  # noqa: ANN401
         """Return the part of arrays that this process has."""
         return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
-    def meet(self, name: str) -> None:
+    def barrier(self, name: str) -> None:
         """Wait for all others to come here."""
         if self.count > 1:
             multihost_utils.sync_global_devices(name)

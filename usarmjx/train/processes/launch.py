@@ -32,23 +32,23 @@ LAUNCHERS = (
 
 
 @dataclass(frozen=True)
-class Place:
+class ProcessInfo:
     """Which of several processes this is.
 
     Attributes:
         count: How many there are.
         index: Which this is, from 0.
-        local: Which it is on its host.
+        local_index: Which it is on its host.
         coordinator: Address of the first one, as host:port; empty: jax finds it from the launcher.
     """
 
     count: int
     index: int
-    local: int
+    local_index: int
     coordinator: str = ""
 
 
-def place_of(environment: Mapping[str, str]) -> Place | None:
+def process_info(environment: Mapping[str, str]) -> ProcessInfo | None:
     """Return which of several processes this is, as the environment variables tell; None: the only one."""
     for name, count, index, local in LAUNCHERS:
         number = environment.get(count, "")
@@ -60,7 +60,7 @@ def place_of(environment: Mapping[str, str]) -> Place | None:
                     raise UsageError(f"{count} is {number}, but MASTER_ADDR or MASTER_PORT is not set")
                 address = f"{host}:{port}"
             where = environment.get(local, environment[index])
-            return Place(int(number), int(environment[index]), int(where), address)
+            return ProcessInfo(int(number), int(environment[index]), int(where), address)
     return None
 
 

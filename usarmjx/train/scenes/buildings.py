@@ -11,27 +11,27 @@ import numpy as np
 
 from usarmjx.base.transforms import Array
 from usarmjx.models.build.arena_set import ArenaSet
-from usarmjx.models.build.reach import size_of
+from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.generate import Difficulty, generate
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.train.envs.recipe import Generated
-from usarmjx.train.envs.task import View
+from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.maps import MapGrid, grid_of, reachable_squares
 
-PROBE = 12.9898
+FINGERPRINT_FREQUENCY = 12.9898
 """Of the angles that tell arenas apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Buildings(Generated):
+class Buildings(GeneratedArenas):
     """Generated arenas in which all robots start together, the first at the first start pose.
 
     The levels set how many walls there are. Nothing lies on the floor that scanners at the height of a robot
     would miss.
 
     Attributes:
-        rough: Height of boards and other obstacles, from 0 to 1.
+        roughness: Height of boards and other obstacles, from 0 to 1.
         clutter: How much lies about, from 0 to 1.
         dead_ends: Share of the walls between rooms with only one doorway.
         radio_shadow: Share of the walls that count twice for the radio.
@@ -42,7 +42,7 @@ class Buildings(Generated):
     levels: tuple[float, ...] = (0.4, 0.6, 0.8)
     size: tuple[int, int] = (10, 8)
     victims: int | None = 0
-    rough: float = 0.0
+    roughness: float = 0.0
     clutter: float = 0.0
     dead_ends: float = 0.0
     radio_shadow: float = 1.0
@@ -51,7 +51,7 @@ class Buildings(Generated):
         """Return the difficulty of a level."""
         return Difficulty(
             wall_density=level,
-            roughness=self.rough,
+            roughness=self.roughness,
             clutter=self.clutter,
             dead_ends=self.dead_ends,
             radio_shadow=self.radio_shadow,
@@ -62,7 +62,7 @@ class Buildings(Generated):
         seeds = np.random.SeedSequence(self.seed).generate_state(self.count * len(self.levels), np.uint32)
         levels = np.repeat(self.levels, self.count)
         return tuple(
-            gathered(
+            sort_starts(
                 generate(
                     self.kind,
                     self.size,
@@ -77,51 +77,51 @@ class Buildings(Generated):
         )
 
 
-def gathered(arena: ArenaSpec) -> ArenaSpec:
+def sort_starts(arena: ArenaSpec) -> ArenaSpec:
     """Return an arena with its start poses in the order of their distance from the first."""
     first = np.array(arena.starts[0].at[:2])
     away = [float(np.hypot(*(np.array(start.at[:2]) - first))) for start in arena.starts]
     return replace(arena, starts=tuple(arena.starts[i] for i in np.argsort(away, kind="stable")))
 
 
-class Ground(NamedTuple):
+class ArenaGrid(NamedTuple):
     """The squares of a scene's arenas.
 
     Attributes:
         grid: Where they are; the same for all arenas.
         reachable: Which a robot gets to (arenas, i, j).
-        probes: What tells the arenas apart (arenas,).
+        fingerprints: What tells the arenas apart (arenas,).
     """
 
     grid: MapGrid
     reachable: np.ndarray
-    probes: np.ndarray
+    fingerprints: np.ndarray
 
 
 @lru_cache(maxsize=8)
-def ground_of(where: ArenaSpec | ArenaSet, cell: float, robot: str) -> Ground:
+def arena_grid_of(where: ArenaSpec | ArenaSet, cell: float, robot: str) -> ArenaGrid:
     """Return the squares of one or several arenas, and which a robot of a class gets to."""
     arenas = where.arenas if isinstance(where, ArenaSet) else (where,)
-    grid, size = grid_of(tuple(arenas), cell), size_of(ROBOTS.get(robot))
+    grid, size = grid_of(tuple(arenas), cell), footprint_of(ROBOTS.get(robot))
     tables = np.stack([reachable_squares(arena, grid, size) for arena in arenas])
-    probes = [_probe(pos, np) for pos in where.sites.pos] if isinstance(where, ArenaSet) else [0.0]
-    return Ground(grid=grid, reachable=tables, probes=np.array(probes, np.float32))
+    probes = [_fingerprint(pos, np) for pos in where.states.pos] if isinstance(where, ArenaSet) else [0.0]
+    return ArenaGrid(grid=grid, reachable=tables, fingerprints=np.array(probes, np.float32))
 
 
-def _probe(pos: Array, xp: ModuleType) -> Array:
+def _fingerprint(pos: Array, xp: ModuleType) -> Array:
     """Return a number that differs between two arenas whose solids differ (): a sum of sines."""
     flat = np.arange(pos.size).reshape(pos.shape)
     inside = pos[..., 2:] > -100.0  # parked ones say nothing
-    weights = np.cos(PROBE * flat).astype(np.float32)
+    weights = np.cos(FINGERPRINT_FREQUENCY * flat).astype(np.float32)
     return (xp.where(inside, pos, 0.0) * weights).sum()
 
 
-def reachable_of(view: View, ground: Ground) -> jax.Array:
+def reachable_of(view: TaskView, ground: ArenaGrid) -> jax.Array:
     """Return which squares of a world's arena a robot gets to (i, j).
 
     The arena is told by where its solids are, as libraries may be in any order (`Env.at_level`).
     """
     tables = jnp.asarray(ground.reachable)
-    if view.world.site is None:
+    if view.world.arena_state is None:
         return tables[0]
-    return tables[jnp.argmin(jnp.abs(_probe(view.world.site.pos, jnp) - ground.probes))]
+    return tables[jnp.argmin(jnp.abs(_fingerprint(view.world.arena_state.pos, jnp) - ground.fingerprints))]

@@ -15,19 +15,19 @@ from flax import struct
 
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Array, quat_from_angles
-from usarmjx.models.build.body_plan import body_plan
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec, Shape
-from usarmjx.train.envs.task import View
+from usarmjx.train.envs.task import TaskView
 
-LOW = 0.1
+DRIVABLE_HEIGHT = 0.1
 """What reaches no higher than this above a robot's wheels is for driving over, as boards are [m]."""
-UPRIGHT = 0.999
+UPRIGHT_COSINE = 0.999
 """Cosine of the tilt from which a solid counts as a ramp."""
-FREE = 1e3
+NO_OBSTACLE = 1e3
 """Clearance where there is nothing at all [m]."""
 
-Kind = mujoco.mjtGeom
+GeomType = mujoco.mjtGeom
 
 
 class Boxes(struct.PyTreeNode, kw_only=True):
@@ -48,7 +48,7 @@ class Boxes(struct.PyTreeNode, kw_only=True):
     high: Array
 
 
-def apart(one: Boxes, others: Boxes) -> jax.Array:
+def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     """Return the distance in the plane of a box from others (n,) [m] (n,); 0 where they overlap."""
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], np.float32)
     turn, turns = _turn(one.yaw), _turn(others.yaw)  # own axes to the world's
@@ -71,13 +71,13 @@ def _turn(yaw: Array) -> jax.Array:
 
 
 @cache
-def hull_of(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+def bounding_box_of(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and highest corner of a robot in its own axes, joints at 0 [m] (3,), (3,)."""
-    plan = body_plan(robot)
+    plan = kinematic_tree_of(robot)
     # With all joints at 0 most parts are not turned; those that are count by their turned axes.
     turns = [np.eye(3)]
     for body in range(1, len(plan.parent)):
-        turns.append(turns[plan.parent[body]] @ plan.turn[body])
+        turns.append(turns[plan.parent[body]] @ plan.rest_mat[body])
     mat = np.array(turns)[plan.geom_body]
     pos = plan.rest_pos[plan.geom_body] + np.einsum("gij,gj->gi", mat, plan.geom_pos)
     reach = _reach(plan.geom_type, plan.geom_size, mat @ plan.geom_mat)
@@ -89,11 +89,11 @@ def _reach(kind: np.ndarray, size: np.ndarray, mat: np.ndarray) -> np.ndarray:
     along = np.abs(mat[:, :, 2])
     radius, length = size[:, :1], size[:, 1:2]
     reaches = {
-        Kind.mjGEOM_BOX: (np.abs(mat) * size[:, None]).sum(-1),
-        Kind.mjGEOM_SPHERE: np.broadcast_to(radius, along.shape),
-        Kind.mjGEOM_CAPSULE: radius + length * along,
-        Kind.mjGEOM_CYLINDER: radius * np.sqrt(np.maximum(0.0, 1 - along**2)) + length * along,
-        Kind.mjGEOM_ELLIPSOID: np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
+        GeomType.mjGEOM_BOX: (np.abs(mat) * size[:, None]).sum(-1),
+        GeomType.mjGEOM_SPHERE: np.broadcast_to(radius, along.shape),
+        GeomType.mjGEOM_CAPSULE: radius + length * along,
+        GeomType.mjGEOM_CYLINDER: radius * np.sqrt(np.maximum(0.0, 1 - along**2)) + length * along,
+        GeomType.mjGEOM_ELLIPSOID: np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
     }
     masks = [np.broadcast_to((kind == int(k))[:, None], along.shape) for k in reaches]
     return np.select(masks, list(reaches.values()), np.linalg.norm(size, axis=-1, keepdims=True))
@@ -123,16 +123,16 @@ def _standing(arena: ArenaSpec) -> tuple[np.ndarray, np.ndarray]:
     return _upright(arena.shapes)
 
 
-def solids(view: View) -> Boxes:
+def obstacle_boxes(view: TaskView) -> Boxes:
     """Return the arena's solids as upright boxes; those that are tilted have no height."""
-    site, floor = view.world.site, view.scene.arena.floor
+    site, floor = view.world.arena_state, view.scene.arena.floor
     if site is None:
         rows, quat = _standing(view.scene.arena)
         pos, size, quat = jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:]), jnp.asarray(quat)
     else:
         pos, size, quat = site.pos, site.size, site.quat
     mat = mat_from_quat(quat)
-    upright = mat[:, 2, 2] >= UPRIGHT
+    upright = mat[:, 2, 2] >= UPRIGHT_COSINE
     height = jnp.where(upright, size[:, 2], -1.0)
     return Boxes(
         centre=pos[:, :2],
@@ -143,13 +143,13 @@ def solids(view: View) -> Boxes:
     )
 
 
-def hulls(view: View, team: int) -> Boxes:
+def robot_boxes(view: TaskView, group: int) -> Boxes:
     """Return a team's robots as upright boxes; those that are not in use have no height."""
-    robots, (low, high) = view.robots(team), hull_of(view.scene.teams[team].robot)
+    robots, (low, high) = view.robots(group), bounding_box_of(view.scene.groups[group].robot)
     mat = mat_from_quat(robots.quat)
     yaw = jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0])
     middle = np.array((low[:2] + high[:2]) / 2, np.float32)
-    used = view.world.teams[team].active
+    used = view.world.groups[group].active
     return Boxes(
         centre=robots.pos[:, :2] + jnp.einsum("nij,j->ni", _turn(yaw), middle),
         half=jnp.broadcast_to(jnp.array((high - low)[:2] / 2, jnp.float32), (len(yaw), 2)),
@@ -159,9 +159,9 @@ def hulls(view: View, team: int) -> Boxes:
     )
 
 
-def clearance(view: View) -> tuple[jax.Array, ...]:
+def clearance(view: TaskView) -> tuple[jax.Array, ...]:
     """Return how far each robot is from the nearest obstacle, per team [m] (robots,); 0: they overlap."""
-    walls, teams = solids(view), [hulls(view, team) for team in range(len(view.scene.teams))]
+    walls, teams = obstacle_boxes(view), [robot_boxes(view, team) for team in range(len(view.scene.groups))]
     # Another robot stands on the ground as this one does: all of it is in the way.
     others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *teams)
     rows, first = [], 0
@@ -173,8 +173,8 @@ def clearance(view: View) -> tuple[jax.Array, ...]:
 
 
 def _least(one: Boxes, me: jax.Array, walls: Boxes, others: Boxes) -> jax.Array:
-    in_the_way = (walls.high > one.low + LOW) & (walls.low < one.high)
-    near = jnp.where(in_the_way, apart(one, walls), FREE)
+    in_the_way = (walls.high > one.low + DRIVABLE_HEIGHT) & (walls.low < one.high)
+    near = jnp.where(in_the_way, box_distance(one, walls), NO_OBSTACLE)
     meets = (others.high > one.low) & (others.low < one.high) & (jnp.arange(len(others.yaw)) != me)
-    beside = jnp.where(meets, apart(one, others), FREE)
-    return jnp.concatenate([near, beside]).min(initial=FREE)
+    beside = jnp.where(meets, box_distance(one, others), NO_OBSTACLE)
+    return jnp.concatenate([near, beside]).min(initial=NO_OBSTACLE)

@@ -17,18 +17,18 @@ from usarmjx.models.roads.network import RouteNetwork
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, options
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas, spec_of
-from usarmjx.train.envs.task import Task, Verdict, View
-from usarmjx.train.tasks.lane import Way, closed_lane
+from usarmjx.train.envs.task import StepResult, Task, TaskView
+from usarmjx.train.tasks.lane import LanePath, closed_lane
 
 AHEAD = (3.0, 5.0, 8.0, 12.0, 17.0, 23.0)
 """How far ahead of the rear axle the lane is observed [m]."""
-NEAR, REACH, TOP = 2.0, 20.0, 10.0
+LATERAL_SCALE, RANGE_SCALE, SPEED_SCALE = 2.0, 20.0, 10.0
 """What is observed as 1: sideways [m], ranges and the lane's points [m], speeds [m/s]."""
-FAN = options(MaxRange=REACH, MinRange=0.1, Resolution=0.1, ScanFov=1.2, ScanInterval=0.1, Noise=0.01)
+FAN = options(MaxRange=RANGE_SCALE, MinRange=0.1, Resolution=0.1, ScanFov=1.2, ScanInterval=0.1, Noise=0.01)
 """13 beams over 69 degrees: two meet a car that is 18 m ahead."""
-EYE = 0.6
+SCANNER_HEIGHT = 0.6
 """Height of the scanner above the road [m]: below it kerbs, above it the bonnets of low cars."""
 BEAMS = 13
 
@@ -37,17 +37,17 @@ class ConvoyMemory(struct.PyTreeNode, kw_only=True):
     """What the task remembers of an episode.
 
     Attributes:
-        told: How fast to go [m/s] ().
+        target_speed: How fast to go [m/s] ().
         ahead: Which car each one follows; -1: none (cars,).
-        along: How far along the lane the cars are; it goes on after once round [m] (cars,).
+        arc_length: How far along the lane the cars are; it goes on after once round [m] (cars,).
         poses: What their INS told in the last step (cars, 6).
         speeds: How fast they are by their INS [m/s] (cars,).
         score: So far ().
     """
 
-    told: jax.Array
+    target_speed: jax.Array
     ahead: jax.Array
-    along: jax.Array
+    arc_length: jax.Array
     poses: jax.Array
     speeds: jax.Array
     score: jax.Array
@@ -123,14 +123,14 @@ class Convoy(Task):
             Mount(
                 kind="RangeScanner",
                 name="Front",
-                at=(car.dimensions[0] / 2, 0.0, car.origin_height - EYE),
+                at=(car.dimensions[0] / 2, 0.0, car.origin_height - SCANNER_HEIGHT),
                 options=FAN,
             ),
         )
         return (replace(car, sensors=sensors),) * self.count
 
     @cached_property
-    def way(self) -> Way:
+    def path(self) -> LanePath:
         """The lane's middle."""
         return closed_lane(self.network, self.lane, self._arena.gps)
 
@@ -146,7 +146,7 @@ class Convoy(Task):
         starts = []
         for i in range(self.count):
             along = jnp.float32(10.0 + self.spacing * (self.count - i))
-            (x, y), yaw = np.asarray(self.way.at(along)), float(self.way.heading(along))
+            (x, y), yaw = np.asarray(self.path.position(along)), float(self.path.heading(along))
             at = (float(x), float(y), START_ELEVATION)
             starts.append(StartPose(tag=f"Convoy{i + 1}", at=at, yaw=yaw))
         return replace(self._arena, starts=tuple(starts))
@@ -155,81 +155,91 @@ class Convoy(Task):
         """Speed and steering."""
         return (2,)
 
-    def act(self, view: View, memory: ConvoyMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: ConvoyMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Speed and steering."""
         drive = self.robots[0].drive
         assert isinstance(drive, Ackermann)  # as `robots` says
         speed, steer = actions[0][:, 0], actions[0][:, 1]
-        return Orders(
-            drive={0: {"Speed": TOP * speed / drive.radius, "FrontSteer": drive.max_front_steer * steer}}
+        return Actions(
+            drive={
+                0: {"Speed": SPEED_SCALE * speed / drive.radius, "FrontSteer": drive.max_front_steer * steer}
+            }
         )
 
-    def start(self, view: View, key: jax.Array) -> ConvoyMemory:
+    def start(self, view: TaskView, key: jax.Array) -> ConvoyMemory:
         """Who follows whom, and how fast."""
-        along, _ = self.way.nearest(view.robots(0).pos[:, :2])
+        along, _ = self.path.nearest(view.robots(0).pos[:, :2])
         ahead = along[None, :] - along[:, None]
         follows = jnp.argmin(jnp.where(ahead > 0, ahead, jnp.inf), -1)
         low, high = self.speeds
         return ConvoyMemory(
-            told=jax.random.uniform(key, minval=low, maxval=high),
+            target_speed=jax.random.uniform(key, minval=low, maxval=high),
             ahead=jnp.where((ahead > 0).any(-1), follows, -1),
-            along=along,
+            arc_length=along,
             poses=view.sensor(0, "INS"),
             speeds=jnp.zeros(self.count),
             score=jnp.zeros(()),
         )
 
-    def observe(self, view: View, memory: ConvoyMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: ConvoyMemory) -> tuple[jax.Array, ...]:
         """Lane and ranges, as the sensors have them."""
         poses, scans = view.sensor(0, "INS"), view.sensor(0, "RangeScanner")
-        seen = jax.vmap(self._seen, in_axes=(0, 0, 0, None))(poses, memory.speeds, scans, memory.told)
+        seen = jax.vmap(self._seen, in_axes=(0, 0, 0, None))(poses, memory.speeds, scans, memory.target_speed)
         return (seen,)
 
     def _seen(self, pose: jax.Array, speed: jax.Array, scan: jax.Array, told: jax.Array) -> jax.Array:
-        along, left = self.way.nearest(pose[:2])
-        off, yaw = pose[5] - self.way.heading(along), pose[5]
-        way = self.way.at(along + np.array(AHEAD, np.float32)) - pose[:2]
+        along, left = self.path.nearest(pose[:2])
+        off, yaw = pose[5] - self.path.heading(along), pose[5]
+        way = self.path.position(along + np.array(AHEAD, np.float32)) - pose[:2]
         cos, sin = jnp.cos(yaw), jnp.sin(yaw)
         points = jnp.stack([way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin], -1)
         return jnp.concatenate(
             [
-                jnp.stack([left / NEAR, jnp.sin(off), jnp.cos(off), speed / TOP, told / TOP]),
-                points.ravel() / REACH,
-                jnp.clip(scan / REACH, 0.0, 1.0),
+                jnp.stack(
+                    [
+                        left / LATERAL_SCALE,
+                        jnp.sin(off),
+                        jnp.cos(off),
+                        speed / SPEED_SCALE,
+                        told / SPEED_SCALE,
+                    ]
+                ),
+                points.ravel() / RANGE_SCALE,
+                jnp.clip(scan / RANGE_SCALE, 0.0, 1.0),
             ]
         )
 
-    def privileged(self, view: View, memory: ConvoyMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: ConvoyMemory) -> jax.Array:
         """How far to the left cars truly are [m], their speeds [m/s], the gaps before them, at most 50 m."""
         robots = view.robots(0)
-        _, left = self.way.nearest(robots.pos[:, :2])
-        gap = jnp.minimum(self.gaps(memory.along, memory.ahead), 50.0)
+        _, left = self.path.nearest(robots.pos[:, :2])
+        gap = jnp.minimum(self.gaps(memory.arc_length, memory.ahead), 50.0)
         return jnp.concatenate([left, jnp.linalg.norm(robots.linear[:, :2], axis=-1), gap])
 
     def gaps(self, along: jax.Array, ahead: jax.Array) -> jax.Array:
         """Return the gaps before cars, infinite where there is none to follow [m] (cars,)."""
         return jnp.where(ahead < 0, jnp.inf, along[ahead] - along - self.robots[0].dimensions[0])
 
-    def judge(self, view: View, memory: ConvoyMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: ConvoyMemory) -> StepResult:
         """What each car's step is worth."""
         period = self.repeat * view.scene.physics.period
-        here, left = self.way.nearest(view.robots(0).pos[:, :2])
-        length = self.way.length
-        moved = jnp.mod(here - memory.along + length / 2, length) - length / 2
-        along, speed = memory.along + moved, moved / period
+        here, left = self.path.nearest(view.robots(0).pos[:, :2])
+        length = self.path.length
+        moved = jnp.mod(here - memory.arc_length + length / 2, length) - length / 2
+        along, speed = memory.arc_length + moved, moved / period
         gap = self.gaps(along, memory.ahead)
         wanted = self.standstill + self.headway * jnp.maximum(speed, 0.0)
         kept = jnp.where(memory.ahead < 0, 1.0, jnp.clip(1.0 - jnp.abs(gap - wanted) / wanted, 0.0, 1.0))
-        inside = jnp.abs(left) <= (self.way.width - self.robots[0].dimensions[1]) / 2
-        worth = jnp.clip(speed / memory.told, 0.0, 1.0) * inside * kept
-        lost = (gap <= 0.0) | (jnp.abs(left) > self.way.width)
+        inside = jnp.abs(left) <= (self.path.width - self.robots[0].dimensions[1]) / 2
+        worth = jnp.clip(speed / memory.target_speed, 0.0, 1.0) * inside * kept
+        lost = (gap <= 0.0) | (jnp.abs(left) > self.path.width)
         poses = view.sensor(0, "INS")
         # By the INS: how far along its heading it has come since the last step.
         way, yaw = poses[:, :2] - memory.poses[:, :2], poses[:, 5]
         by_ins = (way[:, 0] * jnp.cos(yaw) + way[:, 1] * jnp.sin(yaw)) / period
         score = memory.score + 100.0 * worth.mean() / self.episode_steps
-        return Verdict(
-            memory=memory.replace(along=along, poses=poses, speeds=by_ins, score=score),
+        return StepResult(
+            memory=memory.replace(arc_length=along, poses=poses, speeds=by_ins, score=score),
             reward=(100.0 * worth / self.episode_steps - self.price * lost,),
             terminated=lost.any(),
             score=score,

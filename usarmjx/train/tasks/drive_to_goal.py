@@ -9,10 +9,10 @@ from flax import struct
 
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import spec_of
-from usarmjx.train.envs.task import Task, Verdict, View
+from usarmjx.train.envs.task import StepResult, Task, TaskView
 from usarmjx.train.tasks.ranges import first_kind, ranges
 
-FAR = 10.0
+MAX_GOAL_DISTANCE = 10.0
 """A goal farther away than this is seen at this distance [m]."""
 
 
@@ -75,7 +75,7 @@ class DriveToGoal(Task):
         kind = first_kind(spec_of(self.robot), self.ranges)
         return (self.pose,) if kind is None else (self.pose, kind)
 
-    def start(self, view: View, key: jax.Array) -> GoalMemory:
+    def start(self, view: TaskView, key: jax.Array) -> GoalMemory:
         """Draw a goal."""
         here = view.robots(0).pos[0, :2]
         places = view.starts[:, :2]
@@ -84,22 +84,24 @@ class DriveToGoal(Task):
         goal = places[jnp.argmax(jnp.where(far, jax.random.uniform(key, far.shape), -1.0))]
         return GoalMemory(goal=goal, distance=jnp.linalg.norm(goal - here))
 
-    def observe(self, view: View, memory: GoalMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: GoalMemory) -> tuple[jax.Array, ...]:
         """Goal and ranges."""
         pose = view.sensor(0, self.pose)[0]
-        return (jnp.concatenate([bearing(pose, memory.goal)[None], ranges(view, 0, self.ranges)], -1),)
+        return (
+            jnp.concatenate([goal_observation(pose, memory.goal)[None], ranges(view, 0, self.ranges)], -1),
+        )
 
-    def privileged(self, view: View, memory: GoalMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: GoalMemory) -> jax.Array:
         """The way to the goal as it is [m] (2,), and the robot's speed [m/s] (3,) and turning rate."""
         robot = view.robots(0)
         return jnp.concatenate([memory.goal - robot.pos[0, :2], robot.linear[0], robot.angular[0, 2:]])
 
-    def judge(self, view: View, memory: GoalMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: GoalMemory) -> StepResult:
         """Progress and arrival."""
         distance = jnp.linalg.norm(memory.goal - view.robots(0).pos[0, :2])
         there = distance <= self.radius
         reward = memory.distance - distance + self.bonus * there - self.haste
-        return Verdict(
+        return StepResult(
             memory=memory.replace(distance=distance),
             reward=(reward[None],),
             terminated=there,
@@ -108,7 +110,7 @@ class DriveToGoal(Task):
         )
 
 
-def bearing(pose: jax.Array, goal: jax.Array) -> jax.Array:
+def goal_observation(pose: jax.Array, goal: jax.Array) -> jax.Array:
     """Return how a robot at a pose (6,) sees a place (2,): cosine and sine, far and near distance (4,)."""
     way, yaw = goal - pose[:2], pose[5]
     distance = jnp.linalg.norm(way)
@@ -118,7 +120,7 @@ def bearing(pose: jax.Array, goal: jax.Array) -> jax.Array:
         [
             ahead * cos + left * sin,
             left * cos - ahead * sin,
-            jnp.minimum(distance / FAR, 1.0),
+            jnp.minimum(distance / MAX_GOAL_DISTANCE, 1.0),
             jnp.minimum(distance, 1.0),
         ]
     )

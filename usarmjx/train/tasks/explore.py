@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.maps import FREE
-from usarmjx.train.scenes.equip import mapper
+from usarmjx.train.scenes.equip import mapping_robot
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import TeamMemory, coverage
 
@@ -25,7 +25,7 @@ class Explore(TeamTask):
     - 50 times the mean over all steps and robots of the share of it that is on a robot's map;
     - less `price` for every contact.
     The building is the squares of 0.3 m whose middles a robot of class `passing` gets to. Such a square is
-    explored once the scanner of any robot has truly seen it to be free (`maps.look`, drawn from where the
+    explored once the scanner of any robot has truly seen it to be free (`maps.classify_scan`, drawn from where the
     scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by what
     others wrote. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
 
@@ -50,29 +50,29 @@ class Explore(TeamTask):
     @property
     def robots(self) -> tuple[RobotSpec, ...]:
         """The team."""
-        return (mapper(self.robot),) * self.count
+        return (mapping_robot(self.robot),) * self.count
 
-    def start(self, view: View, key: jax.Array) -> TeamMemory:
+    def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """What the first scans show is on the maps."""
         memory = super().start(view, key)
-        return memory.replace(extra=memory.reachable & (memory.mind.squares == FREE))
+        return memory.replace(extra=memory.reachable & (memory.belief.squares == FREE))
 
-    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """What was explored, what came onto maps, and who touched something."""
         steps, scene = self.episode_steps, view.scene
         left = (steps - memory.step) / steps  # this step's number is one more
         first = 50.0 * (coverage(memory) + on_maps(memory))
-        memory, credit, begun = self.step_on(view, memory)
+        memory, credit, begun = self.advance(view, memory)
         before, memory = (
             on_maps(memory),
-            memory.replace(extra=memory.extra | (memory.reachable & (memory.mind.squares == FREE))),
+            memory.replace(extra=memory.extra | (memory.reachable & (memory.belief.squares == FREE))),
         )
         found = 50.0 * left * ((1 - self.share) * credit + self.share * credit.mean())
-        told = 50.0 * left * (on_maps(memory) - before) / scene.robots
+        told = 50.0 * left * (on_maps(memory) - before) / scene.num_robots
         reward = found + told - self.price * begun
         score = memory.score + jnp.where(memory.step == 1, first, 0.0) + reward.sum()
         memory = memory.replace(score=score)
-        return Verdict(
+        return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
             terminated=jnp.zeros((), bool),

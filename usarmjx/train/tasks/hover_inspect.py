@@ -15,22 +15,22 @@ from usarmjx.models.drives import RotaryWing
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import spec_of
-from usarmjx.train.envs.task import Task, Verdict, View, drive_keys
-from usarmjx.train.scenes.clearance import FREE, apart, hulls, solids
+from usarmjx.train.envs.task import StepResult, Task, TaskView, drive_keys
+from usarmjx.train.scenes.clearance import NO_OBSTACLE, box_distance, obstacle_boxes, robot_boxes
 
 LONG, WIDE, HIGH, THICK = 5.0, 5.0, 3.0, 0.1
 """Length along x, width and height of each room, and thickness of walls [m]."""
 WINDOW = 1.4
 """Width and height of the windows [m], those of the factory."""
-MIDDLES = ((0.8, 1.3), (-0.9, 1.7), (0.3, 1.1), (-0.5, 1.5))
+WINDOW_CENTRES = ((0.8, 1.3), (-0.9, 1.7), (0.3, 1.1), (-0.5, 1.5))
 """y and height of the middles of the windows [m], of one wall after the other."""
-BEYOND = 0.9
+PASSED_DISTANCE = 0.9
 """So far behind its wall a window has been flown through [m]."""
-PACE, TURN = 1.5, 1.5708
+SPEED_SCALE, TURN_RATE_SCALE = 1.5, 1.5708
 """Speeds [m/s] and turning rate [rad/s] of an action of 1."""
-FAR = 5.0
+POSITION_SCALE = 5.0
 """What is observed as 1 [m]."""
 SENSORS = (
     Mount(kind="GroundTruth", name="GroundTruth", options=options(ScanInterval=0.1, Weight=0.0)),
@@ -38,7 +38,7 @@ SENSORS = (
         kind="RangeScanner",
         name="Around",
         options=options(
-            MaxRange=FAR,
+            MaxRange=POSITION_SCALE,
             MinRange=0.02,
             Resolution=0.5236,
             ScanFov=5.76,
@@ -56,16 +56,16 @@ class InspectMemory(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         points: What to look at [m] (points, 3).
-        seen: How many of them it has looked at ().
-        held: For how many steps it has looked at the present one ().
-        aim: Where it should fly [m] (3,).
+        inspected_count: How many of them it has looked at ().
+        dwell_steps: For how many steps it has looked at the present one ().
+        target: Where it should fly [m] (3,).
         distance: How far from there it is [m] ().
     """
 
     points: jax.Array
-    seen: jax.Array
-    held: jax.Array
-    aim: jax.Array
+    inspected_count: jax.Array
+    dwell_steps: jax.Array
+    target: jax.Array
     distance: jax.Array
 
 
@@ -93,7 +93,7 @@ class HoverInspect(Task):
     Reward: metres by which the origin came nearer to where it should go, which is the point or 0.9 m beyond
     the window's middle; `bonus` for each point; less `haste`; less `price` for touching.
 
-    The episode ends when all are looked at; when the robot's box is within `touch` of a wall (`free`); when
+    The episode ends when all are looked at; when the robot's box is within `touch` of a wall (`wall_clearance`); when
     its origin is higher than the walls.
 
     Attributes:
@@ -133,14 +133,14 @@ class HoverInspect(Task):
     @property
     def windows(self) -> np.ndarray:
         """Middles of the windows [m] (walls, 3)."""
-        rows = [(LONG * (k + 0.5), y, z) for k, (y, z) in enumerate(MIDDLES[: self.rooms - 1])]
+        rows = [(LONG * (k + 0.5), y, z) for k, (y, z) in enumerate(WINDOW_CENTRES[: self.rooms - 1])]
         return np.array(rows, np.float32).reshape(-1, 3)
 
     @property
     def arenas(self) -> ArenaSpec:
         """The rooms; the robot starts in the first one."""
-        if not 1 <= self.rooms <= len(MIDDLES) + 1:
-            raise UsageError(f"{self.rooms} rooms, expected 1 to {len(MIDDLES) + 1}")
+        if not 1 <= self.rooms <= len(WINDOW_CENTRES) + 1:
+            raise UsageError(f"{self.rooms} rooms, expected 1 to {len(WINDOW_CENTRES) + 1}")
         last, side = LONG * (self.rooms - 0.5), (WIDE + THICK) / 2
         middle, length = (last - LONG / 2) / 2, LONG * self.rooms + 2 * THICK
         walls = [block((middle, y), (length, THICK, HIGH), surface="wall") for y in (-side, side)]
@@ -165,13 +165,13 @@ class HoverInspect(Task):
         """Up, forward, right, clockwise."""
         return (4,)
 
-    def act(self, view: View, memory: InspectMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: InspectMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Speeds."""
-        most = (PACE, PACE, PACE, TURN)
-        keys = drive_keys(view.scene.teams[0].robot)
-        return Orders(drive={0: {key: most[i] * actions[0][:, i] for i, key in enumerate(keys)}})
+        most = (SPEED_SCALE, SPEED_SCALE, SPEED_SCALE, TURN_RATE_SCALE)
+        keys = drive_keys(view.scene.groups[0].robot)
+        return Actions(drive={0: {key: most[i] * actions[0][:, i] for i, key in enumerate(keys)}})
 
-    def start(self, view: View, key: jax.Array) -> InspectMemory:
+    def start(self, view: TaskView, key: jax.Array) -> InspectMemory:
         """Draw the points."""
         along, side, up = jax.random.split(key, 3)
         n = self.rooms
@@ -187,10 +187,14 @@ class HoverInspect(Task):
         zero = jnp.zeros((), jnp.int32)
         aim = self._aim(pos, points[0])
         return InspectMemory(
-            points=points, seen=zero, held=zero, aim=aim, distance=jnp.linalg.norm(aim - pos)
+            points=points,
+            inspected_count=zero,
+            dwell_steps=zero,
+            target=aim,
+            distance=jnp.linalg.norm(aim - pos),
         )
 
-    def way(self, pos: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def next_window(self, pos: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return the window (3,) to fly through from a place to a point, which way (), if there is one ().
 
         The way is 1 along x, or -1; it is the nearest of the windows between them.
@@ -200,39 +204,41 @@ class HoverInspect(Task):
         windows = jnp.asarray(self.windows)
         side = jnp.sign(point[0] - windows[:, 0])
         passed = (pos[0] - windows[:, 0]) * side
-        there = passed < BEYOND
+        there = passed < PASSED_DISTANCE
         # The nearest one that is not yet passed, and not one that is farther than the point.
         first = jnp.argmin(jnp.where(there, -passed, jnp.inf))
         return windows[first], side[first], there.any()
 
     def _aim(self, pos: jax.Array, point: jax.Array) -> jax.Array:
-        window, side, there = self.way(pos, point)
-        return jnp.where(there, window + side * BEYOND * np.array([1, 0, 0], np.float32), point)
+        window, side, there = self.next_window(pos, point)
+        return jnp.where(there, window + side * PASSED_DISTANCE * np.array([1, 0, 0], np.float32), point)
 
     def _present(self, memory: InspectMemory) -> jax.Array:
-        return memory.points[jnp.minimum(memory.seen, self.rooms - 1)]
+        return memory.points[jnp.minimum(memory.inspected_count, self.rooms - 1)]
 
-    def observe(self, view: View, memory: InspectMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: InspectMemory) -> tuple[jax.Array, ...]:
         """Point, window, attitude and ranges."""
         pose, point = view.sensor(0, "GroundTruth")[0], self._present(memory)
-        window, _, there = self.way(pose[:3], point)
+        window, _, there = self.next_window(pose[:3], point)
         cos, sin = jnp.cos(pose[5]), jnp.sin(pose[5])
 
         def seen(place: jax.Array) -> jax.Array:
             x, y, z = place - pose[:3]
-            return jnp.stack([x * cos + y * sin, y * cos - x * sin, z]) / FAR
+            return jnp.stack([x * cos + y * sin, y * cos - x * sin, z]) / POSITION_SCALE
 
-        body = jnp.stack([there, sin, cos, pose[3], pose[4], pose[2] / FAR, memory.held / self.dwell])
-        ranges = jnp.clip(view.sensor(0, "RangeScanner")[0] / FAR, 0.0, 1.0)
+        body = jnp.stack(
+            [there, sin, cos, pose[3], pose[4], pose[2] / POSITION_SCALE, memory.dwell_steps / self.dwell]
+        )
+        ranges = jnp.clip(view.sensor(0, "RangeScanner")[0] / POSITION_SCALE, 0.0, 1.0)
         return (jnp.concatenate([seen(point), there * seen(window), body, ranges])[None],)
 
-    def privileged(self, view: View, memory: InspectMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: InspectMemory) -> jax.Array:
         """The way to where it should go [m] (3,), velocities [m/s], [rad/s] (3,) each, clearance to 1 m."""
         robot = view.robots(0)
-        near = jnp.minimum(free(view), 1.0)[None]
-        return jnp.concatenate([memory.aim - robot.pos[0], robot.linear[0], robot.angular[0], near])
+        near = jnp.minimum(wall_clearance(view), 1.0)[None]
+        return jnp.concatenate([memory.target - robot.pos[0], robot.linear[0], robot.angular[0], near])
 
-    def judge(self, view: View, memory: InspectMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: InspectMemory) -> StepResult:
         """Looking, progress and touching."""
         robot, point = view.robots(0), self._present(memory)
         pos, axis = robot.pos[0], mat_from_quat(robot.quat[0])[:, 0]
@@ -240,16 +246,16 @@ class HoverInspect(Task):
         far = jnp.linalg.norm(gap)
         ahead = jnp.dot(gap, axis) >= np.cos(self.view) * far
         same = jnp.round(pos[0] / LONG) == jnp.round(point[0] / LONG)
-        held = jnp.where(ahead & same & (far <= self.near), memory.held + 1, 0)
+        held = jnp.where(ahead & same & (far <= self.near), memory.dwell_steps + 1, 0)
         found = held >= self.dwell
-        seen = memory.seen + found
-        touched = (free(view) <= self.touch) | (pos[2] > HIGH)
-        nearer = memory.distance - jnp.linalg.norm(memory.aim - pos)
+        seen = memory.inspected_count + found
+        touched = (wall_clearance(view) <= self.touch) | (pos[2] > HIGH)
+        nearer = memory.distance - jnp.linalg.norm(memory.target - pos)
         reward = nearer + self.bonus * found - self.haste - self.price * touched
-        memory = memory.replace(seen=seen, held=jnp.where(found, 0, held))
+        memory = memory.replace(inspected_count=seen, dwell_steps=jnp.where(found, 0, held))
         aim = self._aim(pos, self._present(memory))
-        return Verdict(
-            memory=memory.replace(aim=aim, distance=jnp.linalg.norm(aim - pos)),
+        return StepResult(
+            memory=memory.replace(target=aim, distance=jnp.linalg.norm(aim - pos)),
             reward=(reward[None],),
             terminated=touched | (seen == self.rooms),
             score=100.0 * seen / self.rooms,
@@ -257,11 +263,11 @@ class HoverInspect(Task):
         )
 
 
-def free(view: View) -> jax.Array:
+def wall_clearance(view: TaskView) -> jax.Array:
     """Return how far the robot's upright box is from walls beside it, 0 where they overlap [m] ()."""
-    one, walls = jax.tree.map(lambda rows: rows[0], hulls(view, 0)), solids(view)
+    one, walls = jax.tree.map(lambda rows: rows[0], robot_boxes(view, 0)), obstacle_boxes(view)
     beside = (walls.high > one.low) & (walls.low < one.high)
-    return jnp.where(beside, apart(one, walls), FREE).min()
+    return jnp.where(beside, box_distance(one, walls), NO_OBSTACLE).min()
 
 
 def _wall_with_window(x: float, y: float, z: float) -> list[Shape]:

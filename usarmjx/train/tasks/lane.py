@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.geodesy import Place
+from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.network import RouteNetwork
 from usarmjx.models.roads.shapes import lane_path, lane_width
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class LanePath:
     """A closed way of straight pieces.
 
     Attributes:
@@ -26,17 +26,17 @@ class Way:
     width: float
 
     @cached_property
-    def pieces(self) -> np.ndarray:
+    def edges(self) -> np.ndarray:
         """From each corner to the next [m] (points, 2)."""
         return (np.roll(self.points, -1, 0) - self.points).astype(np.float32)
 
     @cached_property
     def lengths(self) -> np.ndarray:
         """Of the pieces [m] (points,)."""
-        return np.linalg.norm(self.pieces, axis=-1)
+        return np.linalg.norm(self.edges, axis=-1)
 
     @cached_property
-    def begins(self) -> np.ndarray:
+    def edge_starts(self) -> np.ndarray:
         """How far along each corner is [m] (points,)."""
         return np.concatenate([[0.0], np.cumsum(self.lengths)[:-1]]).astype(np.float32)
 
@@ -45,41 +45,41 @@ class Way:
         """Once round [m]."""
         return float(self.lengths.sum())
 
-    def at(self, along: jax.Array) -> jax.Array:
+    def position(self, along: jax.Array) -> jax.Array:
         """Return the places so far along (...,) [m] (..., 2)."""
         along = jnp.mod(along, self.length)
         piece = self._piece(along)
-        share = (along - jnp.asarray(self.begins)[piece]) / jnp.asarray(self.lengths)[piece]
+        share = (along - jnp.asarray(self.edge_starts)[piece]) / jnp.asarray(self.lengths)[piece]
         return (
-            jnp.asarray(self.points, jnp.float32)[piece] + share[..., None] * jnp.asarray(self.pieces)[piece]
+            jnp.asarray(self.points, jnp.float32)[piece] + share[..., None] * jnp.asarray(self.edges)[piece]
         )
 
     def heading(self, along: jax.Array) -> jax.Array:
         """Return the directions of the way so far along (...,) [rad] (...,)."""
-        piece = jnp.asarray(self.pieces)[self._piece(jnp.mod(along, self.length))]
+        piece = jnp.asarray(self.edges)[self._piece(jnp.mod(along, self.length))]
         return jnp.arctan2(piece[..., 1], piece[..., 0])
 
     def _piece(self, along: jax.Array) -> jax.Array:
-        return jnp.searchsorted(jnp.asarray(self.begins), along, side="right") - 1
+        return jnp.searchsorted(jnp.asarray(self.edge_starts), along, side="right") - 1
 
-    def nearest(self, places: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def nearest(self, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return how far along the nearest points to places (..., 2) are, and how far to their left these.
 
         Returns:
             Both in metres (...,); the second is negative to the right.
         """
-        unit = self.pieces / self.lengths[:, None]
-        off = places[..., None, :] - self.points.astype(np.float32)
+        unit = self.edges / self.lengths[:, None]
+        off = positions[..., None, :] - self.points.astype(np.float32)
         along = jnp.clip((off * unit).sum(-1), 0.0, self.lengths)
         gap = off - along[..., None] * unit
         far = jnp.linalg.norm(gap, axis=-1)
         best = jnp.argmin(far, -1)[..., None]
         left = jnp.sign(unit[:, 0] * gap[..., 1] - unit[:, 1] * gap[..., 0]) * far
-        there = jnp.take_along_axis(jnp.asarray(self.begins) + along, best, -1)
+        there = jnp.take_along_axis(jnp.asarray(self.edge_starts) + along, best, -1)
         return there[..., 0], jnp.take_along_axis(left, best, -1)[..., 0]
 
 
-def closed_lane(network: RouteNetwork, owner: tuple[int, int], origin: Place | None) -> Way:
+def closed_lane(network: RouteNetwork, owner: tuple[int, int], origin: LatLon | None) -> LanePath:
     """Return a lane that leads back to its beginning.
 
     Args:
@@ -97,4 +97,4 @@ def closed_lane(network: RouteNetwork, owner: tuple[int, int], origin: Place | N
         raise SpecError(
             f"lane {owner[0]}.{owner[1]} ends; expected one whose last waypoint leads to its first"
         )
-    return Way(points=lane_path(lane, origin), width=lane_width(lane))
+    return LanePath(points=lane_path(lane, origin), width=lane_width(lane))

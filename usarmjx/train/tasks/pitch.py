@@ -29,7 +29,7 @@ from usarmjx.models.arenas.soccer import (
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
-from usarmjx.train.scenes.equip import TRUTH
+from usarmjx.train.scenes.equip import GROUND_TRUTH
 
 GOAL_LINE, SIDE_BOARD = LENGTH / 2, CARPET[1] / 2
 """Where the boards are [m]."""
@@ -37,21 +37,21 @@ CUT = 0.5
 """So much of each side the corner boards take [m]."""
 CORNER = GOAL_LINE + SIDE_BOARD - CUT
 """On the corner boards |x| + |y| is this [m]."""
-PLACES, APART, FREE_KICK = 12, 0.65, 0.8
+START_COUNT, MIN_START_DISTANCE, FREE_KICK = 12, 0.65, 0.8
 """Start poses, the least distance between two of them, and from the ball [m]."""
 
 LENGTH_WIDTH = (0.44, 0.38)
 """Of the cover: those of the P2DX (manual 12.3.1) [m]."""
 COVER = (0.03, 0.3)
 """Where it begins and ends, above the ground: as high as the boards [m] (chosen)."""
-LOW, HIGH = 0.11, 0.26
+LOWER_SCANNER_HEIGHT, UPPER_SCANNER_HEIGHT = 0.11, 0.26
 """Heights of the two scanners [m]: that of the ball's middle, and above the ball but not above boards and
 robots. What only the lower one meets is the ball."""
-REACH, FOV, RESOLUTION, BEAMS = 4.0, 4.189, 3 * 0.0184087, 76
+SCANNER_RANGE, FOV, RESOLUTION, BEAMS = 4.0, 4.189, 3 * 0.0184087, 76
 """Every third beam of a Hokuyo URG-04LX, as `equip.HOKUYO`, but ten times a second [m], [rad]. A ball 4 m
 away is as wide as the angle between two beams."""
 SCAN = options(
-    MaxRange=REACH, MinRange=0.02, Resolution=RESOLUTION, ScanFov=FOV, ScanInterval=0.1, Noise=0.01
+    MaxRange=SCANNER_RANGE, MinRange=0.02, Resolution=RESOLUTION, ScanFov=FOV, ScanInterval=0.1, Noise=0.01
 )
 FRONT_CASTER = 0.003
 """How far the front caster is above the ground [m]: braking tilts the robot by one degree, not more."""
@@ -83,11 +83,11 @@ def _boards() -> list[Shape]:
 def _starts() -> tuple[StartPose, ...]:
     """Return start poses on both halves; half a turn about the middle makes the second half of them."""
     draw, poses = np.random.default_rng(3), []
-    while len(poses) < PLACES // 2:
+    while len(poses) < START_COUNT // 2:
         x, y, yaw = draw.uniform((-2.2, -1.5, -np.pi), (2.2, 1.5, np.pi)).round(2)
         here = np.array([x, y])
         others = [sign * np.array(pose[:2]) for pose in poses for sign in (-1, 1)]
-        crowded = any(np.linalg.norm(here - other) < APART for other in [*others, -here])
+        crowded = any(np.linalg.norm(here - other) < MIN_START_DISTANCE for other in [*others, -here])
         if not crowded and np.linalg.norm(here) > FREE_KICK and abs(x) + abs(y) < CORNER - 0.5:
             poses.append((float(x), float(y), float(yaw)))
     poses += [(-x, -y, yaw + np.pi) for x, y, yaw in poses]
@@ -104,7 +104,7 @@ def _stays(shape: Shape) -> bool:
 
 _SLIPPERY = tuple(replace(shape, surface="caster") for shape in BALL.shapes)
 
-PITCH = ArenaSpec(
+SOCCER_FIELD = ArenaSpec(
     name="DM-Pitch",
     about="The field of DM-Soccer with boards on the goal lines and across the corners. 1 loose object.",
     shapes=(*(shape for shape in SOCCER.shapes if _stays(shape)), *_boards()),
@@ -115,9 +115,9 @@ PITCH = ArenaSpec(
 )
 
 
-def depth_inside(place: Array) -> Array:
+def depth_inside(position: Array) -> Array:
     """Return how far places (..., 2) are from the boards and goals, negative outside [m] (...,)."""
-    x, y = jnp.abs(place[..., 0]), jnp.abs(place[..., 1])
+    x, y = jnp.abs(position[..., 0]), jnp.abs(position[..., 1])
     field = jnp.minimum(jnp.minimum(GOAL_LINE - x, SIDE_BOARD - y), (CORNER - x - y) / np.sqrt(2.0))
     goal = jnp.minimum(GOAL_LINE + GOAL_DEPTH - x, GOAL_WIDTH / 2 - y)
     return jnp.maximum(field, goal)
@@ -129,7 +129,7 @@ def goal_scored(ball: Array) -> Array:
     return jnp.where(inside & (jnp.abs(ball[0]) > GOAL_LINE + BALL_RADIUS), jnp.sign(ball[0]), 0.0)
 
 
-def player(rgba: Colour) -> RobotSpec:
+def soccer_robot(rgba: Colour) -> RobotSpec:
     """Return a P2DX with a cover of that colour, two scanners and what tells it where it is.
 
     The pan-tilt head, the camera and the other sensors are left off. A second caster is at the front; most of
@@ -147,8 +147,8 @@ def player(rgba: Colour) -> RobotSpec:
     rear = replace(next(shape for shape in base.chassis if shape.surface == "caster"), mass=MASSES[1])
     x, y, z = rear.at
     front = replace(rear, at=(-x, y, z - FRONT_CASTER), mass=MASSES[2])
-    lower = Mount(kind="RangeScanner", name="Low", at=_above(base, LOW), options=SCAN)
-    upper = Mount(kind="IRScanner", name="High", at=_above(base, HIGH), options=SCAN)
+    lower = Mount(kind="RangeScanner", name="Low", at=_above(base, LOWER_SCANNER_HEIGHT), options=SCAN)
+    upper = Mount(kind="IRScanner", name="High", at=_above(base, UPPER_SCANNER_HEIGHT), options=SCAN)
     return replace(
         base,
         dimensions=(length, width, COVER[1]),
@@ -156,7 +156,7 @@ def player(rgba: Colour) -> RobotSpec:
         chassis=(cover, rear, front),
         packages=(),
         cameras=(),
-        sensors=(TRUTH, lower, upper),
+        sensors=(GROUND_TRUTH, lower, upper),
     )
 
 

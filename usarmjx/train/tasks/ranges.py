@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.build.body_plan import Bodies
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.suite import suite_of
-from usarmjx.train.envs.task import View
+from usarmjx.train.envs.task import TaskView
 
-MOST = 24
+MAX_READINGS = 24
 """More readings of one sensor than this are seen in sectors."""
-FAR = 5.0
+MAX_RANGE = 5.0
 """What is farther away than this looks alike [m]: a sonar's range."""
 
 
@@ -22,18 +22,18 @@ def first_kind(robot: RobotSpec, kinds: tuple[str, ...]) -> str | None:
     return next((kind for kind in kinds if kind.lower() in there), None)
 
 
-def ranges(view: View, team: int, kinds: tuple[str, ...]) -> jax.Array:
-    """Return what a team's range sensors see (robots, n): 0 touching, 1 free for `FAR` or more.
+def ranges(view: TaskView, group: int, kinds: tuple[str, ...]) -> jax.Array:
+    """Return what a team's range sensors see (robots, n): 0 touching, 1 free for `MAX_RANGE` or more.
 
-    Of the given types the first that the robots have is read. Of more than `MOST` readings the shortest of
+    Of the given types the first that the robots have is read. Of more than `MAX_READINGS` readings the shortest of
     each of equal sectors counts.
     """
-    robots = len(view.scene.teams[team].slots)
-    kind = first_kind(view.scene.teams[team].robot, kinds)
+    robots = len(view.scene.groups[group].slots)
+    kind = first_kind(view.scene.groups[group].robot, kinds)
     if kind is None:
         return jnp.zeros((robots, 0))
-    seen = view.sensor(team, kind).reshape(robots, -1)
-    return jnp.clip(sectors(seen) / FAR, 0.0, 1.0)
+    seen = view.sensor(group, kind).reshape(robots, -1)
+    return jnp.clip(reduce_to_sectors(seen) / MAX_RANGE, 0.0, 1.0)
 
 
 def range_lines(robot: RobotSpec, kinds: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -47,14 +47,14 @@ def range_lines(robot: RobotSpec, kinds: tuple[str, ...]) -> tuple[np.ndarray, n
     if kind is None:
         return np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
     suite = suite_of(robot)
-    sensor, plan = suite.sensors[suite.place(kind)], suite.plan
+    sensor, plan = suite.sensors[suite.index(kind)], suite.plan
     with jax.ensure_compile_time_eval():  # constants, whoever is being traced
-        rest = Bodies(pos=jnp.asarray(plan.rest_pos), mat=jnp.tile(jnp.eye(3), (len(plan.parts), 1, 1)))
+        rest = BodyPoses(pos=jnp.asarray(plan.rest_pos), mat=jnp.tile(jnp.eye(3), (len(plan.parts), 1, 1)))
         pos, mat = map(np.asarray, sensor.mount_poses(rest))
-    along = sensor.lines() @ mat[0].T if isinstance(sensor, RangeScanner) else mat[:, :, 0]
+    along = sensor.directions() @ mat[0].T if isinstance(sensor, RangeScanner) else mat[:, :, 0]
     origin = np.broadcast_to(pos[:, :2] if len(pos) > 1 else pos[:1, :2], (len(along), 2))
     angle = np.arctan2(along[:, 1], along[:, 0])
-    each = -(-len(angle) // MOST)
+    each = -(-len(angle) // MAX_READINGS)
     middles = np.array(
         [len(part) // 2 + part[0] for part in np.split(np.arange(len(angle)), _cuts(angle, each))]
     )
@@ -65,10 +65,10 @@ def _cuts(angle: np.ndarray, each: int) -> list[int]:
     return list(range(each, len(angle), each))
 
 
-def sectors(seen: jax.Array) -> jax.Array:
-    """Return the shortest of each of at most `MOST` equal sectors of readings (..., n)."""
+def reduce_to_sectors(seen: jax.Array) -> jax.Array:
+    """Return the shortest of each of at most `MAX_READINGS` equal sectors of readings (..., n)."""
     n = seen.shape[-1]
-    each = -(-n // MOST)
+    each = -(-n // MAX_READINGS)
     room = -(-n // each) * each - n
     padded = jnp.concatenate([seen, jnp.full((*seen.shape[:-1], room), jnp.inf)], -1)
     return padded.reshape(*seen.shape[:-1], -1, each).min(-1)

@@ -10,26 +10,26 @@ from flax import struct
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import Knowledge
-from usarmjx.train.mapping.wavefront import FAR, distances, frontier, passable
+from usarmjx.train.mapping.knowledge import Belief
+from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.scenes.buildings import Buildings
-from usarmjx.train.scenes.equip import mapper, station
+from usarmjx.train.scenes.equip import base_station, mapping_robot
 from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import WIDE, TeamMemory, base_of, local
+from usarmjx.train.tasks.team_parts import POSITION_SCALE, TeamMemory, base_slot, to_robot_frame
 
-OUTWARD = 3.0
+INWARD_COST = 3.0
 """So many squares of way is a square worth that lies one square farther from the base."""
-SEEN = 10.0
+NON_FRONTIER_COST = 10.0
 """So many squares longer seems the way to a square that is no frontier."""
-LOST = 2.0
+CONTACT_TIMEOUT = 2.0
 """A robot that has had no contact with the base for so long goes home [s]."""
-LOUD = 20.0
+SIGNAL_SCALE = 20.0
 """So far above the cutoff a signal is seen as 1 [dB]."""
 
 
-class Chain(struct.PyTreeNode, kw_only=True):
+class RelayChainState(struct.PyTreeNode, kw_only=True):
     """What the task remembers of the chain.
 
     Attributes:
@@ -53,7 +53,7 @@ class RelayChain(TeamTask):
     Score: 100 times the mean over all steps of the depth of the deepest robot that reaches the base at that
     moment, over any number of links; less `price` for every contact.
 
-    Observation: as `TeamTask`, but that the way leads away from the base, see `decide`; then the way home to
+    Observation: as `TeamTask`, but that the way leads away from the base, see `plan`; then the way home to
     the base (x, y; 1 is 6 m), how long ago it had contact with it (1: 60 s), and the power received from each
     of the others, the base first, above the cutoff (1: 20 dB; -1: that much below, or nothing).
 
@@ -77,60 +77,60 @@ class RelayChain(TeamTask):
     @property
     def robots(self) -> tuple[RobotSpec, ...]:
         """The base, and the team."""
-        return (station(), *(mapper(self.robot),) * self.count)
+        return (base_station(), *(mapping_robot(self.robot),) * self.count)
 
-    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+    def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Look at the radio."""
-        base = base_of(view.scene)
+        base = base_slot(view.scene)
         if view.world.links is None or base is None or self.talk == "none":
-            return mind
-        return knowledge.touch_base(mind, view.links.in_range, base, view.time)
+            return belief
+        return knowledge.update_base_contact(belief, view.links.in_range, base, view.time)
 
-    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+    def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Away from the base, as the crow flies, to frontiers first; home when the contact is lost.
 
         With `talk` at none nobody goes home.
         """
-        grid, base = self.ground(view.scene).grid, base_of(view.scene)
-        squares = mind.squares
-        gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1) / grid.cell
+        grid, base = self.arena_grid(view.scene).grid, base_slot(view.scene)
+        squares = belief.squares
+        gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1) / grid.cell
         away = jax.vmap(lambda known: _outward(known, gap))(squares)
-        home = (view.time - mind.contact > LOST) & (self.talk != "none")
-        doorstep = jnp.where(gap * grid.cell < planning.DOORSTEP, gap, FAR)
+        home = (view.time - belief.base_contact_time > CONTACT_TIMEOUT) & (self.talk != "none")
+        doorstep = jnp.where(gap * grid.cell < planning.HOME_RADIUS, gap, UNREACHABLE)
         wanted = jnp.where(home[:, None, None], doorstep, away)
-        return planning.plan(grid, mind, view.time, self.minds(view.scene), wanted)
+        return planning.plan_paths(grid, belief, view.time, self.planner_settings(view.scene), wanted)
 
-    def start(self, view: View, key: jax.Array) -> TeamMemory:
+    def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Measure how deep the building is."""
         memory = super().start(view, key)
-        grid, base = self.ground(view.scene).grid, base_of(view.scene)
-        here = grid.index(memory.mind.pose[base, :2])
+        grid, base = self.arena_grid(view.scene).grid, base_slot(view.scene)
+        here = grid.index(memory.belief.pose[base, :2])
         inside = memory.reachable.at[here[0], here[1]].set(True)
-        begin = jnp.full(grid.shape, FAR).at[here[0], here[1]].set(0.0)
+        begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
         far = distances(begin, inside)
-        there = memory.reachable & (far < FAR)
+        there = memory.reachable & (far < UNREACHABLE)
         deepest = jnp.where(there, far, 0.0).max()
-        chain = Chain(
+        chain = RelayChainState(
             depth=jnp.where(there, far / jnp.maximum(deepest, 1.0), 0.0),
-            linked=jnp.zeros(view.scene.robots, bool),
+            linked=jnp.zeros(view.scene.num_robots, bool),
         )
         return memory.replace(extra=chain)
 
-    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """How deep the chain reaches."""
-        scene, grid = view.scene, self.ground(view.scene).grid
-        memory, _, begun = self.step_on(view, memory)
+        scene, grid = view.scene, self.arena_grid(view.scene).grid
+        memory, _, begun = self.advance(view, memory)
         chain, agents = memory.extra, self.agents(scene)
-        linked = reachable(view.links.in_range, base_of(scene))
-        depths = jnp.zeros(scene.robots)
-        for team, members in enumerate(scene.teams):
+        linked = reachable(view.links.in_range, base_slot(scene))
+        depths = jnp.zeros(scene.num_robots)
+        for team, members in enumerate(scene.groups):
             there = grid.index(view.robots(team).pos[:, :2])
             depths = depths.at[members.slots].set(chain.depth[there[:, 0], there[:, 1]])
         reach = jnp.where(linked, depths, 0.0).max()
         gain, contacts = 100.0 * reach / self.episode_steps, self.price * begun
         score = memory.score + gain - contacts.sum()
         memory = memory.replace(extra=chain.replace(linked=linked), score=score)
-        return Verdict(
+        return StepResult(
             memory=memory,
             reward=self.per_group(scene, gain / len(agents) - contacts),
             terminated=jnp.zeros((), bool),
@@ -143,18 +143,18 @@ class RelayChain(TeamTask):
             },
         )
 
-    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+    def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact, and the powers."""
-        mind, robots = memory.mind, view.scene.robots
-        home = local(mind.pose, mind.pose[base_of(view.scene), :2]) / WIDE
-        age = jnp.clip((view.time - mind.contact) / 60.0, 0.0, 1.0)[:, None]
-        others = knowledge.others(robots)
+        mind, robots = memory.belief, view.scene.num_robots
+        home = to_robot_frame(mind.pose, mind.pose[base_slot(view.scene), :2]) / POSITION_SCALE
+        age = jnp.clip((view.time - mind.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
+        others = knowledge.other_slots(robots)
         rows = jnp.arange(robots)[:, None]
         cutoff = 0.0 if self.radio is None else self.radio.cutoff
-        margin = jnp.clip((view.links.power[rows, others] - cutoff) / LOUD, -1.0, 1.0)
-        return jnp.concatenate([super().sights(view, memory), home, age, margin], -1)
+        margin = jnp.clip((view.links.power[rows, others] - cutoff) / SIGNAL_SCALE, -1.0, 1.0)
+        return jnp.concatenate([super().observations(view, memory), home, age, margin], -1)
 
-    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and who reaches the base."""
         return jnp.concatenate([super().privileged(view, memory), memory.extra.linked])
 
@@ -168,4 +168,6 @@ def _outward(squares: jax.Array, gap: jax.Array) -> jax.Array:
     """
     open_ = passable(squares)
     outermost = jnp.where(open_, gap, 0.0).max()
-    return jnp.where(open_, OUTWARD * (outermost - gap) + SEEN * ~frontier(squares), FAR)
+    return jnp.where(
+        open_, INWARD_COST * (outermost - gap) + NON_FRONTIER_COST * ~frontier(squares), UNREACHABLE
+    )

@@ -11,39 +11,48 @@ from flax import struct
 
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
+from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Orders
+from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Task, Verdict, View
-from usarmjx.train.tasks.pitch import BLUE, GOAL_LINE, PITCH, REACH, SIDE_BOARD, YELLOW, goal_scored, player
-from usarmjx.train.tasks.ranges import sectors
+from usarmjx.train.envs.task import StepResult, Task, TaskView
+from usarmjx.train.tasks.pitch import (
+    BLUE,
+    GOAL_LINE,
+    SCANNER_RANGE,
+    SIDE_BOARD,
+    SOCCER_FIELD,
+    YELLOW,
+    goal_scored,
+    soccer_robot,
+)
+from usarmjx.train.tasks.ranges import reduce_to_sectors
 from usarmjx.train.tasks.soccer_knowledge import (
     LOWER,
     NUMBERS,
     UPPER,
-    Look,
-    Sight,
-    letters,
-    listen,
-    look,
-    nothing,
+    SoccerBelief,
+    SoccerReadings,
+    compose_messages,
+    initial_belief,
+    update_from_mail,
+    update_from_sensors,
 )
-from usarmjx.train.tasks.soccer_play import play
-from usarmjx.train.tasks.team_parts import local
+from usarmjx.train.tasks.soccer_play import soccer_action
+from usarmjx.train.tasks.team_parts import to_robot_frame
 
-WORDS = MailSettings(numbers=NUMBERS, capacity=2, budget=BYTES_PER_NUMBER * NUMBERS)
+MAIL_SETTINGS = MessageSettings(numbers=NUMBERS, capacity=2, bytes_per_step=BYTES_PER_NUMBER * NUMBERS)
 """Room for one message to the mate with every action."""
 SIDES = np.array([1.0, 1.0, -1.0, -1.0], np.float32)
 """Which goal the robots shoot at, by slot: 1 for the one at +x, the yellow one. Slots 0 and 1 are blue."""
 MATES = np.array([1, 0, 3, 2])
 """Each robot's mate, by slot."""
-PACE = 1.0
+SPEED_SCALE = 1.0
 """What an action of 1 is as a speed of the wheels [m/s]; they could do 1.8."""
-FORGET, SILENT = 3.0, 1.0
+BALL_AGE_SCALE, MATE_AGE_SCALE = 3.0, 1.0
 """Where the ball was, and what the mate wrote, are observed to be that old at most [s]."""
-NEAR = 3.0
+POSITION_SCALE = 3.0
 """Places in a robot's axes are observed as shares of this [m]."""
 GOAL = np.array([GOAL_LINE, 0.0], np.float32)
 """The middle of the goal line at which blue shoots [m]."""
@@ -54,14 +63,14 @@ class SoccerMemory(struct.PyTreeNode, kw_only=True):
     """What the task remembers of an episode.
 
     Attributes:
-        sight: What each robot knows (robots, ...).
-        worth: How good the game stands for blue, see `Soccer` ().
+        belief: What each robot knows (robots, ...).
+        potential: How good the game stands for blue, see `Soccer` ().
         score: Goals of blue less those of yellow ().
         step: Actions so far ().
     """
 
-    sight: Sight
-    worth: jax.Array
+    belief: SoccerBelief
+    potential: jax.Array
     score: jax.Array
     step: jax.Array
 
@@ -104,11 +113,11 @@ class Soccer(Task):
 
     about: ClassVar[str] = "Two robots play soccer against two others."
 
-    arena: Arenas = PITCH
+    arena: Arenas = SOCCER_FIELD
     repeat: int = 5
     episode_steps: int = 400
     radio: RadioSettings | None = field(default_factory=RadioSettings)
-    mail: MailSettings | None = WORDS
+    mail: MessageSettings | None = MAIL_SETTINGS
     opponent: str = "self"
     bonus: float = 5.0
     approach: float = 0.2
@@ -119,7 +128,7 @@ class Soccer(Task):
         if self.opponent not in OPPONENTS:
             raise UsageError(f"opponent {self.opponent}, expected one of {', '.join(OPPONENTS)}")
         other = BLUE if self.opponent == "self" else YELLOW
-        return (player(BLUE),) * 2 + (player(other),) * 2
+        return (soccer_robot(BLUE),) * 2 + (soccer_robot(other),) * 2
 
     def scene(self) -> Scene:
         """Return the scene.
@@ -132,7 +141,7 @@ class Soccer(Task):
             raise UsageError(f"soccer in {scene.arena.name}: expected one loose object, the ball")
         return scene
 
-    def groups(self, scene: Scene) -> tuple[int, ...]:
+    def agent_groups(self, scene: Scene) -> tuple[int, ...]:
         """Both teams, or blue."""
         return (0,)
 
@@ -140,109 +149,111 @@ class Soccer(Task):
         """Left and right."""
         return (2,)
 
-    def act(self, view: View, memory: SoccerMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: SoccerMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Speeds of the wheels, and letters to the mates."""
         told = {0: actions[0]}
         if self.opponent == "baseline":
-            told[1] = jax.vmap(play)(self.seen(view, memory)[2:])
+            told[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
         elif self.opponent == "still":
             told[1] = jnp.zeros((2, 2))
         drive = {}
         for team, speeds in told.items():
-            spins = PACE * speeds / view.scene.teams[team].robot.wheel_radius
+            spins = SPEED_SCALE * speeds / view.scene.groups[team].robot.wheel_radius
             drive[team] = {"Left": spins[:, 0], "Right": spins[:, 1]}
         to = jnp.asarray(np.arange(4) == MATES[:, None])
-        return Orders(drive=drive, letters=None if view.world.mail is None else letters(memory.sight, to))
+        return Actions(
+            drive=drive, messages=None if view.world.mail is None else compose_messages(memory.belief, to)
+        )
 
-    def learn(self, view: View, sight: Sight) -> Sight:
+    def update_belief(self, view: TaskView, belief: SoccerBelief) -> SoccerBelief:
         """Return what the robots know after they looked at their sensors and mail."""
         if view.world.mail is not None:
-            sight = listen(sight, view.mail)
-        teams = range(len(view.scene.teams))
+            belief = update_from_mail(belief, view.mail)
+        teams = range(len(view.scene.groups))
 
         def told(kind: str) -> jax.Array:
             return jnp.concatenate([view.sensor(team, kind) for team in teams])
 
-        fresh = jnp.concatenate([view.fresh(team, LOWER) & view.fresh(team, UPPER) for team in teams])
-        seen = Look(pose=told("GroundTruth"), low=told(LOWER), high=told(UPPER), fresh=fresh)
-        return look(sight, seen, view.time)
+        fresh = jnp.concatenate([view.is_fresh(team, LOWER) & view.is_fresh(team, UPPER) for team in teams])
+        seen = SoccerReadings(pose=told("GroundTruth"), low=told(LOWER), high=told(UPPER), fresh=fresh)
+        return update_from_sensors(belief, seen, view.time)
 
-    def start(self, view: View, key: jax.Array) -> SoccerMemory:
+    def start(self, view: TaskView, key: jax.Array) -> SoccerMemory:
         """Robots know what their first scans show."""
         del key
         return SoccerMemory(
-            sight=self.learn(view, nothing(len(SIDES))),
-            worth=self.worth(view),
+            belief=self.update_belief(view, initial_belief(len(SIDES))),
+            potential=self.potential(view),
             score=jnp.zeros(()),
             step=jnp.zeros((), jnp.int32),
         )
 
-    def observe(self, view: View, memory: SoccerMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: SoccerMemory) -> tuple[jax.Array, ...]:
         """See `Soccer`."""
-        return (self.seen(view, memory)[: len(view.scene.teams[0].slots)],)
+        return (self.observations(view, memory)[: len(view.scene.groups[0].slots)],)
 
-    def seen(self, view: View, memory: SoccerMemory) -> jax.Array:
+    def observations(self, view: TaskView, memory: SoccerMemory) -> jax.Array:
         """Return what each robot sees, agent or not, by slot (robots, n)."""
-        sight, sides = memory.sight, SIDES[:, None]
+        sight, sides = memory.belief, SIDES[:, None]
         goal = jnp.asarray(sides * GOAL)
         pose, robots = sight.pose, len(SIDES)
         heading = sides * jnp.stack([jnp.sin(pose[:, 2]), jnp.cos(pose[:, 2])], -1)
         # A velocity turns as a place does that is seen from the origin.
-        turned = local(pose.at[:, :2].set(0.0), sight.velocity)
-        ball, mate = (view.time - when for when in (sight.seen, sight.heard))
-        known, met = sight.seen >= 0, sight.heard >= 0
+        turned = to_robot_frame(pose.at[:, :2].set(0.0), sight.velocity)
+        ball, mate = (view.time - when for when in (sight.ball_time, sight.mate_time))
+        known, met = sight.ball_time >= 0, sight.mate_time >= 0
         left = jnp.full((robots, 1), 1.0 - memory.step / self.episode_steps)
         rows = [
             sides * pose[:, :2] / np.array([GOAL_LINE, SIDE_BOARD], np.float32),
             heading,
-            local(pose, goal) / NEAR,
-            local(pose, -goal) / NEAR,
-            jnp.where(known[:, None], local(pose, sight.ball) / NEAR, 0.0),
+            to_robot_frame(pose, goal) / POSITION_SCALE,
+            to_robot_frame(pose, -goal) / POSITION_SCALE,
+            jnp.where(known[:, None], to_robot_frame(pose, sight.ball) / POSITION_SCALE, 0.0),
             turned,
-            jnp.minimum(ball / FORGET, 1.0)[:, None],
-            jnp.where(met[:, None], local(pose, sight.mate[:, :2]) / NEAR, 0.0),
-            jnp.minimum(mate / SILENT, 1.0)[:, None],
+            jnp.minimum(ball / BALL_AGE_SCALE, 1.0)[:, None],
+            jnp.where(met[:, None], to_robot_frame(pose, sight.mate_pose[:, :2]) / POSITION_SCALE, 0.0),
+            jnp.minimum(mate / MATE_AGE_SCALE, 1.0)[:, None],
             np.arange(robots)[:, None] % 2.0,
             left,
-            sectors(sight.others) / REACH,
+            reduce_to_sectors(sight.others) / SCANNER_RANGE,
         ]
         return jnp.concatenate(rows, -1)
 
-    def privileged(self, view: View, memory: SoccerMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: SoccerMemory) -> jax.Array:
         """Where the ball and the robots truly are, as shares of the field, and how fast [m/s]; time left."""
-        ball, places = self.truth(view)
+        ball, places = self.true_positions(view)
         size = np.array([GOAL_LINE, SIDE_BOARD], np.float32)
-        speed = jnp.concatenate([view.robots(t).linear[:, :2] for t in range(len(view.scene.teams))])
+        speed = jnp.concatenate([view.robots(t).linear[:, :2] for t in range(len(view.scene.groups))])
         left = 1.0 - memory.step / self.episode_steps
         rolls = view.physics.qvel[view.scene.loose_geoms.root_dof[0, :2]]
         parts = [ball / size, rolls, (places / size).ravel(), speed.ravel(), left[None]]
         return jnp.concatenate(parts)
 
-    def truth(self, view: View) -> tuple[jax.Array, jax.Array]:
+    def true_positions(self, view: TaskView) -> tuple[jax.Array, jax.Array]:
         """Return where the ball (2,) and the robots (robots, 2) truly are [m]."""
-        ball = view.physics.qpos[view.scene.loose_geoms.root_qpos[0, :2]]
-        teams = range(len(view.scene.teams))
+        ball = view.physics.qpos[view.scene.loose_geoms.root_qposadr[0, :2]]
+        teams = range(len(view.scene.groups))
         return ball, jnp.concatenate([view.robots(t).pos[:, :2] for t in teams])
 
-    def worth(self, view: View) -> jax.Array:
+    def potential(self, view: TaskView) -> jax.Array:
         """Return how good the game stands for blue, see `Soccer` [m] ()."""
-        ball, places = self.truth(view)
+        ball, places = self.true_positions(view)
         to_goals = jnp.linalg.norm(ball + GOAL), jnp.linalg.norm(ball - GOAL)
         away = jnp.linalg.norm(places - ball, axis=-1)
         nearest = away[2:].min() - away[:2].min()
         return (to_goals[0] - to_goals[1]) / 2 + self.approach * nearest
 
-    def judge(self, view: View, memory: SoccerMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: SoccerMemory) -> StepResult:
         """Goals, and how the game stands."""
-        ball, _ = self.truth(view)
-        goal, worth = goal_scored(ball), self.worth(view)
-        gain = worth - memory.worth + self.bonus * goal
+        ball, _ = self.true_positions(view)
+        goal, worth = goal_scored(ball), self.potential(view)
+        gain = worth - memory.potential + self.bonus * goal
         score = memory.score + goal
         memory = SoccerMemory(
-            sight=self.learn(view, memory.sight), worth=worth, score=score, step=memory.step + 1
+            belief=self.update_belief(view, memory.belief), potential=worth, score=score, step=memory.step + 1
         )
-        agents = len(view.scene.teams[0].slots)
-        return Verdict(
+        agents = len(view.scene.groups[0].slots)
+        return StepResult(
             memory=memory,
             reward=(gain * SIDES[:agents],),
             terminated=goal != 0,
@@ -250,6 +261,8 @@ class Soccer(Task):
             metrics={
                 "ball": ball[0],
                 "goals": jnp.abs(goal),
-                "known": (view.time - memory.sight.seen < 2 * self.repeat * view.scene.physics.period).mean(),
+                "known": (
+                    view.time - memory.belief.ball_time < 2 * self.repeat * view.scene.physics.period
+                ).mean(),
             },
         )

@@ -8,23 +8,31 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.transforms import Array, mat_from_angles
-from usarmjx.comms.mail import BYTES_PER_NUMBER, Letters, Mail
+from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, OutgoingMessages
 from usarmjx.models.arenas.soccer import BALL_RADIUS
-from usarmjx.train.tasks.pitch import BEAMS, COVER, HIGH, LOW, REACH, beams, depth_inside
+from usarmjx.train.tasks.pitch import (
+    BEAMS,
+    COVER,
+    LOWER_SCANNER_HEIGHT,
+    SCANNER_RANGE,
+    UPPER_SCANNER_HEIGHT,
+    beams,
+    depth_inside,
+)
 
 UPPER, LOWER = "IRScanner", "RangeScanner"
 """Types of the two scanners."""
-STEP = 0.15
+MIN_RANGE_GAP = 0.15
 """So much farther must the upper scanner see than the lower one where a ball is [m]."""
-GROUND = 0.04
+FLOOR_MARGIN = 0.04
 """Hits that are no higher than this may be of the floor [m]."""
-OFF = 0.1
+BOARD_MARGIN = 0.1
 """What is nearer to a board or a goal than this may be one [m]."""
-SMOOTH = 0.4
+VELOCITY_SMOOTHING = 0.4
 """Share of a new velocity of the ball in what is known of it."""
-RECENT = 0.35
+MAX_VELOCITY_GAP = 0.35
 """Velocities are told from two looks that are no farther apart [s]."""
-FASTEST = 2.0
+MAX_BALL_SPEED = 2.0
 """Balls are no faster than this in each direction [m/s]."""
 NEVER = -1e3
 """When what never happened did [s]."""
@@ -32,7 +40,7 @@ NUMBERS = 8
 """Of a message: the sender's x, y, yaw; the ball's x, y and its velocity; when it was seen."""
 
 
-class Sight(struct.PyTreeNode, kw_only=True):
+class SoccerBelief(struct.PyTreeNode, kw_only=True):
     """What each robot knows, in the world's axes; leading axis over robots.
 
     Attributes:
@@ -40,32 +48,32 @@ class Sight(struct.PyTreeNode, kw_only=True):
         others: How far away another robot is along each upper beam, `REACH` for none [m] (robots, beams).
         ball: Where the ball was seen last, by the robot or its mate [m] (robots, 2).
         velocity: How fast it was then [m/s] (robots, 2).
-        seen: When that was [s] (robots,).
-        mate: What its mate said of its own pose (robots, 3).
-        heard: When it said so [s] (robots,).
+        ball_time: When that was [s] (robots,).
+        mate_pose: What its mate said of its own pose (robots, 3).
+        mate_time: When it said so [s] (robots,).
     """
 
     pose: Array
     others: Array
     ball: Array
     velocity: Array
-    seen: Array
-    mate: Array
-    heard: Array
+    ball_time: Array
+    mate_pose: Array
+    mate_time: Array
 
 
-def nothing(robots: int) -> Sight:
+def initial_belief(robots: int) -> SoccerBelief:
     """Return what robots know that have just woken up."""
     none, never = jnp.zeros((robots, 2)), jnp.full(robots, NEVER)
     pose = jnp.zeros((robots, 3))
-    return Sight(
+    return SoccerBelief(
         pose=pose,
-        others=jnp.full((robots, BEAMS), REACH),
+        others=jnp.full((robots, BEAMS), SCANNER_RANGE),
         ball=none,
         velocity=none,
-        seen=never,
-        mate=pose,
-        heard=never,
+        ball_time=never,
+        mate_pose=pose,
+        mate_time=never,
     )
 
 
@@ -83,10 +91,10 @@ def find_ball(pose: Array, low: Array, high: Array) -> tuple[jax.Array, jax.Arra
     """
     along = _directions(pose)
     rise, flat = low * along[:, 2], jnp.linalg.norm(along[:, :2], axis=-1)
-    upper = HIGH + rise
-    level = (LOW + rise > GROUND) & (upper > 2 * BALL_RADIUS) & (upper < COVER[1])
+    upper = UPPER_SCANNER_HEIGHT + rise
+    level = (LOWER_SCANNER_HEIGHT + rise > FLOOR_MARGIN) & (upper > 2 * BALL_RADIUS) & (upper < COVER[1])
     middle = pose[:2] + (low * flat + BALL_RADIUS)[:, None] * along[:, :2] / flat[:, None]
-    met = (high > low + STEP) & level & (depth_inside(middle) > BALL_RADIUS / 2)
+    met = (high > low + MIN_RANGE_GAP) & level & (depth_inside(middle) > BALL_RADIUS / 2)
     nearest = jnp.where(met, low, jnp.inf).min()
     # Beams that pass the ball's middle meet it first; those beside are on both sides.
     mine = met & (low < nearest + BALL_RADIUS)
@@ -102,7 +110,7 @@ def find_others(pose: Array, high: Array) -> jax.Array:
     """
     along = _directions(pose)
     hit = pose[:2] + high[:, None] * along[:, :2]
-    return jnp.where((high < REACH) & (depth_inside(hit) > OFF), high, REACH)
+    return jnp.where((high < SCANNER_RANGE) & (depth_inside(hit) > BOARD_MARGIN), high, SCANNER_RANGE)
 
 
 def _directions(pose: Array) -> jax.Array:
@@ -112,7 +120,7 @@ def _directions(pose: Array) -> jax.Array:
     return lines @ mat_from_angles(pose[3], pose[4], pose[5], jnp).T
 
 
-class Look(NamedTuple):
+class SoccerReadings(NamedTuple):
     """What the robots' sensors tell (robots, ...).
 
     Attributes:
@@ -128,40 +136,40 @@ class Look(NamedTuple):
     fresh: Array
 
 
-def look(sight: Sight, told: Look, time: Array) -> Sight:
+def update_from_sensors(belief: SoccerBelief, told: SoccerReadings, time: Array) -> SoccerBelief:
     """Return what robots know after they looked, at a time [s] ()."""
     ball, there = jax.vmap(find_ball)(told.pose, told.low, told.high)
     others = jax.vmap(find_others)(told.pose, told.high)
     there = there & told.fresh
-    gap = time - sight.seen
-    moved = jnp.clip((ball - sight.ball) / jnp.maximum(gap, 1e-3)[:, None], -FASTEST, FASTEST)
-    moved = (1 - SMOOTH) * sight.velocity + SMOOTH * moved
-    moved = jnp.where((gap < RECENT)[:, None], moved, 0.0)
-    return sight.replace(
+    gap = time - belief.ball_time
+    moved = jnp.clip((ball - belief.ball) / jnp.maximum(gap, 1e-3)[:, None], -MAX_BALL_SPEED, MAX_BALL_SPEED)
+    moved = (1 - VELOCITY_SMOOTHING) * belief.velocity + VELOCITY_SMOOTHING * moved
+    moved = jnp.where((gap < MAX_VELOCITY_GAP)[:, None], moved, 0.0)
+    return belief.replace(
         pose=told.pose[:, (0, 1, 5)],
-        others=jnp.where(told.fresh[:, None], others, sight.others),
-        ball=jnp.where(there[:, None], ball, sight.ball),
-        velocity=jnp.where(there[:, None], moved, sight.velocity),
-        seen=jnp.where(there, time, sight.seen),
+        others=jnp.where(told.fresh[:, None], others, belief.others),
+        ball=jnp.where(there[:, None], ball, belief.ball),
+        velocity=jnp.where(there[:, None], moved, belief.velocity),
+        ball_time=jnp.where(there, time, belief.ball_time),
     )
 
 
-def listen(sight: Sight, mail: Mail) -> Sight:
+def update_from_mail(belief: SoccerBelief, mail: Inboxes) -> SoccerBelief:
     """Return what robots know after they read their mail: whoever saw the ball later is believed."""
-    last, rows = jnp.maximum(mail.count - 1, 0), jnp.arange(len(sight.seen))
+    last, rows = jnp.maximum(mail.count - 1, 0), jnp.arange(len(belief.ball_time))
     told, got = mail.payload[rows, last], mail.count > 0
-    newer = got & (told[:, 7] > sight.seen)
-    return sight.replace(
-        ball=jnp.where(newer[:, None], told[:, 3:5], sight.ball),
-        velocity=jnp.where(newer[:, None], told[:, 5:7], sight.velocity),
-        seen=jnp.where(newer, told[:, 7], sight.seen),
-        mate=jnp.where(got[:, None], told[:, :3], sight.mate),
-        heard=jnp.where(got, mail.time[rows, last], sight.heard),
+    newer = got & (told[:, 7] > belief.ball_time)
+    return belief.replace(
+        ball=jnp.where(newer[:, None], told[:, 3:5], belief.ball),
+        velocity=jnp.where(newer[:, None], told[:, 5:7], belief.velocity),
+        ball_time=jnp.where(newer, told[:, 7], belief.ball_time),
+        mate_pose=jnp.where(got[:, None], told[:, :3], belief.mate_pose),
+        mate_time=jnp.where(got, mail.time[rows, last], belief.mate_time),
     )
 
 
-def letters(sight: Sight, to: Array) -> Letters:
+def compose_messages(belief: SoccerBelief, to: Array) -> OutgoingMessages:
     """Return what robots write to others (robots, robots)."""
-    payload = jnp.concatenate([sight.pose, sight.ball, sight.velocity, sight.seen[:, None]], -1)
+    payload = jnp.concatenate([belief.pose, belief.ball, belief.velocity, belief.ball_time[:, None]], -1)
     length = jnp.full(len(payload), BYTES_PER_NUMBER * NUMBERS, jnp.int32)
-    return Letters(to=to, payload=payload, length=length)
+    return OutgoingMessages(receivers=to, payload=payload, size_bytes=length)

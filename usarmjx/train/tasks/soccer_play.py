@@ -13,93 +13,95 @@ from usarmjx.train.tasks.pitch import (
     CORNER,
     GOAL_LINE,
     LENGTH_WIDTH,
-    REACH,
+    SCANNER_RANGE,
     SIDE_BOARD,
     beams,
     depth_inside,
 )
 
-NEAR = 3.0
+POSITION_SCALE = 3.0
 """What places in a robot's axes are shares of [m], see `soccer.Soccer`."""
 LEAD = (0.2, 1.2)
 """The ball is met where it will be so much later, at least and at most [s]."""
-RUN_UP = BALL_RADIUS + LENGTH_WIDTH[0] / 2 + 0.15
+PUSH_START_DISTANCE = BALL_RADIUS + LENGTH_WIDTH[0] / 2 + 0.15
 """How far behind the ball a push begins, between the middles [m]."""
-AROUND = 0.55
+PASS_DISTANCE = 0.55
 """How far from the ball's middle a robot passes it [m]."""
-TOUCH, CLOSE, NEAR_BALL = BALL_RADIUS + LENGTH_WIDTH[0] / 2, 0.42, 0.8
+TOUCH, CLOSE_DISTANCE, NEAR_BALL = BALL_RADIUS + LENGTH_WIDTH[0] / 2, 0.42, 0.8
 """The ball is touched, close, and in reach for a push, between the middles [m]."""
-ASIDE, LINE_UP, AIM = (0.06, 0.17), 1.0, (0.15, 0.7)
+LINE_TOLERANCES, LINE_UP, AIM = (0.06, 0.17), 1.0, (0.15, 0.7)
 """Off the line of the push by less than the first it pushes, close to the ball by less than the second [m];
 it turns so much to that line [rad/m]; so far off the way of the ball it stands still to turn, close to it by
 the second [rad]."""
 BOARDS = 0.27
 """Robots' middles stay so far from the boards [m]."""
-KEEP = 0.45
+KEEPER_DISTANCE = 0.45
 """How far before the middle of its goal the keeper stands [m]."""
 ACROSS = 0.8
 """Pushes are slow whose way has a larger share than this across the field."""
-THERE, SLOW = 0.12, 0.36
+ARRIVED_DISTANCE, SLOW_DISTANCE = 0.12, 0.36
 """So near is there, and from here on it drives slower [m]."""
 TURN_FIRST = 0.9
 """With the way farther off its nose than this it turns on the spot [rad]."""
-ROOM, AHEAD = 0.33, 0.9
+PASS_MARGIN, PASS_LOOKAHEAD = 0.33, 0.9
 """Ways pass others' sides at so much from the robot's middle, as far as they are so near [m]."""
-BEHIND = 0.24
+PUSH_ROOM = 0.24
 """Room for a robot behind the ball, from its middle [m]."""
-BESIDE, BEFORE = 0.3, 1.2
+BALL_PATH_MARGIN, BALL_PATH_LENGTH = 0.3, 1.2
 """The same for the way of the ball."""
-WAYS = np.array(
+DIRECTIONS = np.array(
     [0.0, 0.25, -0.25, 0.5, -0.5, 0.75, -0.75, 1.0, -1.0, 1.3, -1.3, 1.6, -1.6, 1.9, -1.9, 2.2, -2.2],
     np.float32,
 )
 """Ways that are tried if the straight one is not free, off that one [rad]."""
-JAMMED, BACK, TURNS = 0.33, 0.25, 16.0
+BLOCKED_DISTANCE, BACK_UP_SHARE, TURNS = 0.33, 0.25, 16.0
 """With another robot as near as that [m] it backs up for this share of every sixteenth of the time."""
 FORGOTTEN = 0.99
 """From this age on, as a share, nothing is known."""
 IN_GOAL = np.array([GOAL_LINE + 0.1, 0.0], np.float32)
 OWN_GOAL = np.array([-GOAL_LINE, 0.0], np.float32)
-POST = OWN_GOAL + np.array([KEEP, 0.0], np.float32)
+KEEPER_POSITION = OWN_GOAL + np.array([KEEPER_DISTANCE, 0.0], np.float32)
 FAR_OFF = 99.0
 """Where those are that are not seen [m]."""
-SECTORS = beams().reshape(19, -1).mean(-1)
+SECTOR_ANGLES = beams().reshape(19, -1).mean(-1)
 """Middles of the sectors in which others are seen [rad]."""
-SECTOR_LINES = np.stack([np.cos(SECTORS), np.sin(SECTORS)], -1)
+SECTOR_LINES = np.stack([np.cos(SECTOR_ANGLES), np.sin(SECTOR_ANGLES)], -1)
 
 
-def play(seen: Array) -> jax.Array:
+def soccer_action(seen: Array) -> jax.Array:
     """Return the action (2,) for one robot's observation of `Soccer` (n,)."""
     place, number = seen[:2] * np.array([GOAL_LINE, SIDE_BOARD], np.float32), seen[16]
     sin, cos = seen[2], seen[3]
     turn = jnp.stack([jnp.stack([cos, -sin]), jnp.stack([sin, cos])])
-    near = REACH * seen[18:, None] * SECTOR_LINES
+    near = SCANNER_RANGE * seen[18:, None] * SECTOR_LINES
     others = jnp.where(seen[18:, None] < FORGOTTEN, place + near @ turn.T, FAR_OFF)
-    away = NEAR * seen[8:10]
+    away = POSITION_SCALE * seen[8:10]
     soon = jnp.clip(jnp.linalg.norm(away) - TOUCH, LEAD[0], LEAD[1])
     ball = _inside(place + turn @ (away + soon * seen[10:12]), BALL_RADIUS)
-    mate = place + turn @ (NEAR * seen[13:15])
+    mate = place + turn @ (POSITION_SCALE * seen[13:15])
     known, heard = seen[12] < FORGOTTEN, seen[15] < FORGOTTEN
 
     push = _push(ball, others)
-    behind = ball - RUN_UP * push
+    behind = ball - PUSH_START_DISTANCE * push
     mine, its = jnp.linalg.norm(behind - place), jnp.linalg.norm(behind - mate)
     first = known & (~heard | (mine < its) | ((mine == its) & (number < 0.5)))
     attack, pushes = _shot(turn.T @ push, place - ball, push)
     # Who does not know where the ball is goes to his place, the middle or the own goal, and looks around.
-    post = jnp.where(known, _between(ball), jnp.where(number < 0.5, 0.0 * POST, POST))
+    post = jnp.where(known, _between(ball), jnp.where(number < 0.5, 0.0 * KEEPER_POSITION, KEEPER_POSITION))
     way = jnp.where(first, _round_ball(place, ball, push), post) - place
-    there = ~first & (jnp.linalg.norm(way) < THERE)
+    there = ~first & (jnp.linalg.norm(way) < ARRIVED_DISTANCE)
     looks = jnp.where(known, _turn_to(turn.T @ (ball - place)), jnp.array([-0.4, 0.4]))
     action = jnp.where(there, looks, _go(turn.T @ _round_others(way, others - place)))
-    jammed = (REACH * seen[18:].min() < JAMMED) & (jnp.mod(TURNS * seen[17], 1.0) < BACK)
+    jammed = (SCANNER_RANGE * seen[18:].min() < BLOCKED_DISTANCE) & (
+        jnp.mod(TURNS * seen[17], 1.0) < BACK_UP_SHARE
+    )
     action = jnp.where(jammed & ~there, jnp.array([-0.5, -0.3]), action)
     return jnp.where(first & pushes & ~jammed, attack, action)
 
 
 def _ways(way: Array) -> jax.Array:
     """Return directions about that of a way (2,), the nearest first (ways, 2)."""
-    angle = jnp.arctan2(way[1], way[0]) + WAYS
+    angle = jnp.arctan2(way[1], way[0]) + DIRECTIONS
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
 
 
@@ -112,24 +114,24 @@ def _is_free(ways: Array, others: Array, room: float, far: Array | float) -> jax
 def _round_others(way: Array, others: Array) -> jax.Array:
     """Return a way (2,) turned so far that others (n, 2) are not in it, if there is such a one (2,)."""
     ways, length = _ways(way), jnp.linalg.norm(way)
-    free = _is_free(ways, others, ROOM, jnp.minimum(AHEAD, length))
+    free = _is_free(ways, others, PASS_MARGIN, jnp.minimum(PASS_LOOKAHEAD, length))
     return jnp.where(free.any(), length * ways[jnp.argmax(free)], way)
 
 
 def _push(ball: Array, others: Array) -> jax.Array:
     """Return where to push the ball (2,) (2,): to the goal, past others (n, 2), from where there is room."""
     ways = _ways(IN_GOAL - ball)
-    behind = depth_inside(ball - RUN_UP * ways) > BEHIND
-    free = _is_free(ways, others - ball, BESIDE, BEFORE)
+    behind = depth_inside(ball - PUSH_START_DISTANCE * ways) > PUSH_ROOM
+    free = _is_free(ways, others - ball, BALL_PATH_MARGIN, BALL_PATH_LENGTH)
     return ways[jnp.argmax(2 * behind + free)]
 
 
-def _inside(place: Array, room: float = BOARDS) -> jax.Array:
+def _inside(position: Array, room: float = BOARDS) -> jax.Array:
     """Return the place nearest to another one (2,) at which there is room between the boards (2,)."""
     limit = np.array([GOAL_LINE - room, SIDE_BOARD - room], np.float32)
-    place = jnp.clip(place, -limit, limit)
-    over = jnp.maximum(jnp.abs(place).sum() - (CORNER - np.sqrt(2.0) * room), 0.0)
-    return place - jnp.sign(place) * over / 2
+    position = jnp.clip(position, -limit, limit)
+    over = jnp.maximum(jnp.abs(position).sum() - (CORNER - np.sqrt(2.0) * room), 0.0)
+    return position - jnp.sign(position) * over / 2
 
 
 def _shot(ahead: Array, off: Array, way: Array) -> tuple[jax.Array, jax.Array]:
@@ -144,8 +146,8 @@ def _shot(ahead: Array, off: Array, way: Array) -> tuple[jax.Array, jax.Array]:
     """
     along, aside = off @ way, off[1] * way[0] - off[0] * way[1]
     turn = jnp.arctan2(ahead[1], ahead[0]) - LINE_UP * jnp.clip(aside, -0.2, 0.2)
-    touches = (along > -CLOSE) & (jnp.abs(turn) < AIM[1])
-    room = jnp.where(touches, ASIDE[1], ASIDE[0] + 0.3 * jnp.maximum(-along - TOUCH, 0.0))
+    touches = (along > -CLOSE_DISTANCE) & (jnp.abs(turn) < AIM[1])
+    room = jnp.where(touches, LINE_TOLERANCES[1], LINE_TOLERANCES[0] + 0.3 * jnp.maximum(-along - TOUCH, 0.0))
     ready = (along < -0.2) & (along > -NEAR_BALL) & (jnp.abs(aside) < room)
     # Along the boards beside the goal it goes slowly, or the ball would roll past the goal.
     most = jnp.where(jnp.abs(way[1]) > ACROSS, 0.5, 1.0)
@@ -153,23 +155,23 @@ def _shot(ahead: Array, off: Array, way: Array) -> tuple[jax.Array, jax.Array]:
     return _wheels(most * jnp.clip(1.5 - 1.5 * jnp.abs(turn) / aim, 0.0, 1.0), turn), ready
 
 
-def _round_ball(place: Array, ball: Array, way: Array) -> jax.Array:
+def _round_ball(position: Array, ball: Array, way: Array) -> jax.Array:
     """Return where to drive now to get behind the ball (2,), without touching it (2,)."""
     left = jnp.stack([-way[1], way[0]])
-    along, aside = (place - ball) @ way, (place - ball) @ left
+    along, aside = (position - ball) @ way, (position - ball) @ left
     # It goes round the ball on its own side, unless there is a board.
     side = jnp.where(aside >= 0, 1.0, -1.0)
-    side = jnp.where(depth_inside(ball + side * AROUND * left) > BOARDS - 0.05, side, -side)
-    beside = ball + side * AROUND * left
-    crossing = (jnp.abs(aside) < AROUND - 0.1) | (side * aside < 0)
-    around = jnp.where(crossing, beside + jnp.maximum(along, 0.0) * way, beside - RUN_UP * way)
-    return jnp.where(along < -0.25, ball - RUN_UP * way, _inside(around))
+    side = jnp.where(depth_inside(ball + side * PASS_DISTANCE * left) > BOARDS - 0.05, side, -side)
+    beside = ball + side * PASS_DISTANCE * left
+    crossing = (jnp.abs(aside) < PASS_DISTANCE - 0.1) | (side * aside < 0)
+    around = jnp.where(crossing, beside + jnp.maximum(along, 0.0) * way, beside - PUSH_START_DISTANCE * way)
+    return jnp.where(along < -0.25, ball - PUSH_START_DISTANCE * way, _inside(around))
 
 
 def _between(ball: Array) -> jax.Array:
     """Return where to keep goal (2,): between it and the ball."""
     way = ball - OWN_GOAL
-    return _inside(OWN_GOAL + KEEP * way / jnp.maximum(jnp.linalg.norm(way), 1e-6))
+    return _inside(OWN_GOAL + KEEPER_DISTANCE * way / jnp.maximum(jnp.linalg.norm(way), 1e-6))
 
 
 def _turn_to(ahead: Array) -> jax.Array:
@@ -180,7 +182,7 @@ def _turn_to(ahead: Array) -> jax.Array:
 def _go(ahead: Array) -> jax.Array:
     """Return the action (2,) that drives a robot to a place in its axes (2,)."""
     off = jnp.arctan2(ahead[1], ahead[0])
-    speed = jnp.clip(jnp.linalg.norm(ahead) / SLOW, 0.2, 1.0)
+    speed = jnp.clip(jnp.linalg.norm(ahead) / SLOW_DISTANCE, 0.2, 1.0)
     return _wheels(speed * jnp.clip(1.0 - jnp.abs(off) / TURN_FIRST, 0.0, 1.0), off)
 
 

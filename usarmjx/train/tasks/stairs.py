@@ -15,16 +15,16 @@ from usarmjx.models.robots.kit import ENCODER_AXIS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.recipe import spec_of
-from usarmjx.train.envs.task import Task, Verdict, View, drive_all
-from usarmjx.train.tasks.drive_to_goal import bearing
+from usarmjx.train.envs.task import StepResult, Task, TaskView, drive_all
+from usarmjx.train.tasks.drive_to_goal import goal_observation
 
 WIDTH, PLATFORM = 2.4, 4.0
 """Of the stairs, and how far the platform at their top reaches [m]."""
 DEPTH, STARTS = 0.8, 32
 """How far on the platform the goal is [m]; how many start poses there are."""
-RAISED = 1.2
+MAX_FLIPPER_ANGLE = 1.2
 """Flippers go so far up and down [rad]."""
 TICK = 0.01
 """Of the encoders [rad]."""
@@ -47,12 +47,12 @@ class StairsMemory(struct.PyTreeNode, kw_only=True):
     """What the task remembers of an episode.
 
     Attributes:
-        ground: Height of the origin at the start [m] ().
+        start_height: Height of the origin at the start [m] ().
         distance: From the origin to the goal [m] ().
         best: Largest share of the height that was gained ().
     """
 
-    ground: jax.Array
+    start_height: jax.Array
     distance: jax.Array
     best: jax.Array
 
@@ -64,7 +64,7 @@ class Stairs(Task):
     The stairs begin at x = 0 and lead along x to a platform. The robot starts 0.6 to 1.0 m before them on
     the ground, up to 0.1 m and 0.15 rad askew.
 
-    Observation, all by the INS, encoders and a scanner: the goal in the plane, see `drive_to_goal.bearing`;
+    Observation, all by the INS, encoders and a scanner: the goal in the plane, see `drive_to_goal.goal_observation`;
     how much higher it is (1: 1 m); roll, and how far the nose is up [rad]; how far front and rear flippers
     are up (1: 1.2 rad; not of robots without them); 8 ranges of a fan from 40 degrees down to 40 up (1: 2 m).
 
@@ -178,58 +178,60 @@ class Stairs(Task):
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Tracks and flippers."""
-        return (4 if self._flippers(scene.teams[0].robot) else 2,)
+        return (4 if self._flippers(scene.groups[0].robot) else 2,)
 
-    def act(self, view: View, memory: StairsMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: StairsMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Tracks and flippers: up is a negative angle in front, a positive one behind (manual 12.23)."""
-        robot, told = view.scene.teams[0].robot, actions[0]
+        robot, told = view.scene.groups[0].robot, actions[0]
         drive = {0: drive_all(robot, told[:, :2])}
         if not self._flippers(robot):
-            return Orders(drive=drive)
-        front, rear = -RAISED * told[:, 2], RAISED * told[:, 3]
+            return Actions(drive=drive)
+        front, rear = -MAX_FLIPPER_ANGLE * told[:, 2], MAX_FLIPPER_ANGLE * told[:, 3]
         targets = {**dict.fromkeys(FRONT, front), **dict.fromkeys(REAR, rear)}
-        return Orders(drive=drive, moves=(Move(team=0, targets=targets),))
+        return Actions(drive=drive, joint_actions=(JointAction(group=0, targets=targets),))
 
-    def start(self, view: View, key: jax.Array) -> StairsMemory:
+    def start(self, view: TaskView, key: jax.Array) -> StairsMemory:
         """Nothing is gained."""
         del key
         pos = view.robots(0).pos[0]
-        return StairsMemory(ground=pos[2], distance=self._distance(pos, pos[2]), best=jnp.zeros(()))
+        return StairsMemory(start_height=pos[2], distance=self._distance(pos, pos[2]), best=jnp.zeros(()))
 
     def _distance(self, pos: jax.Array, ground: jax.Array) -> jax.Array:
         return jnp.linalg.norm(self.goal + ground * np.array([0, 0, 1], np.float32) - pos)
 
-    def observe(self, view: View, memory: StairsMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: StairsMemory) -> tuple[jax.Array, ...]:
         """Goal, attitude, flippers and ranges."""
         pose = view.sensor(0, "INS")[0]
         # The INS is told where it starts: it knows the height of the ground there.
-        rise = self.height + memory.ground - pose[2]
-        seen = [bearing(pose, jnp.asarray(self.goal[:2])), jnp.stack([rise, pose[3], -pose[4]])]
-        if self._flippers(view.scene.teams[0].robot):
+        rise = self.height + memory.start_height - pose[2]
+        seen = [goal_observation(pose, jnp.asarray(self.goal[:2])), jnp.stack([rise, pose[3], -pose[4]])]
+        if self._flippers(view.scene.groups[0].robot):
             # Encoders that look to the left: their sign is the other one.
-            seen.append(view.sensor(0, "Encoder")[0] * TICK / RAISED * np.array([1.0, -1.0], np.float32))
+            seen.append(
+                view.sensor(0, "Encoder")[0] * TICK / MAX_FLIPPER_ANGLE * np.array([1.0, -1.0], np.float32)
+            )
         seen.append(jnp.clip(view.sensor(0, "RangeScanner")[0] / REACH, 0.0, 1.0))
         return (jnp.concatenate(seen)[None],)
 
-    def privileged(self, view: View, memory: StairsMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: StairsMemory) -> jax.Array:
         """The way to the goal [m] (3,), the up axis (3,) and the velocity [m/s] (3,)."""
         robot = view.robots(0)
-        way = self.goal + memory.ground * np.array([0, 0, 1], np.float32) - robot.pos[0]
+        way = self.goal + memory.start_height * np.array([0, 0, 1], np.float32) - robot.pos[0]
         return jnp.concatenate([way, mat_from_quat(robot.quat[0])[:, 2], robot.linear[0]])
 
-    def judge(self, view: View, memory: StairsMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: StairsMemory) -> StepResult:
         """Height, arrival and falls."""
         robot = view.robots(0)
         pos, up = robot.pos[0], mat_from_quat(robot.quat[0])[2, 2]
-        gained = pos[2] - memory.ground
-        distance = self._distance(pos, memory.ground)
+        gained = pos[2] - memory.start_height
+        distance = self._distance(pos, memory.start_height)
         level = jnp.abs(gained - self.height) < 0.05
         there = level & (up > 0.95) & (pos[0] > self.edge + 0.4)
         fallen = up < 0.3
         best = jnp.maximum(memory.best, jnp.clip(gained / self.height, 0.0, 1.0))
         best = jnp.where(there, 1.0, best)
         reward = memory.distance - distance + self.bonus * there - self.haste - self.price * fallen
-        return Verdict(
+        return StepResult(
             memory=memory.replace(distance=distance, best=best),
             reward=(reward[None],),
             terminated=there | fallen,

@@ -8,35 +8,35 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.mail import BYTES_PER_NUMBER, MailSettings
-from usarmjx.sim.scene import Scene, Team
-from usarmjx.train.envs.actions import Orders
+from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
+from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Task, View
+from usarmjx.train.envs.task import Task, TaskView
 from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import HEADER, Knowledge, ignorance
-from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, around
-from usarmjx.train.mapping.planning import Minds
-from usarmjx.train.scenes.buildings import Buildings, Ground, ground_of, reachable_of
+from usarmjx.train.mapping.knowledge import HEADER_SIZE, Belief, initial_belief
+from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, egocentric_map
+from usarmjx.train.mapping.planning import PlannerSettings
+from usarmjx.train.scenes.buildings import ArenaGrid, Buildings, arena_grid_of, reachable_of
 from usarmjx.train.scenes.clearance import clearance
 from usarmjx.train.scenes.equip import flies, pose_sensor
 from usarmjx.train.tasks.team_parts import (
-    LONG,
-    NEAR,
+    LOCAL_MAP_WIDTH,
+    PATH_SCALE,
+    POSITION_SCALE,
+    PROGRESS_SCALE,
     SPACING,
-    STILL,
-    WALLED,
-    WIDE,
-    WIDTH,
+    WALLED_RADIO,
+    WAYPOINT_SCALE,
     TeamMemory,
-    base_of,
+    base_slot,
     coverage,
     has_scanner,
-    local,
-    mates_seen,
-    newly_seen,
+    mate_observations,
+    newly_explored,
     scan_of,
-    true_places,
+    to_robot_frame,
+    true_pose_features,
     unlinked,
 )
 
@@ -52,7 +52,7 @@ class TeamTask(Task):
     The messages are mail and go over links that hold; from robot to robot news travels by one link a step.
 
     Observation, in the robot's axes (x ahead, y to the left):
-    - the way to the nearest frontier of its map, see `planning.plan`: the next place on it (x, y; 1 is
+    - the way to the nearest frontier of its map, see `planning.plan_paths`: the next place on it (x, y; 1 is
       1.2 m), where it leads (x, y; 1 is 6 m), its length (1: 60 squares or none), how far the robot has come
       lately (1: 0.5 m);
     - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
@@ -78,7 +78,7 @@ class TeamTask(Task):
     arena: Arenas = field(default_factory=Buildings)
     repeat: int = 10
     episode_steps: int = 500
-    radio: RadioSettings | None = WALLED
+    radio: RadioSettings | None = WALLED_RADIO
     shuffle: bool = False
     cell: float = 0.3
     passing: str = "P2AT"
@@ -91,132 +91,142 @@ class TeamTask(Task):
         scene = super().scene()
         if self.mail is not None or self.radio is None:
             return scene
-        others, numbers = max(scene.robots - 1, 1), HEADER + self.ground(scene).grid.numbers
-        mail = MailSettings(numbers=numbers, capacity=others, budget=BYTES_PER_NUMBER * numbers * others)
+        others, numbers = max(scene.num_robots - 1, 1), HEADER_SIZE + self.arena_grid(scene).grid.packed_size
+        mail = MessageSettings(
+            numbers=numbers, capacity=others, bytes_per_step=BYTES_PER_NUMBER * numbers * others
+        )
         return replace(scene, mail=mail)
 
-    def ground(self, scene: Scene) -> Ground:
+    def arena_grid(self, scene: Scene) -> ArenaGrid:
         """Return the squares of the scene's arenas."""
-        return ground_of(scene.arenas or scene.arena, self.cell, self.passing)
+        return arena_grid_of(scene.arenas or scene.arena, self.cell, self.passing)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Speed and turn."""
-        return (2,) * len(self.groups(scene))
+        return (2,) * len(self.agent_groups(scene))
 
     def agents(self, scene: Scene) -> np.ndarray:
         """Return the slots of the robots that are agents, group by group."""
-        return np.concatenate([scene.teams[team].slots for team in self.groups(scene)])
+        return np.concatenate([scene.groups[team].slots for team in self.agent_groups(scene)])
 
     def per_group(self, scene: Scene, values: jax.Array) -> tuple[jax.Array, ...]:
         """Return values of all slots (robots, ...) per group."""
-        return tuple(values[scene.teams[team].slots] for team in self.groups(scene))
+        return tuple(values[scene.groups[team].slots] for team in self.agent_groups(scene))
 
     # What the robots learn.
 
-    def poses(self, view: View) -> jax.Array:
+    def poses(self, view: TaskView) -> jax.Array:
         """Return where the robots believe to be: x, y [m], yaw [rad], by slot (robots, 3)."""
-        told = jnp.zeros((view.scene.robots, 3))
-        for team, members in enumerate(view.scene.teams):
+        told = jnp.zeros((view.scene.num_robots, 3))
+        for team, members in enumerate(view.scene.groups):
             pose = view.sensor(team, pose_sensor(members.robot))
             told = told.at[members.slots].set(pose[:, (0, 1, 5)])
         return told
 
-    def learn(self, view: View, mind: Knowledge) -> Knowledge:
+    def update_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return what the robots know after they looked at their sensors and mail, and thought."""
-        grid = self.ground(view.scene).grid
-        mind = knowledge.moved(grid, mind, self.poses(view))
+        grid = self.arena_grid(view.scene).grid
+        belief = knowledge.update_pose(grid, belief, self.poses(view))
         if view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
-            mind = knowledge.listen(grid, mind, view.mail, period)
-        for team, members in enumerate(view.scene.teams):
+            belief = knowledge.update_from_mail(grid, belief, view.mail, period)
+        for team, members in enumerate(view.scene.groups):
             if has_scanner(members):
-                mind = knowledge.see(grid, mind, scan_of(view, team, mind.pose[members.slots]), view.time)
-        mind = self.notice(view, mind)
-        return self.decide(view, mind)
+                belief = knowledge.update_from_scan(
+                    grid, belief, scan_of(view, team, belief.pose[members.slots]), view.time
+                )
+        belief = self.update_task_belief(view, belief)
+        return self.plan(view, belief)
 
-    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+    def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return what the robots know after they looked for what the task is about; by default nothing."""
         del view
-        return mind
+        return belief
 
-    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+    def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Return what the robots know after they thought about where to go: to a frontier."""
-        return planning.plan(self.ground(view.scene).grid, mind, view.time, self.minds(view.scene))
+        return planning.plan_paths(
+            self.arena_grid(view.scene).grid, belief, view.time, self.planner_settings(view.scene)
+        )
 
-    def minds(self, scene: Scene) -> Minds:
+    def planner_settings(self, scene: Scene) -> PlannerSettings:
         """Return how the robots think; nobody minds what does not move."""
-        flyers, agents = np.zeros(scene.robots, bool), np.zeros(scene.robots, bool)
-        for team in scene.teams:
+        flyers, agents = np.zeros(scene.num_robots, bool), np.zeros(scene.num_robots, bool)
+        for team in scene.groups:
             flyers[team.slots] = flies(team.robot)
         agents[self.agents(scene)] = True
-        peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.robots, dtype=bool)
-        return Minds(peers=peers, flyers=flyers)
+        peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.num_robots, dtype=bool)
+        return PlannerSettings(peers=peers, flyers=flyers)
 
     def recipients(self, scene: Scene) -> np.ndarray:
         """Return who writes to whom (robots, robots)."""
-        to = ~np.eye(scene.robots, dtype=bool)
+        to = ~np.eye(scene.num_robots, dtype=bool)
         if self.talk == "all":
             return to
-        base = base_of(scene)
+        base = base_slot(scene)
         if self.talk == "none" or base is None:
             return np.zeros_like(to)
-        return to & (np.arange(scene.robots) == base)
+        return to & (np.arange(scene.num_robots) == base)
 
-    def act(self, view: View, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Return what the robots are told."""
-        groups = zip(self.groups(view.scene), actions, strict=True)
-        drive = {team: self.steer(view, memory, view.scene.teams[team], told) for team, told in groups}
+        groups = zip(self.agent_groups(view.scene), actions, strict=True)
+        drive = {
+            team: self.drive_values(view, memory, view.scene.groups[team], told) for team, told in groups
+        }
         to = jnp.asarray(self.recipients(view.scene))
-        flyers = self.minds(view.scene).flyers
-        letters = None if view.world.mail is None else knowledge.letters(memory.mind, to, flyers)
-        return Orders(drive=drive, letters=letters)
+        flyers = self.planner_settings(view.scene).flyers
+        letters = None if view.world.mail is None else knowledge.compose_messages(memory.belief, to, flyers)
+        return Actions(drive=drive, messages=letters)
 
-    def steer(self, view: View, memory: TeamMemory, team: Team, told: jax.Array) -> dict[str, jax.Array]:
+    def drive_values(
+        self, view: TaskView, memory: TeamMemory, group: RobotGroup, told: jax.Array
+    ) -> dict[str, jax.Array]:
         """Return numbers for the keys of DRIVE of a team's robots from their actions (robots, 2)."""
         del view, memory
-        full = team.robot.drive.full
+        full = group.robot.drive.full_scale
         sides = {"Left": told[:, 0] - told[:, 1], "Right": told[:, 0] + told[:, 1]}
         return {key: jnp.clip(value, -1.0, 1.0) * full[key] for key, value in sides.items()}
 
     # What is judged.
 
-    def start(self, view: View, key: jax.Array) -> TeamMemory:
+    def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is known but what the first scans show."""
         del key
-        ground = self.ground(view.scene)
+        ground = self.arena_grid(view.scene)
         zero = jnp.zeros(())
         memory = TeamMemory(
-            mind=self.learn(view, ignorance(ground.grid, self.poses(view))),
+            belief=self.update_belief(view, initial_belief(ground.grid, self.poses(view))),
             step=jnp.zeros((), jnp.int32),
             reachable=reachable_of(view, ground),
             explored=jnp.zeros(ground.grid.shape, bool),
-            touching=jnp.zeros(view.scene.robots, bool),
+            touching=jnp.zeros(view.scene.num_robots, bool),
             contacts=zero,
             unlinked=zero,
             score=zero,
         )
-        shown, _ = newly_seen(view, memory, ground.grid)
+        shown, _ = newly_explored(view, memory, ground.grid)
         return memory.replace(explored=shown)
 
-    def touched(self, view: View) -> jax.Array:
+    def touched(self, view: TaskView) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
-        near = jnp.full(view.scene.robots, jnp.inf, jnp.float32)
-        for members, gap in zip(view.scene.teams, clearance(view), strict=True):
+        near = jnp.full(view.scene.num_robots, jnp.inf, jnp.float32)
+        for members, gap in zip(view.scene.groups, clearance(view), strict=True):
             near = near.at[members.slots].set(gap)
         return near <= self.touch
 
-    def step_on(self, view: View, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:
+    def advance(self, view: TaskView, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:
         """Return the memory with all but score and extra brought up to date.
 
         Returns:
             The memory, whose part of what was explored is whose (robots,), and who began to touch something
             (robots,).
         """
-        explored, credit = newly_seen(view, memory, self.ground(view.scene).grid)
+        explored, credit = newly_explored(view, memory, self.arena_grid(view.scene).grid)
         touching = self.touched(view)
         begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
         memory = memory.replace(
-            mind=self.learn(view, memory.mind),
+            belief=self.update_belief(view, memory.belief),
             step=memory.step + 1,
             explored=explored,
             touching=touching,
@@ -236,34 +246,34 @@ class TeamTask(Task):
 
     # What the robots see.
 
-    def observe(self, view: View, memory: TeamMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: TeamMemory) -> tuple[jax.Array, ...]:
         """See `TeamTask`."""
-        return self.per_group(view.scene, self.sights(view, memory))
+        return self.per_group(view.scene, self.observations(view, memory))
 
-    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+    def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return what each robot sees, by slot (robots, n)."""
-        mind, robots = memory.mind, view.scene.robots
-        grid = self.ground(view.scene).grid
+        mind, robots = memory.belief, view.scene.num_robots
+        grid = self.arena_grid(view.scene).grid
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
         number = jnp.arange(robots) / robots
-        moved = jnp.linalg.norm(mind.pose[:, :2] - mind.trail, axis=-1)
+        moved = jnp.linalg.norm(mind.pose[:, :2] - mind.lagged_position, axis=-1)
         rows = [
-            local(mind.pose, mind.next) / NEAR,
-            local(mind.pose, mind.goal) / WIDE,
-            jnp.minimum(mind.far / LONG, 1.0)[:, None],
-            jnp.minimum(moved / STILL, 1.0)[:, None],
-            jnp.minimum(mind.clear / knowledge.RANGE, 1.0),
+            to_robot_frame(mind.pose, mind.waypoint) / WAYPOINT_SCALE,
+            to_robot_frame(mind.pose, mind.goal) / POSITION_SCALE,
+            jnp.minimum(mind.path_length / PATH_SCALE, 1.0)[:, None],
+            jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
+            jnp.minimum(mind.sector_ranges / knowledge.SCANNER_RANGE, 1.0),
             jnp.stack([left, number], -1),
-            mates_seen(view, mind),
+            mate_observations(view, mind),
         ]
-        flyers = self.minds(view.scene).flyers[:, None, None]
+        flyers = self.planner_settings(view.scene).flyers[:, None, None]
         swept = jnp.where(mind.squares == MARK, MARK, jnp.where(mind.evidence < 0, FREE, UNKNOWN))
         squares = jnp.where(flyers, swept, mind.squares)
-        near = jax.vmap(lambda m, p: around(grid, m, p, WIDTH, SPACING))(squares, mind.pose)
+        near = jax.vmap(lambda m, p: egocentric_map(grid, m, p, LOCAL_MAP_WIDTH, SPACING))(squares, mind.pose)
         near = near.reshape(robots, -1)
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 
-    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Share explored, time, score, true poses (x, y as shares of the arena, cosine and sine of yaw)."""
         facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
-        return jnp.concatenate([jnp.stack(facts), true_places(view)])
+        return jnp.concatenate([jnp.stack(facts), true_pose_features(view)])

@@ -11,38 +11,38 @@ from flax import struct
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sim.scene import Scene, Team
-from usarmjx.train.envs.actions import Move, Orders
+from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Verdict, View
+from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import Knowledge
+from usarmjx.train.mapping.knowledge import Belief
 from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
-from usarmjx.train.mapping.wavefront import FAR
+from usarmjx.train.mapping.wavefront import UNREACHABLE
 from usarmjx.train.scenes.buildings import Buildings
-from usarmjx.train.scenes.equip import flies, pose_sensor, seeker, station
+from usarmjx.train.scenes.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import STATION, WIDE, TeamMemory, base_of, local
+from usarmjx.train.tasks.team_parts import BASE_STATION, POSITION_SCALE, TeamMemory, base_slot, to_robot_frame
 
 FLIPPERS = {"FRFlipper": -1.3, "FLFlipper": -1.3, "RRFlipper": 1.3, "RLFlipper": 1.3}
 """Flippers folded up [rad]: negative in front and positive behind is up."""
-HEIGHT, STOREY = 2.0, 0.5
+HEIGHT, FLIGHT_SPACING = 2.0, 0.5
 """Flying robots fly so high, the second one that much higher, and so on [m]."""
-LOW = 0.4
+MAX_HEIGHT_ERROR = 0.4
 """A robot that is that much too low does not fly on [m]."""
-CLIMB, FLY, SPIN = 1.0, 1.2, 1.0
+CLIMB_GAIN, FLIGHT_SPEED, TURN_RATE = 1.0, 1.2, 1.0
 """Of flying robots: upward speed over error of height [1/s], forward speed [m/s], turning rate [rad/s]."""
-SWEPT = 1.0
+SWEEP_RADIUS = 1.0
 """What a flying robot has looked at: so far around it [m]."""
-HASTE = 0.3
+RETURN_SPEED = 0.3
 """A robot that has to be home in time reckons with this speed, as the crow flies [m/s]."""
-SPARE = 5.0
+RETURN_MARGIN = 5.0
 """... and with so much time to spare [s]."""
-AWAY = 10.0
+RECENT_CONTACT = 10.0
 """A robot that has had contact for as recent as this need not come home when the time runs out [s]."""
 
 
-class Found(struct.PyTreeNode, kw_only=True):
+class VictimSearchState(struct.PyTreeNode, kw_only=True):
     """What the task remembers of victims.
 
     Attributes:
@@ -112,97 +112,108 @@ class VictimSearch(TeamTask):
     @property
     def robots(self) -> tuple[RobotSpec, ...]:
         """The base, and the team."""
-        return (station(), *(seeker(name) for name in (*self.wheeled, *self.tracked, *self.flying)))
+        return (
+            base_station(),
+            *(victim_search_robot(name) for name in (*self.wheeled, *self.tracked, *self.flying)),
+        )
 
     # What the robots learn.
 
-    def notice(self, view: View, mind: Knowledge) -> Knowledge:
+    def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Mark what victim sensors met, sweep what robots looked at from above, and look at the radio."""
-        grid, scene = self.ground(view.scene).grid, view.scene
-        before = (mind.squares == MARK).sum((1, 2))
-        for team, members in enumerate(scene.teams):
-            if members.robot.name == STATION:
+        grid, scene = self.arena_grid(view.scene).grid, view.scene
+        before = (belief.squares == MARK).sum((1, 2))
+        for team, members in enumerate(scene.groups):
+            if members.robot.name == BASE_STATION:
                 continue
-            marked = jax.vmap(lambda pose, met: marks_of(grid, pose, met))(
-                mind.pose[members.slots], met_places(view, team)
+            marked = jax.vmap(lambda pose, met: mark_squares(grid, pose, met))(
+                belief.pose[members.slots], detected_positions(view, team)
             )
-            marked &= view.fresh(team, "VictSensor")[:, None, None]
-            mind = mind.replace(marked=mind.marked.at[members.slots].max(marked))
-        gap = jnp.linalg.norm(grid.middles - mind.pose[:, None, None, :2], axis=-1)
-        swept = self.minds(scene).flyers[:, None, None] & (gap < SWEPT)
-        mind = mind.replace(evidence=jnp.where(swept, -1, mind.evidence).astype(jnp.int8))
+            marked &= view.is_fresh(team, "VictSensor")[:, None, None]
+            belief = belief.replace(marks=belief.marks.at[members.slots].max(marked))
+        gap = jnp.linalg.norm(grid.centres - belief.pose[:, None, None, :2], axis=-1)
+        swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
+        belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
         if view.world.links is not None and self.talk != "none":
-            mind = knowledge.touch_base(mind, view.links.in_range, self.base(scene), view.time)
-        more = (mind.squares == MARK).sum((1, 2)) > before
-        return mind.replace(news=jnp.where(more, view.time, mind.news))
+            belief = knowledge.update_base_contact(
+                belief, view.links.in_range, self.base_slot(scene), view.time
+            )
+        more = (belief.squares == MARK).sum((1, 2)) > before
+        return belief.replace(mark_time=jnp.where(more, view.time, belief.mark_time))
 
-    def base(self, scene: Scene) -> int:
+    def base_slot(self, scene: Scene) -> int:
         """Return the slot of the base."""
-        base = base_of(scene)
+        base = base_slot(scene)
         assert base is not None  # it is the first of the robots
         return base
 
-    def decide(self, view: View, mind: Knowledge) -> Knowledge:
+    def plan(self, view: TaskView, belief: Belief) -> Belief:
         """To a frontier, or home with news or when the time runs out.
 
         With `talk` at none nobody goes home: there is nothing to tell.
         """
-        grid, scene = self.ground(view.scene).grid, view.scene
-        base = self.base(scene)
-        to_base = jnp.linalg.norm(mind.pose[:, :2] - mind.pose[base, :2], axis=-1)
+        grid, scene = self.arena_grid(view.scene).grid, view.scene
+        base = self.base_slot(scene)
+        to_base = jnp.linalg.norm(belief.pose[:, :2] - belief.pose[base, :2], axis=-1)
         left = self.episode_steps * self.repeat * scene.physics.period - view.time
-        late = (left < to_base / HASTE + SPARE) & (view.time - mind.contact > AWAY)
-        home = ((mind.news > mind.contact) | late) & (self.talk != "none")
-        gap = jnp.linalg.norm(grid.middles - mind.pose[base, :2], axis=-1)
-        doorstep = jnp.where(gap < planning.DOORSTEP, gap, FAR)
+        late = (left < to_base / RETURN_SPEED + RETURN_MARGIN) & (
+            view.time - belief.base_contact_time > RECENT_CONTACT
+        )
+        home = ((belief.mark_time > belief.base_contact_time) | late) & (self.talk != "none")
+        gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1)
+        doorstep = jnp.where(gap < planning.HOME_RADIUS, gap, UNREACHABLE)
         wanted = jnp.where(home[:, None, None], doorstep, jnp.nan)
-        return planning.plan(grid, mind, view.time, self.minds(scene), wanted)
+        return planning.plan_paths(grid, belief, view.time, self.planner_settings(scene), wanted)
 
     # What they are told.
 
-    def act(self, view: View, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Orders:
+    def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """As `TeamTask`; flippers are held up."""
         orders = super().act(view, memory, actions)
-        folded = [t for t, team in enumerate(view.scene.teams) if "FRFlipper" in team.plan.parts]
+        folded = [t for t, team in enumerate(view.scene.groups) if "FRFlipper" in team.plan.parts]
         targets = {key: jnp.float32(angle) for key, angle in FLIPPERS.items()}
-        return replace(orders, moves=tuple(Move(team=team, targets=targets) for team in folded))
+        return replace(
+            orders, joint_actions=tuple(JointAction(group=team, targets=targets) for team in folded)
+        )
 
-    def steer(self, view: View, memory: TeamMemory, team: Team, told: jax.Array) -> dict[str, jax.Array]:
+    def drive_values(
+        self, view: TaskView, memory: TeamMemory, group: RobotGroup, told: jax.Array
+    ) -> dict[str, jax.Array]:
         """As `TeamTask`; robots that fly climb to their height by their INS."""
-        if not flies(team.robot):
-            return super().steer(view, memory, team, told)
-        number = next(t for t, other in enumerate(view.scene.teams) if other is team)
-        height = HEIGHT + STOREY * np.arange(len(team.slots)) + view.scene.arena.floor
-        error = height - view.sensor(number, pose_sensor(team.robot))[:, 2]
-        low = error > LOW  # not yet above the walls
+        if not flies(group.robot):
+            return super().drive_values(view, memory, group, told)
+        number = next(t for t, other in enumerate(view.scene.groups) if other is group)
+        height = HEIGHT + FLIGHT_SPACING * np.arange(len(group.slots)) + view.scene.arena.floor
+        error = height - view.sensor(number, pose_sensor(group.robot))[:, 2]
+        low = error > MAX_HEIGHT_ERROR  # not yet above the walls
         return {
-            "AltitudeVelocity": jnp.clip(CLIMB * error, -1.0, 1.0),
-            "LinearVelocity": jnp.where(low, 0.0, FLY * told[:, 0]),
+            "AltitudeVelocity": jnp.clip(CLIMB_GAIN * error, -1.0, 1.0),
+            "LinearVelocity": jnp.where(low, 0.0, FLIGHT_SPEED * told[:, 0]),
             "LateralVelocity": jnp.zeros(len(told)),
-            "RotationalVelocity": jnp.where(low, 0.0, -SPIN * told[:, 1]),
+            "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * told[:, 1]),
         }
 
     # What is judged.
 
-    def start(self, view: View, key: jax.Array) -> TeamMemory:
+    def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is reported."""
         memory = super().start(view, key)
-        found = Found(
+        found = VictimSearchState(
             reported=jnp.zeros(view.victims.at.shape[0], bool),
             wrong=jnp.zeros(()),
             mapped=jnp.zeros_like(memory.reachable),
             connected=jnp.zeros(()),
-            linked=jnp.zeros(view.scene.robots, bool),
+            linked=jnp.zeros(view.scene.num_robots, bool),
         )
         return memory.replace(extra=found)
 
-    def judge(self, view: View, memory: TeamMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """What the base knows, who reaches it, who touched something."""
         before, steps, scene = memory.extra, self.episode_steps, view.scene
         left = (steps - memory.step) / steps  # this step's number is one more
-        memory, credit, begun = self.step_on(view, memory)
+        memory, credit, begun = self.advance(view, memory)
         found = self._found(view, memory)
-        people = jnp.asarray(view.victims.at)[:, 0] < ELSEWHERE
+        people = jnp.asarray(view.victims.at)[:, 0] < ABSENT_VICTIM_DISTANCE
         share = (found.reported & people).sum() - (before.reported & people).sum()
         share = share / jnp.maximum(people.sum(), 1)
         squares = jnp.maximum(memory.reachable.sum(), 1)
@@ -213,7 +224,7 @@ class VictimSearch(TeamTask):
         shared, contacts = gain / len(self.agents(scene)), self.price * begun
         reward = shared + self.hint * 100.0 * credit - contacts
         memory = memory.replace(extra=found, score=memory.score + gain - contacts.sum())
-        return Verdict(
+        return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
             terminated=jnp.zeros((), bool),
@@ -227,17 +238,17 @@ class VictimSearch(TeamTask):
             },
         )
 
-    def _found(self, view: View, memory: TeamMemory) -> Found:
+    def _found(self, view: TaskView, memory: TeamMemory) -> VictimSearchState:
         """Return what the base knows now."""
-        before, scene, grid = memory.extra, view.scene, self.ground(view.scene).grid
-        base, agents = self.base(scene), self.agents(scene)
-        squares = memory.mind.squares[base]
+        before, scene, grid = memory.extra, view.scene, self.arena_grid(view.scene).grid
+        base, agents = self.base_slot(scene), self.agents(scene)
+        squares = memory.belief.squares[base]
         marked = squares == MARK
-        gap = jnp.linalg.norm(grid.middles[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
+        gap = jnp.linalg.norm(grid.centres[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
         right = gap <= self.near
         # Nobody takes marks away, so those that are wrong stay so.
         linked = reachable(view.links.in_range, base) if self.radio is not None else before.linked
-        return Found(
+        return VictimSearchState(
             reported=before.reported | (right & marked[:, :, None]).any((0, 1)),
             wrong=(marked & ~right.any(-1)).sum().astype(jnp.float32),
             mapped=before.mapped | (memory.reachable & (squares == FREE)),
@@ -247,42 +258,42 @@ class VictimSearch(TeamTask):
 
     # What the robots see.
 
-    def sights(self, view: View, memory: TeamMemory) -> jax.Array:
+    def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact with it, and whether there is news for it."""
-        mind = memory.mind
-        home = local(mind.pose, mind.pose[self.base(view.scene), :2]) / WIDE
-        age = jnp.clip((view.time - mind.contact) / 60.0, 0.0, 1.0)
-        news = (mind.news > mind.contact).astype(jnp.float32)
-        return jnp.concatenate([super().sights(view, memory), home, jnp.stack([age, news], -1)], -1)
+        mind = memory.belief
+        home = to_robot_frame(mind.pose, mind.pose[self.base_slot(view.scene), :2]) / POSITION_SCALE
+        age = jnp.clip((view.time - mind.base_contact_time) / 60.0, 0.0, 1.0)
+        news = (mind.mark_time > mind.base_contact_time).astype(jnp.float32)
+        return jnp.concatenate([super().observations(view, memory), home, jnp.stack([age, news], -1)], -1)
 
-    def privileged(self, view: View, memory: TeamMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and shares of what is reported and mapped, and who reaches the base."""
-        found, people = memory.extra, jnp.asarray(view.victims.at)[:, 0] < ELSEWHERE
+        found, people = memory.extra, jnp.asarray(view.victims.at)[:, 0] < ABSENT_VICTIM_DISTANCE
         reported = (found.reported & people).sum() / jnp.maximum(people.sum(), 1)
         mapped = found.mapped.sum() / jnp.maximum(memory.reachable.sum(), 1)
         more = jnp.concatenate([jnp.stack([reported, mapped]), found.linked])
         return jnp.concatenate([super().privileged(view, memory), more])
 
 
-ELSEWHERE = 1e5
+ABSENT_VICTIM_DISTANCE = 1e5
 """Victims that a world does not have are farther away than this [m]."""
 
 
-def met_places(view: View, team: int) -> jax.Array:
+def detected_positions(view: TaskView, group: int) -> jax.Array:
     """Return what a team's victim sensors met: whether, then x ahead and y to the left [m].
 
     The robot is taken to stand level. Shape (robots, boxes, 3).
     """
-    members = view.scene.teams[team]
-    mount = members.suite.sensors[members.suite.place("VictSensor")].mounts[0]
-    told = view.sensor(team, "VictSensor")
+    members = view.scene.groups[group]
+    mount = members.suite.sensors[members.suite.index("VictSensor")].mounts[0]
+    told = view.sensor(group, "VictSensor")
     mat = mat_from_angles(*flip_angles(mount.direction)).astype(np.float32)
     at = np.array(flip_vector(mount.at), np.float32)
     place = (mat * told[..., None, 2:]).sum(-1) + at
     return jnp.concatenate([told[..., :1], place[..., :2]], -1)
 
 
-def marks_of(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
+def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
     """Return the squares in which a robot at a pose (3,) met something (boxes, 3) (i, j)."""
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     x, y = met[:, 1], met[:, 2]

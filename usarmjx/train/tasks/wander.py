@@ -10,7 +10,7 @@ from flax import struct
 
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import Arenas, spec_of
-from usarmjx.train.envs.task import Task, Verdict, View
+from usarmjx.train.envs.task import StepResult, Task, TaskView
 from usarmjx.train.scenes.clearance import clearance
 from usarmjx.train.tasks.ranges import first_kind, ranges
 
@@ -68,7 +68,7 @@ class Wander(Task):
         kind = first_kind(spec_of(self.robot), self.ranges)
         return self.sensors if self.sensors is not None else () if kind is None else (kind,)
 
-    def start(self, view: View, key: jax.Array) -> WanderMemory:
+    def start(self, view: TaskView, key: jax.Array) -> WanderMemory:
         """Nothing but the start's square is visited."""
         del key
         (x0, x1), (y0, y1) = view.scene.arena.extent
@@ -76,7 +76,7 @@ class Wander(Task):
         none = jnp.zeros(squares, bool)
         return WanderMemory(visited=self._visit(view, none)[0])
 
-    def _visit(self, view: View, visited: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _visit(self, view: TaskView, visited: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the squares with the present one visited, and whether it was new ()."""
         low = np.array(view.scene.arena.extent, np.float32)[:, 0]
         place = jnp.floor((view.robots(0).pos[0, :2] - low) / self.square).astype(jnp.int32)
@@ -85,24 +85,24 @@ class Wander(Task):
         new = inside & ~visited[i, j]
         return visited.at[i, j].set(visited[i, j] | new), new
 
-    def observe(self, view: View, memory: WanderMemory) -> tuple[jax.Array, ...]:
+    def observe(self, view: TaskView, memory: WanderMemory) -> tuple[jax.Array, ...]:
         """Ranges."""
         del memory
         return (ranges(view, 0, self.ranges),)
 
-    def privileged(self, view: View, memory: WanderMemory) -> jax.Array:
+    def privileged(self, view: TaskView, memory: WanderMemory) -> jax.Array:
         """Clearance, at most 1 m, speed [m/s] (3,) and turning rate [rad/s]."""
         del memory
         robot = view.robots(0)
         near = jnp.minimum(clearance(view)[0], 1.0)
         return jnp.concatenate([near, robot.linear[0], robot.angular[0, 2:]])
 
-    def judge(self, view: View, memory: WanderMemory) -> Verdict:
+    def evaluate(self, view: TaskView, memory: WanderMemory) -> StepResult:
         """New squares and contacts."""
         visited, new = self._visit(view, memory.visited)
         near = clearance(view)[0][0]
         touched = near <= self.touch
-        return Verdict(
+        return StepResult(
             memory=WanderMemory(visited=visited),
             reward=((new - self.price * touched)[None],),
             terminated=touched,
