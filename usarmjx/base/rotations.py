@@ -3,13 +3,13 @@
 import jax
 import jax.numpy as jnp
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 
 MIN_NORM = 1e-9
 """Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
 
 
-def mat_from_quat(quat: jax.Array) -> jax.Array:
+def mat_from_quat(quat: Array) -> jax.Array:
     """Return the rotation matrix (..., 3, 3) of w-first quaternions (..., 4), normalised first."""
     w, x, y, z = jnp.moveaxis(quat / jnp.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
     rows = (
@@ -20,7 +20,7 @@ def mat_from_quat(quat: jax.Array) -> jax.Array:
     return jnp.stack(rows, -2)
 
 
-def matvec(mat: Array, vector: Array) -> jax.Array:
+def matvec(mat: jax.Array, vector: Array) -> jax.Array:
     """Return `mat @ vector`, (..., 3, 3) and (..., 3), as sums of products.
 
     Unlike thousands of small matrix products, these melt into what is computed before and after them, and
@@ -29,7 +29,7 @@ def matvec(mat: Array, vector: Array) -> jax.Array:
     return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
 
 
-def matmul(mat: Array, other: Array) -> jax.Array:
+def matmul(mat: jax.Array, other: Array) -> jax.Array:
     """Return `mat @ other`, both (..., 3, 3), as `matvec` does."""
     return jnp.stack([matvec(mat, other[..., i]) for i in range(3)], -1)
 

@@ -8,18 +8,22 @@ differ by half a turn about x, so a vector changes the signs of y and z, and of 
 The functions take numpy or JAX arrays alike: `xp` is the array module.
 """
 
+from __future__ import annotations
+
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
+
+if TYPE_CHECKING:
+    # Not while running: the protocol modules use this one and know no JAX.
+    from usarmjx.base.arrays import Array
 
 Vec3 = tuple[float, float, float]
 GRAVITY = 9.81
 """MuJoCo's default [m/s2]."""
 GIMBAL_LOCK_COS = 1e-5
 """Cosine of the pitch below which roll and yaw cannot be told apart in single precision."""
-Array = Any
-"""A numpy or a JAX array."""
 
 
 def flip_vector(vector: Vec3) -> Vec3:
@@ -34,7 +38,11 @@ def flip_angles(angles: Vec3) -> Vec3:
     return (roll, -pitch, -yaw)
 
 
-def mat_from_angles(roll: Array, pitch: Array, yaw: Array, xp: ModuleType = np) -> Array:
+@overload
+def mat_from_angles(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> np.ndarray: ...
+@overload
+def mat_from_angles(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike, xp: ModuleType) -> Array: ...
+def mat_from_angles(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike, xp: ModuleType = np) -> Array:
     """Return the rotation matrix of ZYX angles [rad] (...,) as (..., 3, 3)."""
     cr, sr, cp, sp = xp.cos(roll), xp.sin(roll), xp.cos(pitch), xp.sin(pitch)
     cy, sy = xp.cos(yaw), xp.sin(yaw)
@@ -46,6 +54,10 @@ def mat_from_angles(roll: Array, pitch: Array, yaw: Array, xp: ModuleType = np) 
     return xp.stack(rows, -2)
 
 
+@overload
+def angles_from_mat(mat: Array) -> np.ndarray: ...
+@overload
+def angles_from_mat(mat: Array, xp: ModuleType) -> Array: ...
 def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
     """Return ZYX angles (roll, pitch, yaw) [rad] (..., 3) of rotation matrices (..., 3, 3).
 

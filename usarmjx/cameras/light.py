@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array, Vec3
+from usarmjx.base.arrays import Array
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.spec.arena import Light
 
 AMBIENT, DIFFUSE = 0.45, 0.6

@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UnknownNameError
-from usarmjx.base.transforms import Array, Vec3, flip_angles, flip_vector, mat_from_angles
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles
 from usarmjx.cameras.lens_cover import covering_geoms
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.effecters import effecters_of

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.compose_arena import ARENA as ARENA_NAMES
 from usarmjx.models.build.compose_arena import DOOR, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.build.victims import victim_table

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.transforms import Array
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
 from usarmjx.cameras.mounts import Camera
 from usarmjx.cameras.paint import OUTSIDE_LABEL, camera_owners

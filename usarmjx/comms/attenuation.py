@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.models.ini.parse import IniFile, Line, read_ini
 from usarmjx.models.ini.read import as_bool, as_number, fail
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.comms.attenuation import AnyRadioSettings, received_power
 from usarmjx.comms.walls import count_walls
 from usarmjx.sensors.rays.targets import Geoms

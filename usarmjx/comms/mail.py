@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.comms.links import Links
 
 BYTES_PER_NUMBER = 4

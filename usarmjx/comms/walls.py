@@ -25,8 +25,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedGeomError
-from usarmjx.base.transforms import Array
 from usarmjx.comms.clipping import PIECE_KINDS, XYZ, count_in_pieces, padded_to_chunks
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of

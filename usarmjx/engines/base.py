@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.base.transforms import Array
 from usarmjx.engines.varied import VariedModel
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.threads import cores
-from usarmjx.base.transforms import Array
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms

@@ -11,8 +11,8 @@ from mujoco import mjx
 from mujoco.mjx._src import collision_driver
 
 from usarmjx.base import threads
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
-from usarmjx.base.transforms import Array
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.short_boxes import ShortBoxes

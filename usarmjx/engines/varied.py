@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 
 KNOTS = 9

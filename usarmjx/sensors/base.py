@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
-from usarmjx.base.transforms import Array, flip_angles, flip_vector, mat_from_angles
+from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import SKY, Mount

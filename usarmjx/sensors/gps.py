@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.roads.geodesy import (
     METRES_PER_LATITUDE_DEGREE,

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.sensors.base import NoisySensorSettings
 
 OutputCurve = tuple[tuple[float, float], ...]

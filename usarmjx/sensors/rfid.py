@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import GLASS, SKY
 from usarmjx.models.spec.settings import NOT_NEGATIVE, OneOf

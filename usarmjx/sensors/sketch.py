@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 
 
 class OverlayLines(struct.PyTreeNode, kw_only=True):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import (
     VictimTable,

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError, UsageError
-from usarmjx.base.transforms import Array
 from usarmjx.cameras.mounts import camera_index, cameras_of
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, check_size, render_picture_jit
 from usarmjx.cameras.shading import RenderScene

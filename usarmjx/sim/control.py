@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import GRAVITY, Array
+from usarmjx.base.transforms import GRAVITY
 from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, parts_of
 from usarmjx.models.drives.state import RobotState

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.base.transforms import Array, flip_vector
+from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics
 from usarmjx.models.build.parts import parts_of

@@ -8,8 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids

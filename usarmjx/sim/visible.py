@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
-from usarmjx.base.transforms import Array
 from usarmjx.cameras.paint import (
     DOOR_LABEL,
     ROBOT_LABEL,

@@ -14,8 +14,9 @@ import jax
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array, quat_from_angles
+from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import VictimTable, pad_table, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import RobotIndex, index_robot
 from usarmjx.models.build.parts import joint_names, parts_of

@@ -4,7 +4,8 @@ from types import ModuleType
 
 import numpy as np
 
-from usarmjx.base.transforms import Array, mat_from_angles
+from usarmjx.base.arrays import Array
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.arena import ArenaSpec, Door
 from usarmjx.models.spec.robot import Shape
 

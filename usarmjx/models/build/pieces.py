@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.spec.robot import FENDER, OPAQUE
 
 TRIANGLE_KIND, FENDER_KIND, COLUMN_KIND = 201, 202, 203

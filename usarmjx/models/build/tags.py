@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.models.spec.arena import AUTOMATIC_TAG_ID, Tag
 
 MAX_RELEASED_ID = 1000

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.drives import Drive
 from usarmjx.models.spec.robot import RobotSpec

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Array, Vec3, quat_from_angles
+from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, POSTURES, Bone
 from usarmjx.models.spec.arena import FalseAlarm, SegmentMotion, Victim
 from usarmjx.models.spec.robot import ZERO

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, PART_OF_BONE, POSTURES
 from usarmjx.models.build.victim_table import (
     PADDING_OWNER,

@@ -9,7 +9,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.drives.base import Drive, JointControl
 
 POSITION_MODE, VELOCITY_MODE, TORQUE_MODE = 0, 1, 2

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.drives.state import RobotState
 
 VehicleType = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import GRAVITY, Array, Vec3
+from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.state import RobotState
 
 AIR_DENSITY, WATER_DENSITY = 1.225, 1000.0

@@ -2,7 +2,7 @@
 
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 
 
 class RobotState(struct.PyTreeNode, kw_only=True):

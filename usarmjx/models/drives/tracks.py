@@ -6,7 +6,7 @@ from types import ModuleType
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.drives.ground import SkidSteer
 
 

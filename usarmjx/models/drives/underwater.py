@@ -8,8 +8,8 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import Array
 from usarmjx.models.drives.base import Drive, VehicleType
 from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
 from usarmjx.models.drives.state import RobotState

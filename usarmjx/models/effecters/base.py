@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.registry import Registry
-from usarmjx.base.transforms import Array, Vec3, mat_from_angles
+from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.spec.robot import Mount, Part, Shape
 
 MAX_DROPPED_TAGS = 64

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from types import ModuleType
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 from usarmjx.models.robots.kit import AXLE_ROTATION
 from usarmjx.models.spec.robot import Motor, Part, Shape

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import (
     Cone,

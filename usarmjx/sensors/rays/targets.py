@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedGeomError
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.pieces import HFIELD, MESH
 from usarmjx.models.spec.robot import OPAQUE
 from usarmjx.sensors.rays.kernels import RAY_KERNELS

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import Array, mat_from_angles
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.cameras.paint import EXCLUDE_NONE
 from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
 from usarmjx.models.spec.arena import ArenaSpec

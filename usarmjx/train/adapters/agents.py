@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.transforms import Array
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState

@@ -8,8 +8,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.transforms import Array
 from usarmjx.train.adapters.agents import check_one_group, compiled_step, draw_seed
 
 if TYPE_CHECKING:

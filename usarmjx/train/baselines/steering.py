@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.transforms import Array
 from usarmjx.models.drives import Ackermann, RotaryWing, SkidSteer, Tracks
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.scenes.clearance import bounding_box_of

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.engines import PhysicsState
 from usarmjx.sim.control import ControlMode, move_joints, set_drive

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.transforms import Array
 from usarmjx.models.build.reach import RobotFootprint, reach_map
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.ranging import ScannerSettings

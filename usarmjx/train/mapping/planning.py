@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.train.mapping.knowledge import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (

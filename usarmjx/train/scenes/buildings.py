@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.arena_set import ArenaSet
 from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.generate import Difficulty, generate

@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import Array, quat_from_angles
+from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec, Shape

@@ -13,7 +13,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array, Vec3
+from usarmjx.base.arrays import Array
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.arenas.soccer import (
     BALL,

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import Array, mat_from_angles
+from usarmjx.base.arrays import Array
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, OutgoingMessages
 from usarmjx.models.arenas.soccer import BALL_RADIUS
 from usarmjx.train.tasks.pitch import (

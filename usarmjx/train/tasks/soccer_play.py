@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.transforms import Array
+from usarmjx.base.arrays import Array
 from usarmjx.models.arenas.soccer import BALL_RADIUS
 from usarmjx.train.tasks.pitch import (
     CORNER,
