@@ -49,7 +49,7 @@ def hops(linked: jax.Array, base: jax.Array | int) -> jax.Array:
     return jax.lax.fori_loop(0, max(robots - 1, 0), widen, start)
 
 
-@partial(jax.jit, static_argnames="most")
+@partial(jax.jit, static_argnames="max_hops")
 def reachable(linked: jax.Array, base: jax.Array | int, max_hops: int | None = None) -> jax.Array:
     """Return who reaches the base station, itself included (..., robots).
 
