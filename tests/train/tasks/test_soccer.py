@@ -20,7 +20,17 @@ from usarmjx.sim.world import observe
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.evaluation.evaluate import run_episodes
-from usarmjx.train.tasks.pitch import (
+from usarmjx.train.tasks.soccer import MAIL_SETTINGS, SIDES, Soccer, SoccerMemory
+from usarmjx.train.tasks.soccer_belief import (
+    NEVER,
+    NUMBERS,
+    compose_messages,
+    find_ball,
+    find_others,
+    initial_belief,
+    update_from_mail,
+)
+from usarmjx.train.tasks.soccer_field import (
     BEAMS,
     COVER,
     FREE_KICK,
@@ -32,16 +42,6 @@ from usarmjx.train.tasks.pitch import (
     beams,
     depth_inside,
     goal_scored,
-)
-from usarmjx.train.tasks.soccer import MAIL_SETTINGS, SIDES, Soccer, SoccerMemory
-from usarmjx.train.tasks.soccer_knowledge import (
-    NEVER,
-    NUMBERS,
-    compose_messages,
-    find_ball,
-    find_others,
-    initial_belief,
-    update_from_mail,
 )
 from usarmjx.train.tasks.soccer_play import soccer_action
 

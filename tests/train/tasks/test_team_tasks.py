@@ -10,7 +10,7 @@ import pytest
 from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
 from usarmjx.train.baselines.frontier import frontier_action
 from usarmjx.train.baselines.relay import relay_policy
-from usarmjx.train.mapping.knowledge import SECTOR_COUNT
+from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.maps import FREE, MARK
 from usarmjx.train.scenes.buildings import Buildings, arena_grid_of, reachable_of, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.mapping.knowledge import SECTOR_COUNT
+from usarmjx.train.mapping.belief import SECTOR_COUNT
 
 TURN, FASTEST_TURN = 0.8, 0.5
 """Turning over the bearing of the next place [1/rad], and the most of it."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from usarmjx.train.baselines.frontier import frontier_action, frontier_policy
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.mapping.knowledge import SECTOR_COUNT
+from usarmjx.train.mapping.belief import SECTOR_COUNT
 
 STOP, SLOW_MARGIN = 0.1, 0.2
 """Power above the cutoff, as observed, at which a robot stops, and up to which it is slow: 2 and 4 dB."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.train.mapping.knowledge import RECENT_AGE, STALE_AGE, Belief
+from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (
     UNREACHABLE,

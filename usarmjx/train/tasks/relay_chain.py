@@ -11,8 +11,8 @@ from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import Belief
+from usarmjx.train.mapping import planning
+from usarmjx.train.mapping.belief import Belief, other_slots, update_base_contact
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.scenes.equip import base_station, mapping_robot
@@ -84,7 +84,7 @@ class RelayChain(TeamTask):
         base = base_slot(view.scene)
         if view.world.links is None or base is None or self.talk == "none":
             return belief
-        return knowledge.update_base_contact(belief, view.links.in_range, base, view.time)
+        return update_base_contact(belief, view.links.in_range, base, view.time)
 
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Away from the base, as the crow flies, to frontiers first; home when the contact is lost.
@@ -148,7 +148,7 @@ class RelayChain(TeamTask):
         mind, robots = memory.belief, view.scene.num_robots
         home = to_robot_frame(mind.pose, mind.pose[base_slot(view.scene), :2]) / POSITION_SCALE
         age = jnp.clip((view.time - mind.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
-        others = knowledge.other_slots(robots)
+        others = other_slots(robots)
         rows = jnp.arange(robots)[:, None]
         cutoff = 0.0 if self.radio is None else self.radio.cutoff
         margin = jnp.clip((view.links.power[rows, others] - cutoff) / SIGNAL_SCALE, -1.0, 1.0)

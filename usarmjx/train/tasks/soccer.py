@@ -17,18 +17,8 @@ from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, Task, TaskView
-from usarmjx.train.tasks.pitch import (
-    BLUE,
-    GOAL_LINE,
-    SCANNER_RANGE,
-    SIDE_BOARD,
-    SOCCER_FIELD,
-    YELLOW,
-    goal_scored,
-    soccer_robot,
-)
 from usarmjx.train.tasks.ranges import reduce_to_sectors
-from usarmjx.train.tasks.soccer_knowledge import (
+from usarmjx.train.tasks.soccer_belief import (
     LOWER,
     NUMBERS,
     UPPER,
@@ -38,6 +28,16 @@ from usarmjx.train.tasks.soccer_knowledge import (
     initial_belief,
     update_from_mail,
     update_from_sensors,
+)
+from usarmjx.train.tasks.soccer_field import (
+    BLUE,
+    GOAL_LINE,
+    SCANNER_RANGE,
+    SIDE_BOARD,
+    SOCCER_FIELD,
+    YELLOW,
+    goal_scored,
+    soccer_robot,
 )
 from usarmjx.train.tasks.soccer_play import soccer_action
 from usarmjx.train.tasks.team_parts import to_robot_frame

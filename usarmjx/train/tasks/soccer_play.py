@@ -9,7 +9,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.arenas.soccer import BALL_RADIUS
-from usarmjx.train.tasks.pitch import (
+from usarmjx.train.tasks.soccer_field import (
     CORNER,
     GOAL_LINE,
     LENGTH_WIDTH,

@@ -13,8 +13,17 @@ from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import Task, TaskView
-from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import HEADER_SIZE, Belief, initial_belief
+from usarmjx.train.mapping import planning
+from usarmjx.train.mapping.belief import (
+    HEADER_SIZE,
+    SCANNER_RANGE,
+    Belief,
+    compose_messages,
+    initial_belief,
+    update_from_mail,
+    update_from_scan,
+    update_pose,
+)
 from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, egocentric_map
 from usarmjx.train.mapping.planning import PlannerSettings
 from usarmjx.train.scenes.buildings import ArenaGrid, Buildings, arena_grid_of, reachable_of
@@ -126,13 +135,13 @@ class TeamTask(Task):
     def update_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return what the robots know after they looked at their sensors and mail, and thought."""
         grid = self.arena_grid(view.scene).grid
-        belief = knowledge.update_pose(grid, belief, self.poses(view))
+        belief = update_pose(grid, belief, self.poses(view))
         if view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
-            belief = knowledge.update_from_mail(grid, belief, view.mail, period)
+            belief = update_from_mail(grid, belief, view.mail, period)
         for team, members in enumerate(view.scene.groups):
             if has_scanner(members):
-                belief = knowledge.update_from_scan(
+                belief = update_from_scan(
                     grid, belief, scan_of(view, team, belief.pose[members.slots]), view.time
                 )
         belief = self.update_task_belief(view, belief)
@@ -176,7 +185,7 @@ class TeamTask(Task):
         }
         to = jnp.asarray(self.recipients(view.scene))
         flyers = self.planner_settings(view.scene).flyers
-        letters = None if view.world.mail is None else knowledge.compose_messages(memory.belief, to, flyers)
+        letters = None if view.world.mail is None else compose_messages(memory.belief, to, flyers)
         return Actions(drive=drive, messages=letters)
 
     def drive_values(
@@ -262,7 +271,7 @@ class TeamTask(Task):
             to_robot_frame(mind.pose, mind.goal) / POSITION_SCALE,
             jnp.minimum(mind.path_length / PATH_SCALE, 1.0)[:, None],
             jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
-            jnp.minimum(mind.sector_ranges / knowledge.SCANNER_RANGE, 1.0),
+            jnp.minimum(mind.sector_ranges / SCANNER_RANGE, 1.0),
             jnp.stack([left, number], -1),
             mate_observations(view, mind),
         ]

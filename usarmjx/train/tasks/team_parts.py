@@ -12,8 +12,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.sensors.motion import wrap_angle
 from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.train.envs.task import TaskView
-from usarmjx.train.mapping import knowledge
-from usarmjx.train.mapping.knowledge import Belief, GroupScan
+from usarmjx.train.mapping.belief import STALE_AGE, Belief, GroupScan, other_slots
 from usarmjx.train.mapping.maps import MapGrid, classify_scan
 
 BASE_STATION = "ComStation"
@@ -124,15 +123,15 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
 def mate_observations(view: TaskView, belief: Belief) -> jax.Array:
     """Return what each robot knows of the others, as it observes that (robots, 4 others)."""
     robots = view.scene.num_robots
-    others = knowledge.other_slots(robots)
+    others = other_slots(robots)
     rows = np.arange(robots)[:, None]
     age = (view.time - belief.heard_time)[rows, others]
     there = jax.vmap(lambda pose, mates: to_robot_frame(pose, mates))(
         belief.pose, belief.mate_headers[rows, others, :2]
     )
-    there = jnp.where((age < knowledge.STALE_AGE)[..., None], there / POSITION_SCALE, 0.0)
+    there = jnp.where((age < STALE_AGE)[..., None], there / POSITION_SCALE, 0.0)
     linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
-    facts = [there, jnp.minimum(age / knowledge.STALE_AGE, 1.0)[..., None], linked[rows, others][..., None]]
+    facts = [there, jnp.minimum(age / STALE_AGE, 1.0)[..., None], linked[rows, others][..., None]]
     return jnp.concatenate(facts, -1).reshape(robots, -1)
 
 

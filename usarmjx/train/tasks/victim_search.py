@@ -15,8 +15,8 @@ from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping import knowledge, planning
-from usarmjx.train.mapping.knowledge import Belief
+from usarmjx.train.mapping import planning
+from usarmjx.train.mapping.belief import Belief, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
 from usarmjx.train.mapping.wavefront import UNREACHABLE
 from usarmjx.train.scenes.buildings import Buildings
@@ -135,9 +135,7 @@ class VictimSearch(TeamTask):
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
         belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
         if view.world.links is not None and self.talk != "none":
-            belief = knowledge.update_base_contact(
-                belief, view.links.in_range, self.base_slot(scene), view.time
-            )
+            belief = update_base_contact(belief, view.links.in_range, self.base_slot(scene), view.time)
         more = (belief.squares == MARK).sum((1, 2)) > before
         return belief.replace(mark_time=jnp.where(more, view.time, belief.mark_time))
 

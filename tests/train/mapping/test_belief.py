@@ -10,7 +10,7 @@ import pytest
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import MessageSettings, clear_inboxes, deliver, empty_inboxes
 from usarmjx.sensors.ranging import ScannerSettings
-from usarmjx.train.mapping.knowledge import (
+from usarmjx.train.mapping.belief import (
     HEADER_SIZE,
     VISITED_RADIUS,
     GroupScan,

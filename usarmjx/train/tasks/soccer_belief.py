@@ -11,7 +11,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, OutgoingMessages
 from usarmjx.models.arenas.soccer import BALL_RADIUS
-from usarmjx.train.tasks.pitch import (
+from usarmjx.train.tasks.soccer_field import (
     BEAMS,
     COVER,
     LOWER_SCANNER_HEIGHT,
