@@ -1,0 +1,96 @@
+"""docs/architecture.md and docs/glossary.md against the code: files, names, and who may import whom."""
+
+import ast
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import dev
+
+PACKAGE = dev.ROOT / "usarmjx"
+PAGES = ("architecture.md", "glossary.md")
+TICKS = re.compile(r"`([^`\n]+)`")
+PATH = re.compile(r"[a-z_]+(/[a-z_]+)*(/|\.py)")
+ANYWHERE = {*dev.VERBS, "usarmjx", "GETSS"}
+"""What may stand in ticks without being a name of ours."""
+
+
+def page(name: str) -> str:
+    return re.sub(r"```.*?```", "", (dev.ROOT / "docs" / name).read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@cache
+def names() -> frozenset[str]:
+    """Everything that the package defines: modules and folders, classes, functions, fields, parameters."""
+    found = {
+        part for path in PACKAGE.rglob("*.py") for part in path.relative_to(PACKAGE).with_suffix("").parts
+    }
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                found.add(node.name)
+            elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                found.add(node.target.id)
+            elif isinstance(node, ast.Assign):
+                found |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    return frozenset(found)
+
+
+def is_there(path: str) -> bool:
+    """Whether a path names something of the package, in full or by its end."""
+    return any((PACKAGE / path).exists() for path in [path]) or any(PACKAGE.rglob(path.rstrip("/")))
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_files_that_the_pages_name_exist(name: str):
+    named = [text for text in TICKS.findall(page(name)) if PATH.fullmatch(text)]
+    assert len(named) > 30
+    assert [path for path in named if not is_there(path)] == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_names_that_the_pages_use_are_defined(name: str):
+    words = {text for text in TICKS.findall(page(name)) if re.fullmatch(r"[A-Za-z_]+(\.[A-Za-z_]+)*", text)}
+    parts = {part for word in words if not word.endswith((".py", ".md", ".toml")) for part in word.split(".")}
+    engines = {"c", "jax", "warp"}
+    assert sorted(parts - names() - ANYWHERE - engines) == []
+
+
+def test_the_order_of_imports_is_the_one_that_is_checked():
+    project = tomllib.loads((dev.ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
+    shown = re.search(
+        r"## Who may import whom.*?```text\n(.*?)```",
+        (dev.ROOT / "docs/architecture.md").read_text(),
+        re.DOTALL,
+    )
+    assert shown is not None
+    assert [f"usarmjx.{name}" for name in shown[1].split()] == contract["layers"]
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(shown[1].split())
+
+
+def test_every_package_says_what_is_in_it():
+    """In a few lines: what it holds, what may be touched, where to begin."""
+    short = {}
+    for path in sorted(PACKAGE.rglob("__init__.py")):
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        if len([line for line in text.splitlines() if line]) < 3:
+            short[str(path.relative_to(dev.ROOT))] = text
+    assert short == {}
+
+
+def test_paths_of_modules_in_all_documents_exist():
+    pages = [
+        *dev.ROOT.glob("*.md"),
+        *(dev.ROOT / "docs").glob("*.md"),
+        *(dev.ROOT / "benchmarks").glob("*.md"),
+    ]
+    gone = {}
+    for file in pages:
+        for path in re.findall(r"\b(?:usarmjx|tests|examples)/[\w/.-]*\w", file.read_text(encoding="utf-8")):
+            if not Path(dev.ROOT / path).exists():
+                gone.setdefault(file.name, set()).add(path)
+    assert gone == {}
