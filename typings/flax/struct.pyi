@@ -1,8 +1,6 @@
 # flax leaves the arguments of these without types.
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar, dataclass_transform, overload
-
-from typing_extensions import Self
+from typing import Any, Self, TypeVar, dataclass_transform, overload
 
 _Class = TypeVar("_Class", bound=type[Any])
 
@@ -13,6 +11,7 @@ def dataclass(clz: _Class, **kwargs: Any) -> _Class: ...
 @overload
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def dataclass(**kwargs: Any) -> Callable[[_Class], _Class]: ...
+
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 class PyTreeNode:
     def __init_subclass__(cls, **kwargs: Any) -> None: ...

@@ -2,10 +2,20 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from typing_extensions import TypeVarTuple, Unpack
+
+_Operands = TypeVarTuple("_Operands")
 _Result = TypeVar("_Result")
 
 def cond(
-    pred: Any, true_fun: Callable[..., _Result], false_fun: Callable[..., _Result], *operands: Any
+    pred: Any,
+    true_fun: Callable[[Unpack[_Operands]], _Result],
+    false_fun: Callable[[Unpack[_Operands]], _Result],
+    *operands: *_Operands,
 ) -> _Result: ...
-def switch(index: Any, branches: Sequence[Callable[..., _Result]], *operands: Any) -> _Result: ...
+def switch(
+    index: Any,
+    branches: Sequence[Callable[[Unpack[_Operands]], _Result]],
+    *operands: *_Operands,
+) -> _Result: ...
 def __getattr__(name: str) -> Any: ...

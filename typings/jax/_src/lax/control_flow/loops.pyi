@@ -2,8 +2,6 @@
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from jax._src.basearray import Array
-
 _Carry = TypeVar("_Carry")
 _Slice = TypeVar("_Slice")
 _Output = TypeVar("_Output")
@@ -11,7 +9,7 @@ _Output = TypeVar("_Output")
 def fori_loop(
     lower: Any,
     upper: Any,
-    body_fun: Callable[[Array, _Carry], _Carry],
+    body_fun: Callable[[Any, _Carry], _Carry],
     init_val: _Carry,
     *,
     unroll: int | bool | None = None,
