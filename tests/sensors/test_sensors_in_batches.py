@@ -15,8 +15,9 @@ from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, SegmentMotion, Star
 from usarmjx.models.spec.robot import GLASS, Mount, Shape, options
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.control import set_drive
+from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import compute_inputs, init_world, observe
+from usarmjx.sim.world import compute_inputs, observe
 
 WALL = Shape(kind="box", size=(0.1, 4.0, 1.0), at=(3.0, 0.0, 1.0), surface="wall")
 PANE = Shape(kind="box", size=(0.02, 1.0, 1.0), at=(2.0, 0.0, 1.0), surface="wall", material=GLASS)

@@ -18,8 +18,8 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sim.batch import Batch
+from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import RosterEntry, build_scene
-from usarmjx.sim.world import init_world
 
 CONVERGED = Physics(iterations=30, ls_iterations=20)
 EVERYTHING = DomainRandomization(
@@ -232,9 +232,9 @@ def drawn(vary, number, roster=(LEAN, LEAN), episodes=1, seed=0):
     scene = build_scene(FLAT, roster, radio=RadioSettings(), vary=vary)
     key = jax.random.fold_in(jax.random.key(seed), number)
     from usarmjx.models.build.variation import sample_values
-    from usarmjx.sim.world import RANDOMIZATION_STREAM
+    from usarmjx.sim.streams import Stream
 
-    stream = jax.random.fold_in(key, RANDOMIZATION_STREAM)
+    stream = jax.random.fold_in(key, Stream.RANDOMIZATION)
     assert scene.varied_bodies is not None
     return [
         jax.tree.map(

@@ -12,8 +12,8 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
 from usarmjx.models.spec.robot import Shape
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.world import init_world
-from usarmjx.train.envs.actions import apply_actions
+from usarmjx.sim.actions import apply_actions
+from usarmjx.sim.reset import init_world
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.tasks.team_parts import scanner_poses
 

@@ -7,7 +7,7 @@ import numpy as np
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.world import init_world
+from usarmjx.sim.reset import init_world
 from usarmjx.train.envs.task import TaskView
 
 

@@ -28,7 +28,7 @@ from usarmjx.server.protocol.session import RobotSession
 from usarmjx.server.protocol.traces import RobotTrace
 from usarmjx.server.protocol.viewports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.worlds.host import Robot, ServedWorld
-from usarmjx.sim.control import FLIP_TIME, ControlMode, set_drive
+from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode, update_command
 from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
@@ -186,35 +186,33 @@ class Client:
     def _steer(self, values: dict[str, float], command: wire.DriveRobot | wire.DriveWheels) -> None:
         """Set keys of DRIVE; those that the robot's drive does not have are logged and left out."""
         robot = self._present
-        full, told = robot.spec.drive.full_scale, robot.command
+        full = robot.spec.drive.full_scale
         unknown = [key for key in values if key not in full]
         if unknown:
             log.warning("%s: %s has no DRIVE {%s}", self._peer, robot.spec.name, "} {".join(unknown))
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
-        if known:
-            told = set_drive(robot.spec, told, known, np)
-        if command.light is not None:
-            told = told.replace(light=np.bool_(command.light))
-        if command.flip:
-            told = told.replace(flip_until=np.float32(self._world.time + FLIP_TIME))
-        self._world.set_command(robot, told)
+        flip_until = self._world.time + FLIP_TIME if command.flip else None
+        self._tell(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
+
+    def _tell(self, update: CommandUpdate) -> None:
+        robot = self._present
+        self._world.set_command(robot, update_command(robot.plan, robot.command, update, xp=np))
 
     def _set_joint_mode(self, joint: int, order: int, value: float) -> bool:
         """Give one joint an order as the wire numbers them; return whether there is such an order."""
         robot = self._present
-        target, orders = robot.command.target.copy(), robot.command.mode.copy()
+        target, present = robot.command.target[joint], robot.command.mode[joint]
         if order == BRAKE:
             value, mode = 0.0, ControlMode.VELOCITY
         elif order in RELATIVE_MODES:
             mode = RELATIVE_MODES[order]
             now = self._world.state(robot).joint_pos[joint] if mode == ControlMode.POSITION else 0.0
-            value += target[joint] if mode != ControlMode.POSITION and orders[joint] == mode else now
+            value += target if mode != ControlMode.POSITION and present == mode else now
         elif order in tuple(ControlMode):
             mode = ControlMode(order)
         else:
             return False
-        target[joint], orders[joint] = value, mode
-        self._world.set_command(robot, robot.command.replace(target=target, mode=orders))
+        self._tell(CommandUpdate(joints={robot.plan.parts[1 + joint]: value}, mode=mode))
         return True
 
     def _order_named(self, name: str, order: int, value: float) -> None:

@@ -23,10 +23,9 @@ from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages, clear_inboxes
 from usarmjx.engines import Inputs, PhysicsState, choose_engine, make_engine
 from usarmjx.models.build.arena_set import ArenaState, arena_index_of
 from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.control import ControlMode, check_drive_keys, move_joints, set_drive
+from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
 from usarmjx.sim.operate import OperationResult, find_operation, operate
 from usarmjx.sim.radio import (
     last_links,
@@ -38,12 +37,13 @@ from usarmjx.sim.radio import (
     send,
     update_links,
 )
+from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.views import GroupCamera, build_render_scene, map_pictures, render_group
-from usarmjx.sim.world import World, compute_inputs, finish_step, init_world, observe, reset
+from usarmjx.sim.world import GroupState, World, compute_inputs, finish_step, observe
 
 Readings = tuple[tuple[Reading, ...], ...]
-"""Per team and sensor a reading with leading axes (worlds, robots of the team)."""
+"""Per group and sensor a reading with leading axes (worlds, robots of the group)."""
 
 
 class BatchState(struct.PyTreeNode, kw_only=True):
@@ -113,7 +113,9 @@ class Batch:
             jax.vmap(partial(init_world, scene, shuffle=shuffle), in_axes=(0, 0, None))
         )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
-        self._operate = self._compile(self._operate_all, static_argnums=(2, 3))
+        self._operate = self._compile(
+            jax.vmap(partial(operate, scene), in_axes=(0, 0, None, None, 0, 0)), static_argnums=(2, 3)
+        )
         self._render = self._compile(self._render_all, static_argnums=(2, 3))
         self._render_scene = self._compile(self._render_scene_of)
         self._links = self._compile(self._update_links)
@@ -150,9 +152,9 @@ class Batch:
         return BatchState(physics=physics, worlds=worlds, arenas=arenas)
 
     def _reset_worlds_where(
-        self, worlds: World, library: ArenaState | None, mask: jax.Array
+        self, worlds: World, arenas: ArenaState | None, mask: jax.Array
     ) -> tuple[World, jax.Array]:
-        fresh, qpos = self._fresh(worlds, library)
+        fresh, qpos = self._fresh(worlds, arenas)
         return jax.tree.map(partial(select_worlds, mask), fresh, worlds), qpos
 
     def _reset_where(self, state: BatchState, mask: jax.Array) -> BatchState:
@@ -179,22 +181,22 @@ class Batch:
         for left in reversed(range(steps)):
             physics = self.engine.advance(physics, inputs)
             lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
-            settled, finite, (told, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
+            finished, finite, (begun, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
             if not bool(finite.all()):
-                state = self._reset_where(state.replace(physics=physics, worlds=settled), ~finite)
+                state = self._reset_where(state.replace(physics=physics, worlds=finished), ~finite)
                 return self.run(state, left)
-            worlds = told if left else settled
+            worlds = begun if left else finished
         return state.replace(physics=physics, worlds=worlds)
 
     def _finish_and_compute_inputs_all(
         self, worlds: World, physics: PhysicsState, lost: jax.Array
     ) -> tuple[World, jax.Array, tuple[World, Inputs]]:
-        """Settle a control step and begin the next one."""
+        """Finish a control step and begin the next one."""
         worlds, finite = jax.vmap(partial(finish_step, self.scene))(worlds, physics, lost)
         return worlds, finite, jax.vmap(partial(compute_inputs, self.scene))(worlds, physics)
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
-        """Return the arena that a world has in its present episode, if nobody replaced the library."""
+        """Return the arena that a world has in its present episode, if nobody replaced the arenas."""
         arenas = self.scene.arenas
         if arenas is None:
             return self.scene.arena
@@ -211,11 +213,11 @@ class Batch:
         return state.replace(worlds=worlds), readings
 
     def _update_links(self, worlds: World, physics: PhysicsState) -> Links:
-        look, keep = jax.vmap(partial(update_links, self.scene)), jax.vmap(last_links)
+        update, keep = jax.vmap(partial(update_links, self.scene)), jax.vmap(last_links)
         if link_interval(self.scene) == 1:
-            return look(worlds, physics)
+            return update(worlds, physics)
         due = jax.vmap(partial(links_due, self.scene))(worlds).any()
-        return jax.lax.cond(due, look, lambda worlds, _: keep(worlds), worlds, physics)
+        return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
     def links(self, state: BatchState) -> tuple[BatchState, Links]:
         """Look at the radio links, which are evaluated at most once in a control step, or radio `period`.
@@ -249,12 +251,12 @@ class Batch:
         state, _ = self.links(state)
         shape = (self.worlds, robots)
         size = BYTES_PER_NUMBER * mail.numbers if length is None else length
-        letters = OutgoingMessages(
+        messages = OutgoingMessages(
             receivers=jnp.broadcast_to(to, (*shape, robots)),
             payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
             size_bytes=jnp.broadcast_to(size, shape),
         )
-        return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, letters)))
+        return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, messages)))
 
     def clear_mail(self, state: BatchState, where: Array = True) -> BatchState:
         """Empty the boxes of robots that have read their mail: those masked, broadcast to (worlds, robots).
@@ -266,11 +268,11 @@ class Batch:
         return state.replace(worlds=state.worlds.replace(mail=mail))
 
     def drive(self, state: BatchState, group: int, values: Mapping[str, Array]) -> BatchState:
-        """Set keys of DRIVE for a team's robots; the other keys keep what they were last set to.
+        """Set keys of DRIVE for a group's robots; the other keys keep what they were last set to.
 
         Args:
             state: The batch.
-            group: Index into `scene.teams`.
+            group: Index into `scene.groups`.
             values: Numbers for some of the keys of the robots' drive (`robot.drive.full` lists them with
                 their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
                 (worlds, robots).
@@ -278,11 +280,7 @@ class Batch:
         Raises:
             UnknownNameError: A key that this drive does not have; lists those it has.
         """
-        members, robot = state.worlds.groups[group], self.scene.groups[group].robot
-        check_drive_keys(robot, values)
-        shape = members.active.shape
-        told = {key: jnp.broadcast_to(value, shape) for key, value in values.items()}
-        return self.with_group(state, group, members.replace(command=set_drive(robot, members.command, told)))
+        return self._update_command(state, group, CommandUpdate(drive=values))
 
     def move(
         self,
@@ -291,11 +289,11 @@ class Batch:
         targets: Mapping[str, Array],
         mode: ControlMode = ControlMode.POSITION,
     ) -> BatchState:
-        """Tell joints of a team's robots where to go, how fast to move or what to exert.
+        """Tell joints of a group's robots where to go, how fast to move or what to exert.
 
         Args:
             state: The batch.
-            group: Index into `scene.teams`.
+            group: Index into `scene.groups`.
             targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
                 broadcast to (worlds, robots).
             mode: What the numbers are.
@@ -303,8 +301,11 @@ class Batch:
         Raises:
             UnknownNameError: A joint that these robots do not have; lists those they have.
         """
-        members, plan = state.worlds.groups[group], self.scene.groups[group].plan
-        command = move_joints(plan, members.command, targets, mode)
+        return self._update_command(state, group, CommandUpdate(joints=targets, mode=mode))
+
+    def _update_command(self, state: BatchState, group: int, update: CommandUpdate) -> BatchState:
+        members = state.worlds.groups[group]
+        command = update_command(self.scene.groups[group].plan, members.command, update)
         return self.with_group(state, group, members.replace(command=command))
 
     def operate(
@@ -316,11 +317,11 @@ class Batch:
         value: Array | None = None,
         where: Array = True,
     ) -> tuple[BatchState, OperationResult]:
-        """Let a team's robots operate an effecter (manual 8), as SET does.
+        """Let a group's robots operate an effecter (manual 8), as SET does.
 
         Args:
             state: The batch.
-            group: Index into `scene.teams`.
+            group: Index into `scene.groups`.
             name: Name of the effecter, case ignored.
             opcode: Name of one of its operations, case ignored.
             value: Its parameter, broadcast to (worlds, robots); None: the usual one.
@@ -333,34 +334,19 @@ class Batch:
             UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
             UsageError: The operation needs a parameter.
         """
-        place, operation = find_operation(self.scene.groups[group], name, opcode)
-        value = operation.default_val if value is None else value
-        if value is None:
-            raise UsageError(f"{operation.name} of {name} needs a value")
+        effecter, operation, value = find_operation(self.scene.groups[group], name, opcode, value)
         shape = state.worlds.groups[group].active.shape
-        told = (jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape))
-        worlds, outcome = self._operate(state.worlds, self.physics(state), (group, place), operation, *told)
-        return state.replace(worlds=worlds), outcome
+        value, mask = jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape)
+        worlds, result = self._operate(
+            state.worlds, self.physics(state), (group, effecter), operation, value, mask
+        )
+        return state.replace(worlds=worlds), result
 
-    def _operate_all(
-        self,
-        worlds: World,
-        physics: PhysicsState,
-        where: tuple[int, int],
-        opcode: Opcode,
-        value: jax.Array,
-        asked: jax.Array,
-    ) -> tuple[World, OperationResult]:
-        def one(world: World, physics: PhysicsState, value: jax.Array, asked: jax.Array) -> Any:  # noqa: ANN401
-            return operate(self.scene, world, physics, where, opcode, value, asked)
-
-        return jax.vmap(one)(worlds, physics, value, asked)
-
-    def _group_camera(self, team: int, camera: str | int | None, size: tuple[int, int]) -> GroupCamera:
-        robot = self.scene.groups[team].robot
+    def _group_camera(self, group: int, camera: str | int | None, size: tuple[int, int]) -> GroupCamera:
+        robot = self.scene.groups[group].robot
         place = camera_index(robot, camera)
         check_size(cameras_of(robot)[place], *size)
-        return team, cameras_of(robot)[place], place
+        return group, cameras_of(robot)[place], place
 
     def render(
         self,
@@ -370,11 +356,11 @@ class Batch:
         width: int = 64,
         height: int = 64,
     ) -> Picture:
-        """Return what a camera of each of a team's robots sees (worlds, robots, ...).
+        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
 
         Args:
             state: The batch.
-            group: Index into `scene.teams`.
+            group: Index into `scene.groups`.
             camera: Name or place of a camera of the class; None: the main one.
             width: Pixels along a row.
             height: Rows.
@@ -395,13 +381,13 @@ class Batch:
         width: int = 320,
         height: int = 240,
     ) -> Picture:
-        """Return what a camera of the robot in one slot of one world sees; the others are as in `look`."""
-        team, member = self.scene.group_of(slot)
-        _, lens, place = self._group_camera(team, camera, (width, height))
+        """Return what a camera of the robot in one slot of one world sees; the others are as in `render`."""
+        group, member = self.scene.group_of(slot)
+        _, lens, place = self._group_camera(group, camera, (width, height))
         stage, bodies = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
-            body = jax.tree.map(lambda x: x[member], bodies[team])
-            fov = state.worlds.groups[team].fov[world, member, place]
+            body = jax.tree.map(lambda x: x[member], bodies[group])
+            fov = state.worlds.groups[group].fov[world, member, place]
             return render_picture_jit(stage, camera_viewpoint(lens, body, np.int32(slot), fov), width, height)
 
     def render_view(
@@ -431,7 +417,7 @@ class Batch:
 
         Args:
             state: The batch.
-            group: Index into `scene.teams`.
+            group: Index into `scene.groups`.
             camera: Name or place of a camera of the class; None: the main one.
             fov: Horizontal field of view [rad], broadcast to (worlds, robots).
             where: Which robots shall do it, broadcast to (worlds, robots).
@@ -445,12 +431,9 @@ class Batch:
         return self.with_group(state, group, members.replace(fov=members.fov.at[..., place].set(told)))
 
     @staticmethod
-    def with_group(state: BatchState, group: int, group_state: Any) -> BatchState:  # noqa: ANN401 - a TeamState
-        """Return the batch with one team's state replaced."""
-        teams = state.worlds.groups
-        return state.replace(
-            worlds=state.worlds.replace(groups=(*teams[:group], group_state, *teams[group + 1 :]))
-        )
+    def with_group(state: BatchState, group: int, group_state: GroupState) -> BatchState:
+        """Return the batch with one group's state replaced."""
+        return state.replace(worlds=state.worlds.with_group(group, group_state))
 
     def check_overflow(self, state: BatchState) -> None:
         """Refuse to go on with results that a full contact buffer has falsified.

@@ -1,7 +1,7 @@
 """From commands to actuators: what one robot's motors are told for one control step."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
 from types import ModuleType
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import GRAVITY
@@ -78,7 +78,7 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
-        hold: Inputs of the holding actuators: 1, or 0 under a torque order (actuators,).
+        hold: Inputs of the holding actuators: 1, or 0 in torque mode (actuators,).
         act: Activations of the pulling ones: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
         refused: How many commanded numbers were not finite ().
@@ -103,8 +103,8 @@ class Servos:
         low: Lowest position.
         high: Highest position.
         lead: How far a servo's target is ahead of its joint per speed of that, without torque.
-        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a stalled
-            wheel would have to unwind first, and a braked one would roll back.
+        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a
+            stalled wheel would have to unwind first, and a braked one would roll back.
     """
 
     speed: np.ndarray
@@ -142,10 +142,10 @@ def servos_of(robot: RobotSpec) -> Servos:
 def idle_command(robot: RobotSpec) -> RobotCommand:
     """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
     parts = parts_of(robot)
-    order = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
+    modes = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
     return RobotCommand(
         target=jnp.zeros(len(parts)),
-        mode=jnp.array(order, jnp.int32).reshape(len(parts)),
+        mode=jnp.array(modes, jnp.int32).reshape(len(parts)),
         setpoint=jnp.zeros(len(robot.drive.keys)),
         flip_until=jnp.zeros(()),
         light=jnp.zeros((), bool),
@@ -176,7 +176,7 @@ def check_drive_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
 
 
 def set_drive(
-    robot: RobotSpec, command: RobotCommand, values: Mapping[str, Array], xp: ModuleType = jnp
+    robot: RobotSpec, command: RobotCommand, values: Mapping[str, ArrayLike], xp: ModuleType = jnp
 ) -> RobotCommand:
     """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
 
@@ -200,15 +200,19 @@ def set_drive(
     command = command.replace(setpoint=setpoint)
     if not mask.any():
         return command
-    aimed, order = drive.targets(setpoint, xp)[..., row], drive.control_modes(setpoint, xp)[..., row]
+    target, mode = drive.targets(setpoint, xp)[..., row], drive.control_modes(setpoint, xp)[..., row]
     return command.replace(
-        target=xp.where(mask, aimed, command.target).astype(xp.float32),
-        mode=xp.where(mask, order, command.mode).astype(xp.int32),
+        target=xp.where(mask, target, command.target).astype(xp.float32),
+        mode=xp.where(mask, mode, command.mode).astype(xp.int32),
     )
 
 
 def move_joints(
-    plan: KinematicTree, command: RobotCommand, targets: Mapping[str, Array], mode: ControlMode
+    plan: KinematicTree,
+    command: RobotCommand,
+    targets: Mapping[str, ArrayLike],
+    mode: ControlMode,
+    xp: ModuleType = jnp,
 ) -> RobotCommand:
     """Return a command with joints told where to go, how fast to move or what to exert.
 
@@ -217,19 +221,81 @@ def move_joints(
         command: What it was told so far; arrays may have leading axes.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
         mode: What the numbers are.
+        xp: Array module of the command.
 
     Raises:
         UnknownNameError: A joint that these robots do not have; lists those they have.
     """
-    target, orders = command.target, command.mode
+    target, modes = command.target, command.mode
     for name, value in targets.items():
         joint = plan.joint_index(name)
         if joint is None:
             known = ", ".join(plan.parts[1:])
             raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
-        target = target.at[..., joint].set(value)
-        orders = orders.at[..., joint].set(int(mode))
-    return command.replace(target=target, mode=orders)
+        here = np.arange(len(plan.parts) - 1) == joint
+        target = xp.where(here, xp.asarray(value, xp.float32)[..., None], target)
+        modes = xp.where(here, int(mode), modes).astype(xp.int32)
+    return command.replace(target=target, mode=modes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandUpdate:
+    """What robots of one class are told anew; what is not named stays as it was. Numbers are broadcast.
+
+    Attributes:
+        drive: Numbers for keys of DRIVE [rad/s, m/s or rad] (...,).
+        joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
+        mode: What the numbers of `joints` are.
+        light: Whether the headlight shall be on (...,).
+        flip_until: Until when they shall be righted [s] (...,).
+    """
+
+    drive: Mapping[str, ArrayLike] = field(default_factory=dict)
+    joints: Mapping[str, ArrayLike] = field(default_factory=dict)
+    mode: ControlMode = ControlMode.POSITION
+    light: ArrayLike | None = None
+    flip_until: ArrayLike | None = None
+
+
+def update_command(
+    plan: KinematicTree,
+    command: RobotCommand,
+    update: CommandUpdate,
+    where: Array | None = None,
+    xp: ModuleType = jnp,
+) -> RobotCommand:
+    """Return the next command: the one way to tell a robot, whoever tells it.
+
+    Args:
+        plan: Body plan of the robot class.
+        command: What the robots were told so far; arrays may have leading axes (...,).
+        update: What they are told anew.
+        where: Which of them are told it (...,); None: all.
+        xp: Array module of the command.
+
+    Raises:
+        UnknownNameError: A key of DRIVE or a joint that they do not have; lists those they have.
+    """
+    shape, told = command.target.shape[:-1], command
+
+    def each(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        return {name: xp.broadcast_to(value, shape) for name, value in values.items()}
+
+    if update.drive:
+        told = set_drive(plan.robot, told, each(update.drive), xp)
+    if update.joints:
+        told = move_joints(plan, told, each(update.joints), update.mode, xp)
+    if update.light is not None:
+        told = told.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
+    if update.flip_until is not None:
+        told = told.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape))
+    if where is None:
+        return told
+
+    def chosen(new: Array, old: Array) -> Array:
+        return xp.where(where.reshape(*shape, *[1] * (new.ndim - len(shape))), new, old)
+
+    return jax.tree.map(chosen, told, command)
 
 
 def compute_actuation(
@@ -274,27 +340,27 @@ def _servo(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the inputs and activations of a robot's actuators (`ActuatorInputs`).
 
-    Under a torque order nothing holds the joint and the pull is that torque; at the end of its range the
+    In torque mode nothing holds the joint and the pull is that torque; at the end of its range the
     joint is held there for as long as the torque pushes outward.
     """
     servos, here = servos_of(plan.robot), plan.actuated
-    q, v, target, order = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.mode))
+    q, v, target, mode = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.mode))
     speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
-    slack = servos.windup_limit[here]
+    windup_limit = servos.windup_limit[here]
     if conditions.torque is not None:
-        torque, slack = torque * conditions.torque, slack * conditions.torque
+        torque, windup_limit = torque * conditions.torque, windup_limit * conditions.torque
     if conditions.speed is not None:
         speed, target = (
             speed * conditions.speed,
-            jnp.where(order == ControlMode.VELOCITY, target * conditions.speed, target),
+            jnp.where(mode == ControlMode.VELOCITY, target * conditions.speed, target),
         )
     even = q + servos.lead[here] * v
-    act = jnp.clip(act, even - slack, even + slack)
-    wanted = jnp.where(order == ControlMode.POSITION, (target - act) / period, target)
+    act = jnp.clip(act, even - windup_limit, even + windup_limit)
+    wanted = jnp.where(mode == ControlMode.POSITION, (target - act) / period, target)
     rate = jnp.clip(wanted, -speed, speed)
     ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
-    forced = order == ControlMode.TORQUE
+    forced = mode == ControlMode.TORQUE
     free = forced & ~outward
     pull = jnp.clip(target, -torque, torque) / servos.stiffness[here]
     act = jnp.where(forced, jnp.where(outward, jnp.clip(q, low, high), pull), act)

@@ -10,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics
+from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, Effect, Effecter, Opcode
 from usarmjx.models.spec.robot import SKY, RobotSpec
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
-from usarmjx.sim.control import RobotCommand
+from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
 from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.visible import ray_geoms, visible_arena
 from usarmjx.sim.world import World, powered, robot_states, time_of
@@ -28,7 +28,7 @@ from usarmjx.sim.world import World, powered, robot_states, time_of
 LIMIT_TOLERANCE = 1e-3
 """A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
 NO_NUMBER = -1
-"""The number of an outcome that has none."""
+"""The number of a result that has none."""
 NO_VIEWER = -2
 """A viewer to whom no geom belongs."""
 
@@ -47,7 +47,8 @@ class OperationResult(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         done: Whether it was carried out (...,).
-        number: What the answer says instead of OK, such as the tags that are left; `NO_NUMBER` without one (...,).
+        number: What the answer says instead of OK, such as the tags that are left (...,);
+            `NO_NUMBER` without one.
     """
 
     done: Array
@@ -68,11 +69,20 @@ class EffecterState(struct.PyTreeNode, kw_only=True):
     tags: DroppedTags
 
 
-def find_operation(group: RobotGroup, name: str, opcode: str) -> tuple[int, Opcode]:
-    """Return the place of a team's effecter by its name, and one of its operations, case ignored.
+def find_operation(
+    group: RobotGroup, name: str, opcode: str, value: ArrayLike | None = None
+) -> tuple[int, Opcode, ArrayLike]:
+    """Return the index of a group's effecter, one of its operations, and the parameter; names' case ignored.
+
+    Args:
+        group: The robots.
+        name: Name of the effecter.
+        opcode: Name of the operation.
+        value: The parameter; None: the usual one.
 
     Raises:
         UnknownNameError: The robots have no such effecter, or it has no such operation; lists what there is.
+        UsageError: The operation needs a parameter.
     """
     names = [effecter.mount.name for effecter in group.effecters]
     place = next((i for i, known in enumerate(names) if known.lower() == name.lower()), None)
@@ -85,7 +95,10 @@ def find_operation(group: RobotGroup, name: str, opcode: str) -> tuple[int, Opco
     if operation is None:
         known = ", ".join(known.name for known in effecter.opcodes)
         raise UnknownNameError(f"{effecter.kind} {name} has no opcode {opcode!r}; it has: {known}")
-    return place, operation
+    value = operation.default_val if value is None else value
+    if value is None:
+        raise UsageError(f"{operation.name} of {name} needs a value")
+    return place, operation, value
 
 
 def apply_operation(
@@ -118,31 +131,24 @@ def apply_operation(
     if effect.drops:
         done, tags = _drop_tags(tags, ground(), done, xp)
     number = NO_NUMBER if effect.reply_number is None else effect.reply_number
-    outcome = OperationResult(done=done, number=xp.where(done, number, NO_NUMBER).astype(xp.int32))
+    result = OperationResult(done=done, number=xp.where(done, number, NO_NUMBER).astype(xp.int32))
     stock = state.stock if effect.stock is None else xp.where(done, effect.stock, state.stock)
     return EffecterState(
         command=_update_command(what, effect, state.command, done, xp), stock=stock, tags=tags
-    ), outcome
+    ), result
 
 
 def _update_command(
     what: Operation, effect: Effect, command: RobotCommand, done: Array, xp: ModuleType
 ) -> RobotCommand:
     """Return the commands (n, ...) of robots that have an effect on themselves."""
-    if effect.light is not None:
-        command = command.replace(light=xp.where(done, effect.light, command.light))
-    if effect.target is None:
-        return command
-    parts = parts_of(what.robot)
-    for joint, part in enumerate(parts):
-        if part.name in what.effecter.joints:
-            here = done[:, None] & (np.arange(len(parts)) == joint)
-            target = what.effecter.joint_target(part, effect.target, xp)[:, None]
-            command = command.replace(
-                target=xp.where(here, target, command.target).astype(xp.float32),
-                mode=xp.where(here, effect.mode, command.mode).astype(xp.int32),
-            )
-    return command
+    target = effect.target
+    moved = [
+        part for part in parts_of(what.robot) if target is not None and part.name in what.effecter.joints
+    ]
+    joints = {part.name: what.effecter.joint_target(part, target, xp) for part in moved}
+    update = CommandUpdate(joints=joints, mode=ControlMode(effect.mode), light=effect.light)
+    return update_command(kinematic_tree_of(what.robot), command, update, done, xp)
 
 
 def _drop_tags(tags: DroppedTags, ground: Array, asked: Array, xp: ModuleType) -> tuple[Array, DroppedTags]:
@@ -178,31 +184,30 @@ def operate(
     value: jax.Array,
     mask: jax.Array,
 ) -> tuple[World, OperationResult]:
-    """Let a team's robots operate one of their effecters; those without power cannot.
+    """Let a group's robots operate one of their effecters; those without power cannot.
 
     Args:
         scene: The scene.
         world: One world.
         physics: Its physics.
-        effecter_index: Team, and place of the effecter among `effecters_of` the team's class.
+        effecter_index: Indices of the group in `scene.groups` and of the effecter in its `effecters`.
         opcode: One of the effecter's operations.
         value: Its parameter (robots,).
         mask: Which robots shall do it (robots,).
     """
-    number, place = effecter_index
-    team, state = scene.groups[number], world.groups[number]
-    effecter = team.effecters[place]
+    index, place = effecter_index
+    group, state = scene.groups[index], world.groups[index]
+    effecter = group.effecters[place]
 
     def ground() -> jax.Array:
-        bodies = jax.vmap(partial(forward_kinematics, team.plan))(robot_states(team, physics))
-        points = jax.vmap(partial(effecter_position, effecter, team.plan))(bodies)
+        bodies = jax.vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
+        points = jax.vmap(partial(effecter_position, effecter, group.plan))(bodies)
         geoms = ray_geoms(visible_arena(scene, world.arena_state, time_of(scene, world)))
         return jax.vmap(partial(ground_below, geoms))(points)
 
-    load = EffecterState(command=state.command, stock=state.releases[:, place], tags=world.tags)
-    mask = mask & powered(scene, world, team, state)
-    what = Operation(robot=team.robot, effecter=effecter, opcode=opcode)
-    load, outcome = apply_operation(what, value, load, mask=mask, ground=ground)
-    state = state.replace(command=load.command, releases=state.releases.at[:, place].set(load.stock))
-    teams = (*world.groups[:number], state, *world.groups[number + 1 :])
-    return world.replace(groups=teams, tags=load.tags), outcome
+    before = EffecterState(command=state.command, stock=state.releases[:, place], tags=world.tags)
+    mask = mask & powered(scene, world, group, state)
+    what = Operation(robot=group.robot, effecter=effecter, opcode=opcode)
+    after, result = apply_operation(what, value, before, mask=mask, ground=ground)
+    state = state.replace(command=after.command, releases=state.releases.at[:, place].set(after.stock))
+    return world.with_group(index, state).replace(tags=after.tags), result

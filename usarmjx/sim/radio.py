@@ -16,7 +16,8 @@ from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.spec.robot import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import MAIL_STREAM, RADIO_STREAM, World, episode_key, robot_states, time_of
+from usarmjx.sim.streams import Stream
+from usarmjx.sim.world import World, episode_key, robot_states, time_of
 
 
 def radio_of(scene: Scene) -> RadioSettings:
@@ -54,7 +55,7 @@ def mail_of(scene: Scene) -> MessageSettings:
         UsageError: It has none.
     """
     if scene.mail is None:
-        raise UsageError("this scene has no mail: give build_scene a mail=MailSettings(...)")
+        raise UsageError("this scene has no mail: give build_scene a mail=MessageSettings(...)")
     return scene.mail
 
 
@@ -64,10 +65,10 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[j
     A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
     """
     places, in_use = jnp.zeros((scene.num_robots, 3)), jnp.zeros(scene.num_robots, bool)
-    for team, state in zip(scene.groups, world.groups, strict=True):
-        robots = robot_states(team, physics)
-        here = antenna_positions(team.robot, robots.pos, robots.quat, scene.arena.floor)
-        places, in_use = places.at[team.slots].set(here), in_use.at[team.slots].set(state.active)
+    for group, state in zip(scene.groups, world.groups, strict=True):
+        robots = robot_states(group, physics)
+        here = antenna_positions(group.robot, robots.pos, robots.quat, scene.arena.floor)
+        places, in_use = places.at[group.slots].set(here), in_use.at[group.slots].set(state.active)
     return places, in_use
 
 
@@ -91,17 +92,17 @@ def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     if world.arena_state is None:
         doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
         return with_boxes(arena_solids(scene.arena), *doors)
-    site, lift = world.arena_state, jnp.array([0.0, 0.0, scene.arena.floor])
-    shapes = scene.arena.shapes[: len(site.pos)]
+    arena, lift = world.arena_state, jnp.array([0.0, 0.0, scene.arena.floor])
+    shapes = scene.arena.shapes[: len(arena.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
-    pos, mat = site.pos[walls] + lift, mat_from_quat(site.quat[walls])
-    return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, site.size[walls])
+    pos, mat = arena.pos[walls] + lift, mat_from_quat(arena.quat[walls])
+    return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, arena.size[walls])
 
 
 def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
     places, in_use = robot_antennas(scene, world, physics)
-    key, walls = episode_key(world, RADIO_STREAM), radio_obstacles(scene, world, physics)
+    key, walls = episode_key(world, Stream.RADIO), radio_obstacles(scene, world, physics)
     now = evaluate_links(world_radio(scene, world), walls, (places, in_use), _links(world), key, world.step)
     due = links_due(scene, world)
     return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, last_links(world))
@@ -121,7 +122,7 @@ def mailboxes(scene: Scene, world: World) -> Inboxes:
 def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)
-    key = jax.random.fold_in(episode_key(world, MAIL_STREAM), mail.sent.sum())
+    key = jax.random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
     moment = (world.step, time_of(scene, world))
     return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
 

@@ -217,10 +217,10 @@ class Scene:
         chassis = np.zeros(self.num_robots, int)
         which = np.zeros(self.num_robots, bool)
         owner, wheel = np.full(self.model.nbody, -1), np.zeros(self.model.nbody, bool)
-        for team in self.groups:
-            rolls = np.array([False, *(part.is_wheel for part in parts_of(team.robot))])
-            for slot, index in zip(team.slots, team.indices, strict=True):
-                chassis[slot], which[slot] = index.body_ids[0], is_randomized(self.vary, team.robot)
+        for group in self.groups:
+            rolls = np.array([False, *(part.is_wheel for part in parts_of(group.robot))])
+            for slot, index in zip(group.slots, group.indices, strict=True):
+                chassis[slot], which[slot] = index.body_ids[0], is_randomized(self.vary, group.robot)
                 if which[slot]:
                     owner[list(index.body_ids)], wheel[list(index.body_ids)] = slot, rolls
         return RandomizedBodies(vary=self.vary, varies=which, chassis=chassis, owner=owner, wheel=wheel)
@@ -250,9 +250,9 @@ class Scene:
         return door_qpos(self.model, self.arena)
 
     def group_of(self, slot: int) -> tuple[int, int]:
-        """Return (team, place in the team) of a roster slot."""
-        for t, team in enumerate(self.groups):
-            places = np.flatnonzero(team.slots == slot)
+        """Return (group, place in the group) of a roster slot."""
+        for t, group in enumerate(self.groups):
+            places = np.flatnonzero(group.slots == slot)
             if places.size:
                 return t, int(places[0])
         raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
@@ -348,9 +348,9 @@ def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[Ro
     slots: dict[RobotSpec, list[int]] = {}
     for slot, entry in enumerate(entries):
         slots.setdefault(entry.spec, []).append(slot)
-    teams = []
+    groups = []
     for robot, members in slots.items():
-        teams.append(
+        groups.append(
             RobotGroup(
                 plan=kinematic_tree_of(robot),
                 suite=suite_of(robot),
@@ -358,4 +358,4 @@ def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[Ro
                 indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
             )
         )
-    return tuple(teams)
+    return tuple(groups)

@@ -1,7 +1,7 @@
 """The arena of a world: what of it is data, and where that is now. Pure functions of one world.
 
 A scene with one arena keeps it in the model; only what moves in it, its victims, is data. A scene with
-several gives each world a `Site` of its own at every reset.
+several gives each world an `ArenaState` of its own at every reset.
 """
 
 import jax
@@ -16,7 +16,7 @@ from usarmjx.sim.scene import Scene
 
 
 def arena_state_at(arenas: ArenaState | None, number: jax.Array, episode: jax.Array) -> ArenaState | None:
-    """Return the arena of a world's episode: worlds go through the library (arenas, ...) in turn."""
+    """Return the arena of a world's episode: worlds go through the arenas (arenas, ...) in turn."""
     if arenas is None:
         return None
     turn = arena_index_of(number, episode, len(arenas.starts))
@@ -32,7 +32,7 @@ def surroundings(
     scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: jax.Array
 ) -> Surroundings | None:
     """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them."""
-    if not any(team.suite.needs_surroundings for team in scene.groups):
+    if not any(group.suite.needs_surroundings for group in scene.groups):
         return None
     tags = jax.tree.map(jnp.asarray, scene.tags if arena_state is None else arena_state.tags)
     return surroundings_at(

@@ -27,7 +27,7 @@ from usarmjx.sim.visible import (
 from usarmjx.sim.world import World, powered, robot_states, time_of
 
 GroupCamera = tuple[int, Camera, int]
-"""A team, one of its robots' cameras, and its place among them."""
+"""A group, one of its robots' cameras, and its place among them."""
 CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
 UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
@@ -36,9 +36,10 @@ UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 def build_render_scene(
     scene: Scene, world: World, physics: PhysicsState
 ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
-    """Return all that cameras see of a world, and where the robots' bodies are, by team."""
+    """Return all that cameras see of a world, and where the robots' bodies are, by group."""
     bodies = tuple(
-        jax.vmap(partial(forward_kinematics, team.plan))(robot_states(team, physics)) for team in scene.groups
+        jax.vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
+        for group in scene.groups
     )
     geoms, paint = camera_geoms(
         [
@@ -69,13 +70,13 @@ def build_render_scene(
 def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
     """Return the headlights; those of robots without power are off."""
     pos, along, on = [], [], []
-    for team, state, body in zip(scene.groups, world.groups, bodies, strict=True):
-        lamp = headlight_of(team.robot)
+    for group, state, body in zip(scene.groups, world.groups, bodies, strict=True):
+        lamp = headlight_of(group.robot)
         mat = body.mat[:, lamp.body]
         pos.append(body.pos[:, lamp.body] + mat @ lamp.pos)
         along.append(mat @ lamp.direction)
-        on.append(state.command.light & powered(scene, world, team, state))
-    slots = np.concatenate([team.slots for team in scene.groups])
+        on.append(state.command.light & powered(scene, world, group, state))
+    slots = np.concatenate([group.slots for group in scene.groups])
     joined = [jnp.concatenate(parts) for parts in (pos, along, on)]
     return Headlights(pos=joined[0], direction=joined[1], on=joined[2], label=ROBOT_LABEL + slots)
 
@@ -87,18 +88,18 @@ def render_group(
     group_camera: GroupCamera,
     size: tuple[int, int],
 ) -> Picture:
-    """Return what a camera of all robots of a team sees; leading axis over robots.
+    """Return what a camera of all robots of a group sees; leading axis over robots.
 
     Args:
         scene: The scene.
         world: The world.
         physics: Where everything is.
-        group_camera: Team, camera, and the camera's place among those of its class; static.
+        group_camera: Group, camera, and the camera's place among those of its class; static.
         size: Width and height of a picture; static.
     """
-    team, camera, place = group_camera
+    group, camera, place = group_camera
     stage, bodies = build_render_scene(scene, world, physics)
-    members = bodies[team], jnp.asarray(scene.groups[team].slots), world.groups[team].fov[:, place]
+    members = bodies[group], jnp.asarray(scene.groups[group].slots), world.groups[group].fov[:, place]
     return map_pictures(
         lambda *member: render_picture(stage, camera_viewpoint(camera, *member), *size), *members
     )

@@ -41,10 +41,20 @@ BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
 
 class VisibleGeoms(NamedTuple):
-    """Some geoms: kinds (n,) and materials (n,) as numpy arrays, the others as in `raycast.Block` or `Paint`.
+    """Some geoms.
 
-    `geom_index` is the place of each in its robot's `BodyPlan`; 0 for what is no robot's (n,). `compact` is as in
-    `raycast.Geoms`, of all of them.
+    Attributes:
+        kind: MuJoCo types, or kinds of `models.build.pieces` (n,).
+        pos: Positions [m] (n, 3).
+        mat: Orientations (n, 3, 3).
+        size: Size numbers [m] (n, 3).
+        owner: Slots of the robots that they belong to; -1 for what is no robot's (n,).
+        material: What they are made of; members of `spec.MATERIALS` (n,).
+        rgb: Their colours (n, 3).
+        label: What they are to cameras, as in `cameras.paint` (n,).
+        geom_index: Place of each in its robot's `KinematicTree`; 0 for what is no robot's (n,).
+        transparency: How much of the light they let through (n,).
+        compact: As in `targets.Geoms`, of all of them.
     """
 
     kind: np.ndarray
@@ -152,12 +162,12 @@ def visible_water(scene: Scene) -> VisibleGeoms:
 def visible_robots(
     scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[jax.Array]
 ) -> list[VisibleGeoms]:
-    """Return the robots, by team; those that are not in use are far away."""
+    """Return the robots, by group; those that are not in use are far away."""
     rows = []
-    for team, body, used in zip(scene.groups, bodies, active, strict=True):
-        plan, n, g = team.plan, len(team.slots), len(team.plan.geom_type)
+    for group, body, used in zip(scene.groups, bodies, active, strict=True):
+        plan, n, g = group.plan, len(group.slots), len(group.plan.geom_type)
         pos, mat = jax.vmap(partial(geom_poses, plan))(body)
-        slot = np.repeat(team.slots, g)
+        slot = np.repeat(group.slots, g)
         rows.append(
             VisibleGeoms(
                 kind=np.tile(plan.geom_type, n),

@@ -14,7 +14,7 @@ from usarmjx.comms.mail import MessageSettings, OutgoingMessages
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import Mount
-from usarmjx.train.envs.actions import Actions, JointAction
+from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors
 from usarmjx.train.envs.task import StepResult, Task
@@ -165,7 +165,7 @@ def test_full_contact_buffers_are_bad_too(begun):
     env, state, _ = begun
     worlds, before = state.batch.worlds, state.batch.worlds.faults
     full = worlds.replace(faults=before.replace(overflow=before.overflow.at[2].add(1)))
-    _, after = env._finish(state.replace(batch=None), full, env.batch.physics(state.batch), before)
+    _, after = env._evaluate(state.task_state, full, env.batch.physics(state.batch), before)
     np.testing.assert_array_equal(after.bad, [False, False, True])
     np.testing.assert_array_equal(after.done, [False, False, True])
 

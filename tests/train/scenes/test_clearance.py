@@ -9,8 +9,8 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Shape
+from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import init_world
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.scenes.clearance import NO_OBSTACLE, Boxes, bounding_box_of, box_distance, clearance
 

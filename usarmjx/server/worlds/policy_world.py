@@ -4,7 +4,6 @@ All worlds of the batch do the policy's task. It reads sensors once for each act
 clients are told the same readings, so nothing changes for the policy when somebody looks on.
 """
 
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,11 +19,11 @@ from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.host import Robot
+from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe
-from usarmjx.train.envs.actions import Actions, apply_actions
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.task import TaskView
@@ -107,17 +106,7 @@ class PolicyWorld(BatchWorld):
         """Give orders to the robots that nobody has claimed (robots,)."""
         task, scene = self._env.task, self._env.scene
         told = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-        orders = _mask_claimed(task.act(view, memory, told), view, claimed)
-        world = apply_actions(scene, view.world, view.physics, orders)
-        teams = tuple(
-            after.replace(
-                command=jax.tree.map(
-                    partial(select_worlds, claimed[team.slots]), before.command, after.command
-                )
-            )
-            for team, before, after in zip(scene.groups, view.world.groups, world.groups, strict=True)
-        )
-        return world.replace(groups=teams)
+        return apply_actions(scene, view.world, view.physics, task.act(view, memory, told), where=~claimed)
 
     def _policy_step(self) -> None:
         """Read the sensors of all worlds, judge, and let the policy give its orders."""
@@ -234,15 +223,3 @@ class PolicyWorld(BatchWorld):
         for robot in due:
             team, place = self._batch.scene.group_of(robot.slot)
             robot.drowned = bool(self._state.worlds.groups[team].drowned[self._instance, place])
-
-
-def _mask_claimed(orders: Actions, view: TaskView, claimed: jax.Array) -> Actions:
-    """Return orders without letters from robots that are claimed (robots,), and orders to their effecters."""
-    scene, letters = view.scene, orders.messages
-    if letters is not None:
-        letters = letters.replace(receivers=letters.receivers & ~claimed[:, None])
-    operations = tuple(
-        replace(one, where=one.where & ~claimed[scene.groups[one.group].slots])
-        for one in orders.effecter_actions
-    )
-    return replace(orders, messages=letters, effecter_actions=operations)

@@ -12,7 +12,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.world import init_world
+from usarmjx.sim.reset import init_world
 from usarmjx.train.envs.episode import (
     apply_policy_actions,
     evaluate_step,
@@ -23,8 +23,6 @@ from usarmjx.train.envs.episode import (
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart
 from usarmjx.train.envs.task import StepResult, Task
-
-Array = jax.Array
 
 
 class Env:
@@ -67,12 +65,12 @@ class Env:
         arenas = task.arenas
         self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
         self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
-        self._tell = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
-        self._open = self._compile(jax.vmap(partial(start_episode, self.scene, task)))
-        self._finish = self._compile(partial(evaluate_step, self.scene, task))
-        self._reopen = self._compile(partial(reset_done_worlds, self.scene, task))
+        self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
+        self._start = self._compile(jax.vmap(partial(start_episode, self.scene, task)))
+        self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
+        self._reset_worlds = self._compile(partial(reset_done_worlds, self.scene, task))
         self._library = self._compile(self._library_at)
-        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
+        self.step: Callable[[EnvState, tuple[jax.Array, ...]], EnvState] = (
             self._compile(self._step) if self.traceable else self._step
         )
         """Advance every world by one action, per group (worlds, robots, action_size).
@@ -89,31 +87,31 @@ class Env:
         """Return the agents, the size of `privileged` and the names of the metrics."""
         scene, task = self.scene, self.task
 
-        def once(key: Array) -> tuple[EpisodeStart, StepResult]:
-            sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
-            world, qpos = init_world(scene, key, jnp.int32(0), sites, shuffle=task.shuffle)
+        def once(key: jax.Array) -> tuple[EpisodeStart, StepResult]:
+            arenas = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
+            world, qpos = init_world(scene, key, jnp.int32(0), arenas, shuffle=task.shuffle)
             model = scene.model
             physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
-            world, opening = start_episode(scene, task, world, physics)
-            return opening, task.evaluate(make_view(scene, world, physics)[1], opening.memory)
+            world, begun = start_episode(scene, task, world, physics)
+            return begun, task.evaluate(make_view(scene, world, physics)[1], begun.memory)
 
-        opening, verdict = jax.eval_shape(once, jax.random.key(0))
+        begun, result = jax.eval_shape(once, jax.random.key(0))
         groups = []
         for number, obs, actions in zip(
-            task.agent_groups(scene), opening.obs, task.action_sizes(scene), strict=True
+            task.agent_groups(scene), begun.obs, task.action_sizes(scene), strict=True
         ):
-            team = scene.groups[number]
-            names = tuple(scene.roster[slot].name or f"{team.robot.name}{slot}" for slot in team.slots)
-            groups.append(AgentGroup(team.robot.name, names, obs.shape[-1], actions))
-        return tuple(groups), opening.privileged.shape[-1], tuple(verdict.metrics)
+            group = scene.groups[number]
+            names = tuple(scene.roster[slot].name or f"{group.robot.name}{slot}" for slot in group.slots)
+            groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions))
+        return tuple(groups), begun.privileged.shape[-1], tuple(result.metrics)
 
-    def _library_at(self, library: ArenaState, level: Array) -> ArenaState:
+    def _library_at(self, library: ArenaState, level: jax.Array) -> ArenaState:
         """Return a library in which only the arenas in play are, over and over."""
         assert self._generated is not None  # as the caller says
         index = self._generated.arena_indices(level)
         return jax.tree.map(lambda rows: rows[index], library)
 
-    def _arenas(self, level: Array) -> ArenaState | None:
+    def _arenas(self, level: jax.Array) -> ArenaState | None:
         if self._generated is None or self.scene.arenas is None:
             return None
         return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.states), level)
@@ -132,28 +130,28 @@ class Env:
             raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
         level_now = jnp.float32(level)
         batch = self.batch.reset(self.seed if seed is None else seed, self._arenas(level_now))
-        worlds, opening = self._open(batch.worlds, self.batch.physics(batch))
+        worlds, begun = self._start(batch.worlds, self.batch.physics(batch))
         no = jnp.zeros(self.worlds, bool)
         zero = jnp.zeros(self.worlds)
         return EnvState(
             batch=batch.replace(worlds=worlds),
-            memory=opening.memory,
-            obs=opening.obs,
-            privileged=opening.privileged,
+            memory=begun.memory,
+            obs=begun.obs,
+            privileged=begun.privileged,
             reward=tuple(jnp.zeros((self.worlds, len(group.agents))) for group in self.groups),
             done=no,
             truncated=no,
-            final_obs=opening.obs,
-            final_privileged=opening.privileged,
-            score=opening.score,
+            final_obs=begun.obs,
+            final_privileged=begun.privileged,
+            score=begun.score,
             final_score=zero,
-            length=opening.length,
+            length=begun.length,
             bad=no,
             metrics=dict.fromkeys(self._metrics, zero),
             level=level_now,
         )
 
-    def at_level(self, state: EnvState, level: float | Array) -> EnvState:
+    def at_level(self, state: EnvState, level: float | jax.Array) -> EnvState:
         """Return the state with other generated arenas in play: worlds meet them at their next reset.
 
         Those are in play whose difficulty is at most the level, and always the easiest. Nothing is compiled
@@ -164,25 +162,23 @@ class Env:
         batch = state.batch if library is None else state.batch.replace(arenas=library)
         return state.replace(batch=batch, level=level)
 
-    def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+    def _step(self, state: EnvState, actions: tuple[jax.Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults
-        worlds = self._tell(batch.worlds, self.batch.physics(batch), state.memory, actions)
+        worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
-        worlds, state = self._finish(
-            state.replace(batch=None), batch.worlds, self.batch.physics(batch), before
-        )
-        state = state.replace(batch=batch.replace(worlds=worlds))
+        worlds, task = self._evaluate(state.task_state, batch.worlds, self.batch.physics(batch), before)
+        state = state.with_task(batch.replace(worlds=worlds), task)
         if self.traceable:
             return jax.lax.cond(state.done.any(), self._reset_done, lambda s: s, state)
         return self._reset_done(state) if np.asarray(state.done).any() else state
 
     def _reset_done(self, state: EnvState) -> EnvState:
         batch = self.batch.reset_where(state.batch, state.done)
-        worlds, state = self._reopen(state.replace(batch=None), batch.worlds, self.batch.physics(batch))
-        return state.replace(batch=batch.replace(worlds=worlds))
+        worlds, task = self._reset_worlds(state.task_state, batch.worlds, self.batch.physics(batch))
+        return state.with_task(batch.replace(worlds=worlds), task)
 
-    def _check(self, actions: tuple[Array, ...]) -> None:
+    def _check(self, actions: tuple[jax.Array, ...]) -> None:
         """Refuse actions of another shape."""
         wanted = [(self.worlds, len(group.agents), group.action_size) for group in self.groups]
         given = [tuple(np.shape(action)) for action in actions]

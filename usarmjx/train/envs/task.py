@@ -25,15 +25,13 @@ from usarmjx.models.build.victims import VictimTable
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.sensors.base import Reading
+from usarmjx.sim.actions import Actions
 from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.site import start_poses, victims_of
+from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import World, episode_key, robot_states, time_of
-from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, spec_of, with_sensors
-
-TASK_STREAM, STEP_STREAM = 5, 6
-"""First folds of a world's key: numbers that a task draws at an episode's start, and at its steps."""
 
 
 class TaskView(struct.PyTreeNode, kw_only=True):
@@ -59,7 +57,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
     @property
     def key(self) -> jax.Array:
         """A random key of this moment, for tasks that draw at every step."""
-        return jax.random.fold_in(episode_key(self.world, STEP_STREAM), self.world.step)
+        return jax.random.fold_in(episode_key(self.world, Stream.TASK_STEP), self.world.step)
 
     def sensor(self, group: int, kind: str) -> jax.Array:
         """Return what the first sensor of a type last reported (robots, ...), as `sensors` says.

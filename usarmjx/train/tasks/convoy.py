@@ -16,8 +16,8 @@ from usarmjx.models.drives import Ackermann
 from usarmjx.models.roads.network import RouteNetwork
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas, spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView
 from usarmjx.train.tasks.lane import LanePath, closed_lane

@@ -14,8 +14,8 @@ from usarmjx.models.arenas.elements import block
 from usarmjx.models.drives import RotaryWing
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView, drive_keys
 from usarmjx.train.scenes.clearance import NO_OBSTACLE, box_distance, obstacle_boxes, robot_boxes

@@ -13,8 +13,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Actions
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, Task, TaskView
 from usarmjx.train.tasks.ranges import reduce_to_sectors

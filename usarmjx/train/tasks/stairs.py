@@ -14,8 +14,8 @@ from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import ENCODER_AXIS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView, drive_all
 from usarmjx.train.tasks.drive_to_goal import goal_observation

@@ -11,8 +11,8 @@ from flax import struct
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.sim.scene import RobotGroup, Scene
-from usarmjx.train.envs.actions import Actions, JointAction
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
