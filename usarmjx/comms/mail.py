@@ -37,7 +37,7 @@ class MessageSettings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        for name in ("numbers", "capacity", "budget"):
+        for name in ("numbers", "capacity", "bytes_per_step"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1:
                 raise SpecError(f"mail: {name} is {value}, allowed is a whole number from 1")
