@@ -77,19 +77,19 @@ def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
         step: Control step.
     """
     poses, qpos, readings = np.asarray(poses, np.float32), np.array(physics.qpos), []
-    for team in scene.groups:
-        here = poses[team.slots]
-        for address, (x, y, yaw) in zip(team.root_qposadr, here, strict=True):
+    for group in scene.groups:
+        here = poses[group.slots]
+        for address, (x, y, yaw) in zip(group.root_qposadr, here, strict=True):
             qpos[address[:2]] = x, y
             qpos[address[3:]] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         values = []
-        for sensor in team.suite.sensors:
+        for sensor in group.suite.sensors:
             if sensor.kind == "RangeScanner":
-                places = np.asarray(scanner_poses(team, jnp.asarray(here)))
+                places = np.asarray(scanner_poses(group, jnp.asarray(here)))
                 value = np.stack([scan(place, sensor.settings[0]) for place in places])
             elif sensor.kind == "VictSensor":
                 none = np.zeros((len(here), len(scene.victims.part), 5), np.float32)
-                value = none if met is None else np.stack([met[slot] for slot in team.slots])
+                value = none if met is None else np.stack([met[slot] for slot in group.slots])
             else:
                 flat = np.zeros((len(here), 2), np.float32)
                 up = np.full((len(here), 1), 0.26, np.float32)
@@ -111,7 +111,7 @@ def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
 
 
 def play(task, paths, linked=None, met=None):
-    """Yield memory and verdict of each step of robots on paths (steps, robots, 3), the start's verdict None.
+    """Yield memory and result of each step of robots on paths (steps, robots, 3), the start's result None.
 
     Args:
         task: The task; its robots are led, whatever they are told.
@@ -119,29 +119,29 @@ def play(task, paths, linked=None, met=None):
         linked: Which links hold at each of these times (steps, robots, robots); None: none ever.
         met: What victim sensors report at each of them (steps, robots, boxes, 5); None: nothing.
     """
-    (scene, world, physics), start, judge, act = _machine(task)
+    (scene, world, physics), start, evaluate, act = _machine(task)
     memory = None
     for step, poses in enumerate(paths):
         now = {"linked": None if linked is None else linked[step], "met": None if met is None else met[step]}
         view = view_of(scene, world, physics, poses, step=step * task.repeat, **now)
         if memory is None:
-            memory, verdict = start(view, jax.random.key(0)), None
+            memory, result = start(view, jax.random.key(0)), None
         else:
-            verdict = judge(view, memory)
-            memory = verdict.memory
-        yield view, memory, verdict
+            result = evaluate(view, memory)
+            memory = result.memory
+        yield view, memory, result
         world = act(view, memory)
 
 
 @cache
 def _machine(task):
     """Scene and compiled functions of a task, once for all tests."""
-    return begin(task), jax.jit(task.start), jax.jit(task.evaluate), jax.jit(partial(_told, task))
+    return begin(task), jax.jit(task.start), jax.jit(task.evaluate), jax.jit(partial(_act, task))
 
 
-def _told(task, view, memory):
-    """The world after the letters of a step."""
+def _act(task, view, memory):
+    """The world after the messages of a step."""
     sizes, scene = task.action_sizes(view.scene), view.scene
     groups = zip(task.agent_groups(scene), sizes, strict=True)
-    still = tuple(jnp.zeros((len(scene.groups[team].slots), size)) for team, size in groups)
+    still = tuple(jnp.zeros((len(scene.groups[group].slots), size)) for group, size in groups)
     return apply_actions(scene, view.world, view.physics, task.act(view, memory, still))

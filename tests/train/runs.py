@@ -76,7 +76,7 @@ def lines(folder):
 
 
 def checksums(folder, name="last"):
-    """What is in a checkpoint, by its checksums: learner and worlds of the first process."""
+    """What is in a checkpoint, by its checksums: train state and worlds of the first process."""
     from usarmjx.train.learning.checkpoint import Checkpoints
 
     path = Checkpoints(folder).find(name)

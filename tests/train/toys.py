@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.train.envs.env import AgentGroup, EnvState
+from usarmjx.train.envs.state import AgentGroup, EnvState
 
 
 class ToyMemory(struct.PyTreeNode, kw_only=True):
@@ -87,7 +87,7 @@ class Toy:
         )
 
 
-def team(name, robots, obs_size, action_size):
+def group(name, robots, obs_size, action_size):
     return AgentGroup(name, tuple(f"{name}{i}" for i in range(robots)), obs_size, action_size)
 
 
@@ -99,7 +99,7 @@ class DriveToy(Toy):
     """
 
     name, episode_steps, privileged_size = "drive-toy", 25, 6
-    groups = (team("A", 2, 2, 2), team("B", 1, 2, 2))
+    groups = (group("A", 2, 2, 2), group("B", 1, 2, 2))
 
     def __init__(self, *args, rotten=False, **more):
         self.rotten = rotten
@@ -131,7 +131,7 @@ class MemoryToy(Toy):
     """
 
     name, episode_steps, privileged_size = "memory-toy", 5, 1
-    groups = (team("A", 1, 2, 1),)
+    groups = (group("A", 1, 2, 1),)
 
     def start(self, key):
         return {"light": jnp.where(jax.random.bernoulli(key), 1.0, -1.0)}
@@ -153,7 +153,7 @@ class EndlessToy(Toy):
     """A reward of 1 at every step, for ever; the time limit only interrupts. Worth 1 / (1 - discount)."""
 
     name, episode_steps, privileged_size = "endless-toy", 4, 0
-    groups = (team("A", 1, 1, 1),)
+    groups = (group("A", 1, 1, 1),)
 
     def start(self, key):
         return {"nothing": jnp.zeros(1)}
@@ -163,3 +163,94 @@ class EndlessToy(Toy):
 
     def go(self, x, time, actions):
         return x, (jnp.ones(1),), jnp.zeros((), bool), jnp.zeros(()), jnp.zeros((), bool)
+
+
+END = 1.5
+"""Where an episode of `LineToy` ends."""
+
+
+class LineToy:
+    """Robots on lines, whose numbers a test can work out by hand; without the class above.
+
+    Each robot stands on a line at `x`. A world starts with robot i at (number + 1) / 8 + i + episode / 16; an
+    action moves by a tenth of its first number. Reward: the new x. An episode ends when the first robot is
+    beyond `END`, or after `episode_steps`. Observed: x, and the steps so far. There are `robots` of class A,
+    each with an action of 2 numbers, and one of class B with 1 if `mixed`.
+    """
+
+    name = "toy"
+    privileged_size = 1
+    episode_steps = 6
+    period = 0.1
+
+    def __init__(self, worlds=1, robots=2, mixed=True, traceable=True):
+        self.worlds, self.traceable = worlds, traceable
+        first = group("A", robots, 2, 2)
+        self.groups = (first, group("B", 1, 2, 1)) if mixed else (first,)
+        self.calls = 0
+
+    def _start(self, number, episode):
+        first = (number + 1) / 8 + episode / 16
+        return tuple(first[:, None] + jnp.arange(len(g.agents), dtype=jnp.float32) for g in self.groups)
+
+    def _obs(self, x, length):
+        steps = length.astype(jnp.float32)[:, None]
+        return tuple(jnp.stack([p, jnp.broadcast_to(steps, p.shape)], -1) for p in x)
+
+    def reset(self, seed):
+        zero, no = jnp.zeros(self.worlds), jnp.zeros(self.worlds, bool)
+        number = jnp.arange(self.worlds) + jnp.asarray(seed, jnp.int32) % 7
+        episode = jnp.zeros(self.worlds, jnp.int32)
+        x, length = self._start(number, episode), jnp.zeros(self.worlds, jnp.int32)
+        obs = self._obs(x, length)
+        return EnvState(
+            batch={"key": jax.random.key(seed), "episode": episode},
+            memory={"number": number, "x": x},
+            obs=obs,
+            privileged=x[0][:, :1],
+            reward=tuple(jnp.zeros_like(p) for p in x),
+            done=no,
+            truncated=no,
+            final_obs=obs,
+            final_privileged=x[0][:, :1],
+            score=zero,
+            final_score=zero,
+            length=length,
+            bad=no,
+            metrics={"way": zero},
+        )
+
+    def step(self, state, actions):
+        self.calls += 1
+        assert [a.shape for a in actions] == [
+            (self.worlds, len(g.agents), g.action_size) for g in self.groups
+        ], [a.shape for a in actions]
+        x = tuple(p + 0.1 * a[..., 0] for p, a in zip(state.memory["x"], actions, strict=True))
+        length, score = state.length + 1, state.score + x[0][:, 0]
+        ended = x[0][:, 0] > END
+        truncated = ~ended & (length >= self.episode_steps)
+        done = ended | truncated
+        episode = state.batch["episode"] + done
+        fresh = self._start(state.memory["number"], episode)
+        final_obs, pick = self._obs(x, length), partial(_pick, done)
+        now, left = jax.tree.map(pick, fresh, x), jnp.where(done, 0, length)
+        return state.replace(
+            batch={**state.batch, "episode": episode},
+            memory={**state.memory, "x": now},
+            obs=self._obs(now, left),
+            privileged=now[0][:, :1],
+            reward=x,
+            done=done,
+            truncated=truncated,
+            final_obs=final_obs,
+            final_privileged=x[0][:, :1],
+            score=jnp.where(done, 0.0, score),
+            final_score=jnp.where(done, score, state.final_score),
+            length=left,
+            bad=jnp.zeros(self.worlds, bool),
+            metrics={"way": x[0][:, 0]},
+        )
+
+
+def _pick(done, new, old):
+    return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)), new, old)

@@ -19,18 +19,18 @@ def view_of(task, scene=None):
     return TaskView(world=world, physics=physics, readings=(), scene=scene)
 
 
-def placed(view, *poses, team=0):
-    """The same view with a team's robots at x, y, z, roll, pitch, yaw."""
+def placed(view, *poses, group=0):
+    """The same view with a group's robots at x, y, z, roll, pitch, yaw."""
     qpos = view.physics.qpos
-    for address, (x, y, z, *turn) in zip(view.scene.groups[team].root_qposadr, poses, strict=True):
+    for address, (x, y, z, *turn) in zip(view.scene.groups[group].root_qposadr, poses, strict=True):
         qpos = qpos.at[address].set(jnp.array([x, y, z, *np.asarray(quat_from_angles(*turn))], jnp.float32))
     return view.replace(physics=view.physics.replace(qpos=qpos))
 
 
-def told(view, team=0, **values):
-    """The same view with what a team's sensors told, by type; others told nothing that is right."""
-    suite = view.scene.groups[team].suite
+def told(view, group=0, **values):
+    """The same view with what a group's sensors told, by type; others told nothing that is right."""
+    suite = view.scene.groups[group].suite
     known = {suite.index(kind): jnp.asarray(value, jnp.float32) for kind, value in values.items()}
-    fresh = jnp.ones(len(view.scene.groups[team].slots), bool)
+    fresh = jnp.ones(len(view.scene.groups[group].slots), bool)
     readings = tuple(Reading(value=known.get(i), fresh=fresh) for i in range(len(suite.sensors)))
     return view.replace(readings=(readings,))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.train.toy import END, ToyEnv
+from tests.train.toys import END, LineToy
 from usarmjx.base.errors import UsageError
 
 FLOAT = 1e-5  # sums of a few numbers of size 1 in single precision, in another order
@@ -29,13 +29,13 @@ def test_pettingzoo_own_checks_pass_without_a_warning(parallel):
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        parallel_api_test(parallel(ToyEnv()), num_cycles=50)
-        parallel_seed_test(lambda: parallel(ToyEnv()), num_cycles=50)
+        parallel_api_test(parallel(LineToy()), num_cycles=50)
+        parallel_seed_test(lambda: parallel(LineToy()), num_cycles=50)
 
 
 @pytest.mark.parametrize("traceable", [True, False])
 def test_a_pettingzoo_episode_ends_with_its_end_and_goes_on_with_the_next(parallel, traceable):
-    world = parallel(ToyEnv(traceable=traceable))
+    world = parallel(LineToy(traceable=traceable))
     obs, _ = world.reset(seed=7)
     np.testing.assert_allclose([obs["A0"][0], obs["A1"][0]], [1 / 8, 1 + 1 / 8])
     still = {"A0": np.zeros(2), "A1": np.zeros(2), "B0": np.zeros(1)}
@@ -56,7 +56,7 @@ def test_a_pettingzoo_episode_ends_with_its_end_and_goes_on_with_the_next(parall
 
 
 def test_pettingzoo_says_which_action_is_wrong(parallel):
-    world = parallel(ToyEnv())
+    world = parallel(LineToy())
     with pytest.raises(UsageError, match="call reset first"):
         world.step({})
     world.reset()
@@ -65,7 +65,7 @@ def test_pettingzoo_says_which_action_is_wrong(parallel):
     with pytest.raises(UsageError, match=r"action of A1: shape \(3,\), expected \(2,\)"):
         world.step({"A0": np.zeros(2), "A1": np.zeros(3), "B0": np.zeros(1)})
     with pytest.raises(UsageError, match="worlds=1, not 2"):
-        parallel(ToyEnv(worlds=2))
+        parallel(LineToy(worlds=2))
 
 
 # ---- Gymnasium
@@ -85,7 +85,7 @@ def single(vector, number=0):
 
     class First(gymnasium.Env):
         def __init__(self):
-            self.vector = vector(ToyEnv(worlds=number + 1, team=1, mixed=False))
+            self.vector = vector(LineToy(worlds=number + 1, robots=1, mixed=False))
             self.observation_space = self.vector.single_observation_space
             self.action_space = self.vector.single_action_space
 
@@ -109,7 +109,7 @@ def single(vector, number=0):
 def test_gymnasium_own_checks_pass(vector):
     from gymnasium.utils import env_checker, passive_env_checker
 
-    many = vector(ToyEnv(worlds=3), seed=5)
+    many = vector(LineToy(worlds=3), seed=5)
     for check in (
         env_checker.check_seed_deprecation,
         env_checker.check_reset_return_type,
@@ -130,7 +130,7 @@ def test_gymnasium_own_checks_pass(vector):
 def test_gymnasium_hands_out_new_arrays(vector):
     from gymnasium.utils.passive_env_checker import data_shares_objects
 
-    worlds = vector(ToyEnv(worlds=2, mixed=False))
+    worlds = vector(LineToy(worlds=2, mixed=False))
     seen = [worlds.reset(seed=0)]
     for _ in range(7):  # past the end of an episode
         obs, reward, _, _, info = worlds.step(np.zeros((2, 4), np.float32))
@@ -168,7 +168,7 @@ def test_gymnasium_vector_is_as_gymnasium_makes_one_of_single_environments(vecto
             info = {"way": self.x, "score": self.score}
             return obs, self.x, ended, not ended and self.length >= 6, info
 
-    ours = vector(ToyEnv(worlds=3, team=1, mixed=False))
+    ours = vector(LineToy(worlds=3, robots=1, mixed=False))
     theirs = SyncVectorEnv([lambda n=n: Plain(n) for n in range(3)], autoreset_mode=AutoresetMode.SAME_STEP)
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     np.testing.assert_allclose(ours.reset(seed=0)[0], theirs.reset(seed=0)[0])
@@ -199,7 +199,7 @@ def test_gymnasium_vector_is_as_gymnasium_makes_one_of_single_environments(vecto
 def test_gymnasium_wrappers_count_episodes(vector):
     from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-    worlds = RecordEpisodeStatistics(vector(ToyEnv(worlds=2, team=1, mixed=False)))
+    worlds = RecordEpisodeStatistics(vector(LineToy(worlds=2, robots=1, mixed=False)))
     worlds.reset(seed=0)
     for _ in range(6):
         *_, info = worlds.step(np.zeros((2, 2), np.float32))
@@ -209,7 +209,7 @@ def test_gymnasium_wrappers_count_episodes(vector):
 
 
 def test_gymnasium_agents_are_worlds_or_robots(vector):
-    joined, each = vector(ToyEnv(worlds=2)), vector(ToyEnv(worlds=2, mixed=False), robots="each")
+    joined, each = vector(LineToy(worlds=2)), vector(LineToy(worlds=2, mixed=False), robots="each")
     assert (joined.num_envs, joined.observation_space.shape, joined.action_space.shape) == (2, (2, 6), (2, 5))
     assert (each.num_envs, each.observation_space.shape, each.action_space.shape) == (4, (4, 2), (4, 2))
     actions = np.array([[1.0, 0, 2, 0, 3], [4, 0, 5, 0, 6]], np.float32)  # A0, A1, B0 of both worlds
@@ -226,7 +226,7 @@ def test_gymnasium_agents_are_worlds_or_robots(vector):
 
 
 def test_gymnasium_says_what_is_wrong(vector):
-    worlds = vector(ToyEnv(worlds=2))
+    worlds = vector(LineToy(worlds=2))
     with pytest.raises(UsageError, match="call reset first"):
         worlds.step(np.zeros((2, 5)))
     with pytest.raises(UsageError, match="reset_mask"):
@@ -235,9 +235,9 @@ def test_gymnasium_says_what_is_wrong(vector):
     with pytest.raises(UsageError, match=r"shape \(5,\), expected \(2, 5\)"):
         worlds.step(np.zeros(5))
     with pytest.raises(UsageError, match="robots of one class, but toy has A, B"):
-        vector(ToyEnv(), robots="each")
+        vector(LineToy(), robots="each")
     with pytest.raises(UsageError, match="'joined' and 'each'"):
-        vector(ToyEnv(), robots="all")
+        vector(LineToy(), robots="all")
 
 
 # ---- JaxMARL
@@ -261,7 +261,7 @@ def test_jaxmarl_base_interface_is_implemented(marl):
     from jaxmarl.environments import MultiAgentEnv
     from jaxmarl.environments.spaces import Space
 
-    env = marl(ToyEnv())
+    env = marl(LineToy())
     assert isinstance(env, MultiAgentEnv)
     assert env.name == "toy"
     assert env.agent_classes == {"A": ["A0", "A1"], "B": ["B0"]}
@@ -281,7 +281,7 @@ def test_jaxmarl_base_interface_is_implemented(marl):
 
 
 def test_jaxmarl_restarts_at_the_next_episode_or_at_a_given_state(marl):
-    env = marl(ToyEnv())
+    env = marl(LineToy())
     key = jax.random.PRNGKey(0)
     first, state = env.reset(key)
     _, other = env.reset(jax.random.PRNGKey(3))
@@ -303,7 +303,7 @@ def test_jaxmarl_restarts_at_the_next_episode_or_at_a_given_state(marl):
 def test_jaxmarl_is_mapped_scanned_and_logged(marl):
     from jaxmarl.wrappers.baselines import LogWrapper
 
-    env = LogWrapper(marl(ToyEnv()))
+    env = LogWrapper(marl(LineToy()))
     obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))
     start = obs["A0"][:, 0]
 
@@ -320,9 +320,9 @@ def test_jaxmarl_is_mapped_scanned_and_logged(marl):
 
 def test_jaxmarl_refuses_what_it_cannot_compile(marl):
     with pytest.raises(UsageError, match="engine 'jax' or 'warp'"):
-        marl(ToyEnv(traceable=False))
+        marl(LineToy(traceable=False))
     with pytest.raises(UsageError, match="worlds=1, not 2"):
-        marl(ToyEnv(worlds=2))
+        marl(LineToy(worlds=2))
 
 
 # ---- Brax
@@ -340,7 +340,7 @@ def test_brax_collects_transitions_of_all_robots(robots):
     """Brax's own unroll, as its learners use it."""
     from brax.training.acting import generate_unroll
 
-    env = robots(ToyEnv(worlds=2, mixed=False))
+    env = robots(LineToy(worlds=2, mixed=False))
     assert (env.observation_size, env.action_size) == (2, 2)
     state = jax.jit(env.reset)(jax.random.PRNGKey(0))
     start = np.array(state.obs[:, 0])
@@ -354,11 +354,11 @@ def test_brax_collects_transitions_of_all_robots(robots):
     np.testing.assert_array_equal(data.discount[:, 0], [1, 1, 1, 1, 1, 0, 1])
     np.testing.assert_array_equal(data.extras["state_extras"]["truncation"][:, 0], [0, 0, 0, 0, 0, 1, 0])
     with pytest.raises(UsageError, match="one class"):
-        robots(ToyEnv())
+        robots(LineToy())
 
 
 def test_brax_steps_an_engine_that_cannot_be_traced(robots):
-    env = robots(ToyEnv(worlds=1, mixed=False, traceable=False))
+    env = robots(LineToy(worlds=1, mixed=False, traceable=False))
     state = env.reset(jax.random.split(jax.random.key(0), 3))
     after = env.step(state, jnp.ones((2, 2)))
     np.testing.assert_allclose(after.obs[:, 0], state.obs[:, 0] + 0.1, atol=FLOAT)

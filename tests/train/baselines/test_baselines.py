@@ -6,7 +6,7 @@ import pytest
 
 import usarmjx
 from tests.train.envs.test_env import LIGHT
-from tests.train.toy import ToyEnv
+from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.baselines import BASELINES
@@ -121,7 +121,7 @@ def way(number):
 
 def test_short_episodes_count_no_more_often_than_long_ones():
     """Worlds 10 and 11 are done after one or two steps, the others after six."""
-    env = ToyEnv(worlds=12, team=1, mixed=False)
+    env = LineToy(worlds=12, robots=1, mixed=False)
     came = run_episodes(env, push(PUSH), 12)
     expected = [way(number) for number in range(12)]
     assert sorted(came.lengths) == sorted(steps for _, steps in expected)
@@ -130,7 +130,7 @@ def test_short_episodes_count_no_more_often_than_long_ones():
 
 
 def test_several_seeds_give_a_row_each_and_the_interval_of_their_means():
-    env = ToyEnv(worlds=2, team=1, mixed=False)
+    env = LineToy(worlds=2, robots=1, mixed=False)
     result = evaluate_episodes(env, push(PUSH), 2, seeds=(0, 1, 2))
     means = [np.mean([way(seed)[0], way(seed + 1)[0]]) for seed in range(3)]
     np.testing.assert_allclose([row.mean for row in result.seed_scores], means, rtol=1e-5)

@@ -57,32 +57,32 @@ def test_the_loss_is_half_the_squares_of_what_is_off():
 
 def test_a_learner_does_what_it_was_shown():
     trainer = trainer_of(imitate=20 * ROUND, steps=25 * ROUND)
-    learner, worlds = trainer.start()
+    train_state, worlds = trainer.start()
     off = []
     for iteration in range(20):
-        learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+        train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
         off.append(float(known["loss/imitation"]))
     assert off[-1] < 0.05 * off[0]
     obs = worlds.env_state.obs
     done, _ = trainer.networks.policy.act(
-        policy_params(learner), obs, worlds.policy_carry, deterministic=True
+        policy_params(train_state), obs, worlds.policy_carry, deterministic=True
     )
     _, shown = straight(None).act(0, obs, None)
     for mine, his in zip(done, shown, strict=True):
         assert np.sqrt(np.mean((mine - his) ** 2)) < 0.15  # of 0.8, the teacher's fastest
-    weights = learner.params.policy
+    weights = train_state.params.policy
     for iteration in range(20, 25):  # PPO from here on: the policy goes on changing, and stays finite
-        learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+        train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
     assert np.isfinite(float(known["loss/policy"]))
     assert not np.array_equal(
-        weights[0]["params"]["head"]["bias"], learner.params.policy[0]["params"]["head"]["bias"]
+        weights[0]["params"]["head"]["bias"], train_state.params.policy[0]["params"]["head"]["bias"]
     )
 
 
 def test_a_teacher_begins_anew_with_each_episode():
     trainer = trainer_of(imitate=ROUND)
-    learner, worlds = trainer.start()
-    worlds, steps, _, _ = trainer.rollout.collect(learner, worlds, jax.random.key(0))
+    train_state, worlds = trainer.start()
+    worlds, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))
     since = np.zeros(CONFIG.worlds, int)
     for done in np.asarray(steps.done):
         since = np.where(done, 0, since + 1)
@@ -93,16 +93,16 @@ def test_a_teacher_begins_anew_with_each_episode():
 
 
 def test_after_the_lessons_only_ppo_counts():
-    """An update of a learner past its lessons is that of one that never had any, to rounding."""
+    """An update of a train_state past its lessons is that of one that never had any, to rounding."""
     with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
-    learner, worlds = alone.start()
-    learner = learner.replace(iteration=learner.iteration + 1)
-    _, steps, bounds, sums = alone.rollout.collect(learner, worlds, jax.random.key(0))
-    _, same, _, _ = with_teacher.rollout.collect(learner, with_teacher.start()[1], jax.random.key(0))
+    train_state, worlds = alone.start()
+    train_state = train_state.replace(iteration=train_state.iteration + 1)
+    _, steps, bounds, sums = alone.rollout.collect(train_state, worlds, jax.random.key(0))
+    _, same, _, _ = with_teacher.rollout.collect(train_state, with_teacher.start()[1], jax.random.key(0))
     assert not any(np.asarray(shown).any() for shown in same.teacher_action)
     experience = bounds, {name: one[None] for name, one in sums.items()}
-    expected, _ = alone._update(learner, (steps, *experience))
-    found, known = with_teacher._update(learner, (same, *experience))
+    expected, _ = alone._update(train_state, (steps, *experience))
+    found, known = with_teacher._update(train_state, (same, *experience))
     assert "loss/imitation" in known
     for a, b in zip(jax.tree.leaves(expected.params), jax.tree.leaves(found.params), strict=True):
         assert_allclose(a, b, rtol=1e-6, atol=1e-7)

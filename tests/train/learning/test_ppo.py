@@ -26,10 +26,10 @@ def trainer():
 @pytest.fixture(scope="module")
 def collected(trainer):
     """Learner, and what was collected under it; some of it bad."""
-    learner, worlds = trainer.start()
-    worlds, steps, bounds, sums = trainer.rollout.collect(learner, worlds, jax.random.key(3))
+    train_state, worlds = trainer.start()
+    worlds, steps, bounds, sums = trainer.rollout.collect(train_state, worlds, jax.random.key(3))
     assert np.asarray(steps.bad).any()
-    return learner, steps, bounds, {name: one[None] for name, one in sums.items()}
+    return train_state, steps, bounds, {name: one[None] for name, one in sums.items()}
 
 
 def leaves(tree):
@@ -59,51 +59,51 @@ def test_log_probabilities_far_apart_leave_everything_finite():
 
 
 def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
-    learner, *experience = collected
-    new, known = trainer._update(learner, tuple(experience))
+    train_state, *experience = collected
+    new, known = trainer._update(train_state, tuple(experience))
     assert all(np.isfinite(leaf).all() for leaf in leaves((new, known)))
     assert known["loss/skipped"] == 0
     # The mean of the probabilities' ratio starts at 1: what was stored is what the networks say again.
     assert known["loss/divergence"] < 0.2
-    for before, after in zip(leaves(learner.params), leaves(new.params), strict=True):
+    for before, after in zip(leaves(train_state.params), leaves(new.params), strict=True):
         assert (before != after).any()
 
 
 def test_bad_transitions_teach_nothing(trainer, collected):
     """What they hold may be anything: the update is the same, bit for bit."""
-    learner, steps, bounds, sums = collected
-    expected, _ = trainer._update(learner, (steps, bounds, sums))
+    train_state, steps, bounds, sums = collected
+    expected, _ = trainer._update(train_state, (steps, bounds, sums))
 
     def spoil(bad, leaf):
         mask = bad.reshape(*bad.shape, *[1] * (leaf.ndim - 2))
         return jnp.where(mask, 1e3, leaf)
 
     # Not the critic's value: it is of the state before, in which nothing was wrong yet.
-    names = ("reward", "raw", "obs", "log_prob", "bootstrap")
+    names = ("reward", "raw_action", "obs", "log_prob", "bootstrap_value")
     spoilt = steps.replace(
         **{name: tuple(spoil(steps.bad, one) for one in getattr(steps, name)) for name in names}
     )
-    found, _ = trainer._update(learner, (spoilt, bounds, sums))
+    found, _ = trainer._update(train_state, (spoilt, bounds, sums))
     for one, other in zip(leaves(expected), leaves(found), strict=True):
         assert_array_equal(one, other)
 
 
 def test_good_transitions_teach(trainer, collected):
     """The other way round, so that the test above can fail."""
-    learner, steps, bounds, sums = collected
-    expected, _ = trainer._update(learner, (steps, bounds, sums))
+    train_state, steps, bounds, sums = collected
+    expected, _ = trainer._update(train_state, (steps, bounds, sums))
     found, _ = trainer._update(
-        learner, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), bounds, sums)
+        train_state, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), bounds, sums)
     )
     assert any((one != other).any() for one, other in zip(leaves(expected), leaves(found), strict=True))
 
 
 def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, collected):
     """And the statistics stay finite."""
-    learner, steps, bounds, sums = collected
-    new, _ = trainer._update(learner, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
+    train_state, steps, bounds, sums = collected
+    new, _ = trainer._update(train_state, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
     for one, other in zip(
-        leaves((learner.params, learner.obs_statistics)),
+        leaves((train_state.params, train_state.obs_statistics)),
         leaves((new.params, new.obs_statistics)),
         strict=True,
     ):
@@ -111,25 +111,25 @@ def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, c
 
 
 def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
-    learner, steps, bounds, sums = collected
+    train_state, steps, bounds, sums = collected
     broken = steps.replace(reward=tuple(r.at[0, 0].set(jnp.inf) for r in steps.reward))
-    new, known = trainer._update(learner, (broken, bounds, sums))
+    new, known = trainer._update(train_state, (broken, bounds, sums))
     assert known["loss/skipped"] == 1
-    for one, other in zip(leaves(learner.params), leaves(new.params), strict=True):
+    for one, other in zip(leaves(train_state.params), leaves(new.params), strict=True):
         assert_array_equal(one, other)
 
 
 def test_critics_see_more_than_policies(trainer, collected):
     """And both are of a class: another critic, another policy for each."""
-    learner, steps, bounds, _ = collected
+    train_state, steps, bounds, _ = collected
     seen, fresh = (steps.obs, steps.privileged), steps.is_first
-    values, _ = critic_values(trainer.networks, learner, seen, bounds.critic_carry, fresh)
+    values, _ = critic_values(trainer.networks, train_state, seen, bounds.critic_carry, fresh)
     others, _ = critic_values(
-        trainer.networks, learner, (steps.obs, steps.privileged + 1), bounds.critic_carry, fresh
+        trainer.networks, train_state, (steps.obs, steps.privileged + 1), bounds.critic_carry, fresh
     )
     for value, other in zip(values, others, strict=True):
         assert (value != other).all()
-    for networks, inputs in ((learner.params.policy, set()), (learner.params.critic, {"shared"})):
+    for networks, inputs in ((train_state.params.policy, set()), (train_state.params.critic, {"shared"})):
         one, other = (weights["params"] for weights in networks)
         assert {name for name in one if name == "shared"} == inputs
         assert (np.asarray(one["layer_0"]["kernel"]) != np.asarray(other["layer_0"]["kernel"])).any()
@@ -138,8 +138,8 @@ def test_critics_see_more_than_policies(trainer, collected):
 @pytest.mark.oracle
 def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collected):
     """Of all steps that are not bad, by NumPy in double precision."""
-    learner, steps, bounds, sums = collected
-    new, _ = trainer._update(learner, (steps, bounds, sums))
+    train_state, steps, bounds, sums = collected
+    new, _ = trainer._update(train_state, (steps, bounds, sums))
     good = ~np.asarray(steps.bad)
     for found, seen in zip(new.obs_statistics, steps.obs, strict=True):
         rows = np.asarray(seen, np.float64)[good].reshape(-1, seen.shape[-1])

@@ -111,9 +111,9 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
     path = Checkpoints(reference).find("last")
     for worlds, config in ((32, replace(CONFIG, layers=(16, 32))), (16, replace(CONFIG, worlds=16))):
         part = "learner" if worlds == 32 else "worlds"
-        learner, collector = Trainer(DriveToy(worlds), config, ProcessGroup()).start()
+        train_state, rollout_state = Trainer(DriveToy(worlds), config, ProcessGroup()).start()
         with pytest.raises(UsageError, match=r"of another run: it holds .* expected"):
-            read_part(path, part, learner if part == "learner" else collector)
+            read_part(path, part, train_state if part == "learner" else rollout_state)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.train.toys import DriveToy, team
+from tests.train.toys import DriveToy, group
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
@@ -22,9 +22,9 @@ CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=
 def learned():
     """Networks, and weights before and after an update in which both classes acted."""
     trainer = Trainer(DriveToy(CONFIG.worlds), CONFIG, ProcessGroup())
-    learner, worlds = trainer.start()
-    after, _, _ = trainer.iterate(learner, worlds, 0)
-    return trainer.networks, learner, after
+    train_state, worlds = trainer.start()
+    after, _, _ = trainer.iterate(train_state, worlds, 0)
+    return trainer.networks, train_state, after
 
 
 def test_an_update_changes_one_policy_and_what_tells_the_classes_apart(learned):
@@ -45,15 +45,15 @@ def test_at_first_all_classes_do_the_same_with_what_they_see(learned):
     networks, before, after = learned
     obs = jnp.array([[[0.3, -0.2]]])
     seen, carry = (obs, obs), networks.policy.initial_carry(1)[1]
-    for learner, alike in ((before, True), (after, False)):
-        params = policy_params(learner)
+    for train_state, alike in ((before, True), (after, False)):
+        params = policy_params(train_state)
         params = params.replace(mean=params.mean[:1] * 2, std=params.std[:1] * 2)  # both normalised alike
         (one, other), _ = networks.policy.act(params, seen, (carry, carry), deterministic=True)
         assert np.array_equal(one, other) == alike
 
 
 def test_classes_that_see_or_do_different_numbers_are_refused_by_name():
-    groups = (team("A", 1, 3, 2), team("B", 1, 3, 1))
+    groups = (group("A", 1, 3, 2), group("B", 1, 3, 1))
     with pytest.raises(UsageError, match="A sees 3 and does 2, B sees 3 and does 1"):
         make_networks(groups, 0, CONFIG)
     alone = dataclasses.replace(CONFIG, shared=False)

@@ -84,10 +84,10 @@ def both():
     try:
         for traceable in (True, False):
             trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
-            learner, worlds = trainer.start()
-            first, counts = trainer.rollout.collect(learner, worlds, trainer._key), []
+            train_state, worlds = trainer.start()
+            first, counts = trainer.rollout.collect(train_state, worlds, trainer._key), []
             for iteration in range(3):
-                learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+                train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
                 jax.device_get(known)
                 counts.append(len(compiled))
             found[traceable] = (counts, first)
@@ -150,10 +150,10 @@ def test_a_time_limit_is_no_end(tmp_path):
         layers=(8,), critic_layers=(8,), entropy=0.0,
     )  # fmt: skip
     trainer = Trainer(EndlessToy(16), config, ProcessGroup())
-    learner, worlds = trainer.start()
+    train_state, worlds = trainer.start()
     for iteration in range(60):
-        learner, worlds, _ = trainer.iterate(learner, worlds, iteration)
-    _, steps, _, _ = trainer.rollout.collect(learner, worlds, jax.random.key(0))
+        train_state, worlds, _ = trainer.iterate(train_state, worlds, iteration)
+    _, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))
     assert np.asarray(steps.truncated).any()
     assert_allclose(steps.value[0], 5.0, rtol=0.03)
     assert_allclose(np.asarray(steps.bootstrap_value[0])[np.asarray(steps.truncated)], 5.0, rtol=0.03)

@@ -39,13 +39,13 @@ def team(poses=None):
 
 
 @jax.jit
-def exchange(mind, linked, time):
+def exchange(belief, linked, time):
     """One step of mail over links that hold."""
     links = no_links(ROBOTS).replace(in_range=linked, delivery_probability=linked.astype(jnp.float32))
     boxes = clear_inboxes(empty_inboxes(SETTINGS, ROBOTS))
     moment = (jnp.int32(0), time)
-    mail = deliver(SETTINGS, boxes, compose_messages(mind, EVERYONE), links, moment, jax.random.key(0))
-    return update_from_mail(GRID, mind, mail, PERIOD)
+    mail = deliver(SETTINGS, boxes, compose_messages(belief, EVERYONE), links, moment, jax.random.key(0))
+    return update_from_mail(GRID, belief, mail, PERIOD)
 
 
 def drawn(*squares):
@@ -60,11 +60,13 @@ def test_news_travel_by_one_link_a_step_and_marks_with_them():
     chain = np.zeros((ROBOTS, ROBOTS), bool)
     for i in range(ROBOTS - 1):
         chain[i, i + 1] = chain[i + 1, i] = True
-    mind = team()
-    mind = mind.replace(evidence=drawn((3, 5, 4, -1), (3, 6, 4, 2)), marks=mind.marks.at[3, 7, 7].set(True))
+    belief = team()
+    belief = belief.replace(
+        evidence=drawn((3, 5, 4, -1), (3, 6, 4, 2)), marks=belief.marks.at[3, 7, 7].set(True)
+    )
     for step in range(1, ROBOTS):
-        mind = exchange(mind, chain, PERIOD * step)
-        squares = np.asarray(mind.squares)
+        belief = exchange(belief, chain, PERIOD * step)
+        squares = np.asarray(belief.squares)
         knows = [squares[robot, 5, 4] == FREE for robot in range(ROBOTS)]
         assert knows == [robot >= ROBOTS - 1 - step for robot in range(ROBOTS)]
     assert (squares[:, 6, 4] == WALL).all()
@@ -73,29 +75,29 @@ def test_news_travel_by_one_link_a_step_and_marks_with_them():
 
 
 def test_what_a_robot_sees_itself_goes_before_what_it_is_told():
-    mind = team().replace(evidence=drawn((0, 2, 2, 3), (1, 2, 2, -3)))
-    mind = exchange(mind, EVERYONE, PERIOD)
-    assert np.asarray(mind.squares)[:, 2, 2].tolist() == [WALL, FREE, FREE, FREE]
+    belief = team().replace(evidence=drawn((0, 2, 2, 3), (1, 2, 2, -3)))
+    belief = exchange(belief, EVERYONE, PERIOD)
+    assert np.asarray(belief.squares)[:, 2, 2].tolist() == [WALL, FREE, FREE, FREE]
 
 
 def test_robots_hear_where_the_others_are_and_when_they_said_so():
     poses = [(0.1 * k, 0.2 * k, 0.3 * k) for k in range(ROBOTS)]
     linked = np.zeros((ROBOTS, ROBOTS), bool)
     linked[1, 2] = linked[2, 1] = True
-    mind = team(poses)
-    mind = mind.replace(pose=mind.pose + 1.0, goal=mind.goal + 2.0)
-    mind = exchange(mind, linked, 5.0)
-    np.testing.assert_allclose(mind.mate_headers[1, 2], [1.2, 1.4, 1.6, 2.2, 2.4, 0.0], atol=1e-6)
-    np.testing.assert_allclose(mind.mate_headers[1, 3, :3], poses[3], atol=1e-6)  # where it started
-    assert mind.heard_time[1, 2] == mind.heard_time[2, 1] == 5.0
-    assert mind.heard_time[1, 3] == mind.heard_time[0, 1] == 0.0
+    belief = team(poses)
+    belief = belief.replace(pose=belief.pose + 1.0, goal=belief.goal + 2.0)
+    belief = exchange(belief, linked, 5.0)
+    np.testing.assert_allclose(belief.mate_headers[1, 2], [1.2, 1.4, 1.6, 2.2, 2.4, 0.0], atol=1e-6)
+    np.testing.assert_allclose(belief.mate_headers[1, 3, :3], poses[3], atol=1e-6)  # where it started
+    assert belief.heard_time[1, 2] == belief.heard_time[2, 1] == 5.0
+    assert belief.heard_time[1, 3] == belief.heard_time[0, 1] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
     """Each robot's contact is compared with the newest of its words that has really come to the base."""
     draw = np.random.default_rng(seed)
-    mind, claims = team(), 0
+    belief, claims = team(), 0
     newest = np.zeros((ROBOTS, ROBOTS))  # row: who has it, column: whose word; when it was said
     linked = np.zeros((ROBOTS, ROBOTS), bool)
     for step in range(60):
@@ -105,11 +107,11 @@ def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
             if draw.random() < 0.25:
                 linked[i, j] = linked[j, i] = ~linked[i, j]
         linked[3, BASE] = linked[BASE, 3] = False  # only over others
-        mind = update_base_contact(mind, jnp.asarray(linked), BASE, jnp.float32(time))
-        mind = exchange(mind, jnp.asarray(linked), jnp.float32(time))
+        belief = update_base_contact(belief, jnp.asarray(linked), BASE, jnp.float32(time))
+        belief = exchange(belief, jnp.asarray(linked), jnp.float32(time))
         told = [newest[[*np.flatnonzero(row), k]].max(0) for k, row in enumerate(linked)]
         newest = np.array(told)
-        believed = np.asarray(mind.base_contact_time)
+        believed = np.asarray(belief.base_contact_time)
         assert (believed <= newest[BASE] + 1e-4).all()
         claims += believed[3] > 0
     assert claims > 30  # it learned of contact, too
@@ -151,17 +153,17 @@ def hall(*walls):
     return jnp.broadcast_to(jnp.asarray(table), (ROBOTS, *GRID.shape))
 
 
-thought = jax.jit(plan_paths, static_argnums=0)
+planned = jax.jit(plan_paths, static_argnums=0)
 
 
 def test_robots_go_to_the_frontier_and_keep_apart():
     poses = [(0.6, 0.6, 0.0), (0.6, 1.8, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
-    mind = team(poses).replace(evidence=hall())
-    mind = plan_paths(GRID, mind, jnp.float32(0.0))
+    belief = team(poses).replace(evidence=hall())
+    belief = plan_paths(GRID, belief, jnp.float32(0.0))
     edge = 8 * GRID.cell
-    np.testing.assert_allclose(mind.goal[:2, 0], edge, atol=1e-5)
-    assert float(jnp.abs(mind.goal[0, 1] - mind.goal[1, 1])) >= 0.6
-    ahead = np.asarray(mind.waypoint[:2, 0]) - 0.6
+    np.testing.assert_allclose(belief.goal[:2, 0], edge, atol=1e-5)
+    assert float(jnp.abs(belief.goal[0, 1] - belief.goal[1, 1])) >= 0.6
+    ahead = np.asarray(belief.waypoint[:2, 0]) - 0.6
     np.testing.assert_allclose(ahead, WAYPOINT_SQUARES * GRID.cell, atol=1e-5)
 
 
@@ -169,32 +171,32 @@ def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
     poses = [(1.8, 1.2, 0.0)] * ROBOTS
     table = np.array(hall())
     table[:, :2] = 0  # unknown at both ends: free squares from 0.6 m to 2.4 m
-    mind = team(poses).replace(evidence=jnp.asarray(table), heard_time=jnp.full((ROBOTS, ROBOTS), -99.0))
-    new = thought(GRID, mind, jnp.float32(0.0))
+    belief = team(poses).replace(evidence=jnp.asarray(table), heard_time=jnp.full((ROBOTS, ROBOTS), -99.0))
+    new = planned(GRID, belief, jnp.float32(0.0))
     np.testing.assert_allclose(new.goal[:, 0], 2.4, atol=1e-5)
-    mind = update_pose(GRID, mind, mind.pose)
+    belief = update_pose(GRID, belief, belief.pose)
     near = np.linalg.norm(GRID.centres - np.array([1.8, 1.2]), axis=-1) < VISITED_RADIUS
-    np.testing.assert_array_equal(mind.visited, np.broadcast_to(near, mind.visited.shape))
-    been = thought(GRID, mind, jnp.float32(0.0))
+    np.testing.assert_array_equal(belief.visited, np.broadcast_to(near, belief.visited.shape))
+    been = planned(GRID, belief, jnp.float32(0.0))
     assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= VISITED_RADIUS).all()
 
 
 def test_nobody_has_a_way_where_there_is_no_frontier():
     table = hall().at[:, 9:, :].set(1)
-    mind = plan_paths(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
-    assert (mind.path_length >= UNREACHABLE).all()
-    np.testing.assert_allclose(mind.waypoint, mind.pose[:, :2])
+    belief = plan_paths(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
+    assert (belief.path_length >= UNREACHABLE).all()
+    np.testing.assert_allclose(belief.waypoint, belief.pose[:, :2])
 
 
 def test_robots_go_where_they_are_wanted_and_those_that_fly_over_walls():
     poses = [(0.6, 1.2, 0.0), (0.6, 1.2, 0.0), (30.0, 30.0, 0.0), (30.0, 30.0, 0.0)]
     shut = [(5, j) for j in range(9)]  # a wall across the hall
-    mind = team(poses).replace(evidence=hall(*shut))
-    minds = PlannerSettings(
+    belief = team(poses).replace(evidence=hall(*shut))
+    settings = PlannerSettings(
         peers=np.zeros((ROBOTS, ROBOTS), bool), flyers=np.array([False, True, False, False])
     )
     wanted = jnp.full((ROBOTS, *GRID.shape), UNREACHABLE).at[:, 8, 4].set(0.0)
-    mind = plan_paths(GRID, mind, jnp.float32(0.0), minds, wanted)
-    assert mind.path_length[0] >= UNREACHABLE
-    np.testing.assert_allclose(mind.path_length[1], 6.0, atol=1e-4)  # six squares ahead
-    np.testing.assert_allclose(mind.goal[1], [2.4, 1.2], atol=1e-5)
+    belief = plan_paths(GRID, belief, jnp.float32(0.0), settings, wanted)
+    assert belief.path_length[0] >= UNREACHABLE
+    np.testing.assert_allclose(belief.path_length[1], 6.0, atol=1e-4)  # six squares ahead
+    np.testing.assert_allclose(belief.goal[1], [2.4, 1.2], atol=1e-5)

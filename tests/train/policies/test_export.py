@@ -106,7 +106,7 @@ policy = NumpyPolicy(sys.argv[1])
 group, arrived = policy.group("a"), 0
 for trial in range(20):
     draw = np.random.default_rng(trial)
-    at, goal, carry = np.zeros(2), draw.uniform(-1, 1, 2), policy.start(group)
+    at, goal, carry = np.zeros(2), draw.uniform(-1, 1, 2), policy.initial_carry(group)
     for step in range(25):
         action, carry = policy.act(group, goal - at, carry)
         at = at + 0.2 * action

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.train.handmade import policy_file
-from tests.train.toy import ToyEnv
+from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
 from usarmjx.train.envs.env import AgentGroup
@@ -103,7 +103,7 @@ def test_each_episode_has_a_row_with_its_world_and_turn():
 
     World k begins at (k + 1) / 8, a sixteenth farther in the next episode; a seed counts as that many worlds.
     """
-    env = ToyEnv(worlds=2, team=1, mixed=False)
+    env = LineToy(worlds=2, robots=1, mixed=False)
     record = as_record(evaluate_episodes(env, still(0.0), 4, seeds=(0, 3)))
     rows = {(row["seed"], row["world"], row["episode"]): row for row in record["episodes"]}
     assert sorted(rows) == [(seed, world, turn) for seed in (0, 3) for world in (0, 1) for turn in (0, 1)]
@@ -116,7 +116,7 @@ def test_each_episode_has_a_row_with_its_world_and_turn():
 
 
 def test_an_interval_of_which_nothing_is_known_is_null():
-    env = ToyEnv(worlds=1, team=1, mixed=False)
+    env = LineToy(worlds=1, robots=1, mixed=False)
     record = as_record(evaluate_episodes(env, still(0.0), 1))
     assert record["score"]["low"] is None
     assert record["score"]["high"] is None

@@ -66,7 +66,7 @@ def test_only_lanes_that_close_in_arenas_that_have_a_place():
 
 
 def moved(view, along, left=(0.0, 0.0), speed=4.0):
-    """Verdict on two cars at such places that came there at some speed; the first one leads."""
+    """StepResult on two cars at such places that came there at some speed; the first one leads."""
     memory = ConvoyMemory(
         target_speed=jnp.float32(4.0),
         ahead=jnp.array([-1, 0]),
@@ -96,10 +96,10 @@ def moved(view, along, left=(0.0, 0.0), speed=4.0):
 )
 def test_what_a_step_is_worth(view, gap, left, speed, worth):
     along = (30.0 + LENGTH + gap, 30.0)
-    verdict = moved(view, along, left, speed)
-    np.testing.assert_allclose(verdict.reward[0], 100.0 * np.array(worth) / STEPS, atol=2e-4)
-    assert float(verdict.score) == pytest.approx(50.0 + 100.0 * np.mean(worth) / STEPS, abs=2e-4)
-    assert not bool(verdict.terminated)
+    result = moved(view, along, left, speed)
+    np.testing.assert_allclose(result.reward[0], 100.0 * np.array(worth) / STEPS, atol=2e-4)
+    assert float(result.score) == pytest.approx(50.0 + 100.0 * np.mean(worth) / STEPS, abs=2e-4)
+    assert not bool(result.terminated)
 
 
 def test_running_into_the_car_ahead_or_off_the_road_ends_the_episode(view):
@@ -112,9 +112,9 @@ def test_running_into_the_car_ahead_or_off_the_road_ends_the_episode(view):
 
 def test_progress_goes_on_past_the_end_of_the_lane(view):
     length = TASK.path.length
-    verdict = moved(view, (length + 0.1 + LENGTH + 7.0, length + 0.1))
-    np.testing.assert_allclose(verdict.reward[0], 100.0 / STEPS, atol=2e-4)
-    assert float(verdict.memory.arc_length[1]) == pytest.approx(length + 0.1, abs=1e-3)
+    result = moved(view, (length + 0.1 + LENGTH + 7.0, length + 0.1))
+    np.testing.assert_allclose(result.reward[0], 100.0 / STEPS, atol=2e-4)
+    assert float(result.memory.arc_length[1]) == pytest.approx(length + 0.1, abs=1e-3)
 
 
 def test_who_follows_whom_is_seen_from_their_places(view):

@@ -117,9 +117,9 @@ def test_a_contact_ends_the_episode(view):
     task = Wander(touch=0.01, price=5.0, square=20.0)
     memory = task.start(view, jax.random.key(0))
     for gap, touched in ((0.02, False), (0.005, True), (-0.1, True)):
-        verdict = task.evaluate(at(view, 0.95 - HALF_LENGTH - gap, 0.0), memory)
-        assert bool(verdict.terminated) == touched
-        assert float(verdict.metrics["touched"]) == touched
+        result = task.evaluate(at(view, 0.95 - HALF_LENGTH - gap, 0.0), memory)
+        assert bool(result.terminated) == touched
+        assert float(result.metrics["touched"]) == touched
         expected = -5.0 * touched
-        assert float(verdict.reward[0][0]) == expected
-        assert float(verdict.score) == 0.0
+        assert float(result.reward[0][0]) == expected
+        assert float(result.score) == 0.0

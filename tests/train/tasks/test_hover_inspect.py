@@ -51,17 +51,17 @@ LEFT = math.pi / 2
     ],
 )
 def test_looking_takes_a_room_a_distance_and_a_direction(view, pose, looks):
-    verdict = TASK.evaluate(placed(view, pose), memory(held=1))
-    assert int(verdict.memory.dwell_steps) == (2 if looks else 0)
-    assert float(verdict.score) == 0.0
+    result = TASK.evaluate(placed(view, pose), memory(held=1))
+    assert int(result.memory.dwell_steps) == (2 if looks else 0)
+    assert float(result.score) == 0.0
 
 
 def test_nothing_is_looked_at_from_the_next_room(view):
     point = (2.4, 2.0, 1.0)
     for x, looks in ((1.9, True), (3.2, False)):  # both are within 1 m of it, one beyond the wall
         yaw = math.atan2(0.0, point[0] - x)
-        verdict = TASK.evaluate(placed(view, (x, 2.0, 1.0, 0.0, 0.0, yaw)), memory(point=point))
-        assert bool(verdict.metrics["looks"]) is looks
+        result = TASK.evaluate(placed(view, (x, 2.0, 1.0, 0.0, 0.0, yaw)), memory(point=point))
+        assert bool(result.metrics["looks"]) is looks
 
 
 def test_points_count_one_after_the_other_until_all_are_seen(view):
@@ -82,9 +82,9 @@ def test_points_count_one_after_the_other_until_all_are_seen(view):
 def test_touching_a_wall_or_leaving_over_it_ends_the_episode(view):
     """The frame reaches 0.4995 m from its middle; the walls of the first room are at 2.5 m."""
     for y, touched in ((1.98, False), (1.995, True)):
-        verdict = TASK.evaluate(placed(view, (0.0, y, 1.0, 0.0, 0.0, 0.0)), memory())
-        assert bool(verdict.terminated) is touched
-    assert float(verdict.reward[0][0]) == pytest.approx(5.0 - math.hypot(1.995, 1.0) - 0.01 - 3.0, abs=1e-4)
+        result = TASK.evaluate(placed(view, (0.0, y, 1.0, 0.0, 0.0, 0.0)), memory())
+        assert bool(result.terminated) is touched
+    assert float(result.reward[0][0]) == pytest.approx(5.0 - math.hypot(1.995, 1.0) - 0.01 - 3.0, abs=1e-4)
     assert bool(TASK.evaluate(placed(view, (0.0, 0.0, 3.1, 0.0, 0.0, 0.0)), memory()).terminated)
 
 

@@ -72,7 +72,7 @@ def view():
 
 def with_ball(view, x, y):
     """The same view with the ball there."""
-    place = view.scene.loose_geoms.root_qpos[0, :2]
+    place = view.scene.loose_geoms.root_qposadr[0, :2]
     return view.replace(physics=view.physics.replace(qpos=view.physics.qpos.at[place].set(jnp.array([x, y]))))
 
 
@@ -100,7 +100,7 @@ def test_boards_are_where_the_robots_take_them_to_be(view):
     data.qpos[:] = view.scene.model.qpos0
     for slot in range(4):
         data.qpos[view.scene.groups[0].root_qposadr[slot, 2]] += 5.0
-    data.qpos[view.scene.loose_geoms.root_qpos[0, 2]] += 5.0
+    data.qpos[view.scene.loose_geoms.root_qposadr[0, 2]] += 5.0
     mujoco.mj_kinematics(view.scene.model, data)
     geom = np.zeros(1, np.int32)
     for angle in np.arange(64) * math.tau / 64 + 0.01:
@@ -160,10 +160,10 @@ def test_a_goal_is_the_whole_ball_behind_the_line(view, x, y, goal):
     assert float(goal_scored(jnp.array([x, y]))) == goal
     here = told(placed(with_ball(view, x, y), *POSES[0], *POSES[1]), **BLIND)
     memory = TASK.start(here, jax.random.key(0))
-    verdict = TASK.evaluate(here, memory)
-    assert bool(verdict.terminated) is (goal != 0)
-    assert float(verdict.score) == goal
-    np.testing.assert_allclose(verdict.reward[0], 5.0 * goal * SIDES, atol=1e-6)
+    result = TASK.evaluate(here, memory)
+    assert bool(result.terminated) is (goal != 0)
+    assert float(result.score) == goal
+    np.testing.assert_allclose(result.reward[0], 5.0 * goal * SIDES, atol=1e-6)
 
 
 BLIND = {
@@ -187,11 +187,11 @@ def test_rewards_are_what_the_game_stands_better_and_add_up_to_nothing(view):
     start = told(placed(with_ball(view, *before), *POSES[0], *POSES[1]), **BLIND)
     moved = ((-0.5, 0.3, *POSES[0][0][2:]), POSES[0][1])
     later = told(placed(with_ball(view, *after), *moved, *POSES[1]), **BLIND)
-    verdict = TASK.evaluate(later, TASK.start(start, jax.random.key(0)))
+    result = TASK.evaluate(later, TASK.start(start, jax.random.key(0)))
     gain = stands(after, moved, POSES[1]) - stands(before, POSES[0], POSES[1])
-    np.testing.assert_allclose(verdict.reward[0], gain * SIDES, atol=1e-5)
+    np.testing.assert_allclose(result.reward[0], gain * SIDES, atol=1e-5)
     assert abs(gain) > 0.1
-    assert float(verdict.reward[0].sum()) == pytest.approx(0.0, abs=1e-6)
+    assert float(result.reward[0].sum()) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_yellow_sees_and_gets_what_blue_would_in_its_place(view):
@@ -213,14 +213,14 @@ def test_yellow_sees_and_gets_what_blue_would_in_its_place(view):
             GroundTruth=poses,
             **{kind: scan[order] for kind, scan in scans.items()},
         )
-        verdict = TASK.evaluate(goal, memory)
-        return TASK.observations(here, memory), verdict
+        result = TASK.evaluate(goal, memory)
+        return TASK.observations(here, memory), result
 
-    (seen, verdict), (other, turned) = game(1), game(-1)
+    (seen, result), (other, turned) = game(1), game(-1)
     assert (np.abs(seen[:, 8:10]).sum(-1) > 0).any(), "some see a ball"
     np.testing.assert_allclose(seen, np.asarray(other)[swap], atol=1e-4)
-    np.testing.assert_allclose(verdict.reward[0], np.asarray(turned.reward[0])[swap], atol=1e-4)
-    assert float(verdict.score) == 1.0 == -float(turned.score)
+    np.testing.assert_allclose(result.reward[0], np.asarray(turned.reward[0])[swap], atol=1e-4)
+    assert float(result.score) == 1.0 == -float(turned.score)
 
 
 # What scanners and mail tell.
@@ -279,23 +279,23 @@ def test_a_robot_that_nods_does_not_take_floor_or_robots_for_a_ball():
 
 
 def test_mates_believe_who_saw_the_ball_later():
-    sight = initial_belief(4)
-    sight = sight.replace(
+    belief = initial_belief(4)
+    belief = belief.replace(
         pose=jnp.arange(12.0).reshape(4, 3),
         ball=jnp.array([(1.0, 2.0), (3.0, 4.0), (5.0, 6.0), (0.0, 0.0)]),
         ball_time=jnp.array([1.0, 2.0, 3.0, NEVER]),
     )
-    said = compose_messages(sight, np.arange(4) == np.array([1, 0, 3, 2])[:, None])
+    said = compose_messages(belief, np.arange(4) == np.array([1, 0, 3, 2])[:, None])
     assert said.payload.shape == (4, NUMBERS)
     mail = empty_inboxes(MAIL_SETTINGS, 4).replace(count=jnp.ones(4, jnp.int32), time=jnp.full((4, 2), 3.5))
     mail = mail.replace(payload=mail.payload.at[:, 0].set(said.payload[np.array([1, 0, 3, 2])]))
-    heard = update_from_mail(sight, mail)
+    heard = update_from_mail(belief, mail)
     np.testing.assert_allclose(heard.ball, [(3, 4), (3, 4), (5, 6), (5, 6)])
     np.testing.assert_allclose(heard.ball_time, [2, 2, 3, 3])
-    np.testing.assert_allclose(heard.mate_pose[0], sight.pose[1])
+    np.testing.assert_allclose(heard.mate_pose[0], belief.pose[1])
     np.testing.assert_allclose(heard.mate_time, 3.5)
-    silent = update_from_mail(sight, empty_inboxes(MAIL_SETTINGS, 4))
-    np.testing.assert_array_equal(silent.ball, sight.ball)
+    silent = update_from_mail(belief, empty_inboxes(MAIL_SETTINGS, 4))
+    np.testing.assert_array_equal(silent.ball, belief.ball)
 
 
 def test_only_a_ball_that_a_scanner_meets_is_seen(view):
@@ -335,7 +335,7 @@ def test_settings_that_are_no_game():
 
 def seen(place, yaw, ball, mate=(-2.0, 0.0), others=()):
     """What blue's first robot observes there, of a ball at rest; others at angles [rad] and distances [m]."""
-    sight = initial_belief(4).replace(
+    belief = initial_belief(4).replace(
         pose=jnp.zeros((4, 3)).at[0].set(jnp.array([*place, yaw])),
         ball=jnp.zeros((4, 2)).at[0].set(jnp.array(ball)),
         ball_time=jnp.zeros(4),
@@ -344,8 +344,8 @@ def seen(place, yaw, ball, mate=(-2.0, 0.0), others=()):
     )
     for angle, far in others:
         beam = int(np.argmin(np.abs(beams() - angle)))
-        sight = sight.replace(others=sight.others.at[0, beam].set(far))
-    memory = SoccerMemory(belief=sight, potential=jnp.zeros(()), score=jnp.zeros(()), step=jnp.int32(10))
+        belief = belief.replace(others=belief.others.at[0, beam].set(far))
+    memory = SoccerMemory(belief=belief, potential=jnp.zeros(()), score=jnp.zeros(()), step=jnp.int32(10))
     return TASK.observations(SimpleNamespace(time=0.0), memory)[0]  # all that it asks a view for
 
 
@@ -386,7 +386,7 @@ def test_a_robot_pushes_the_ball_into_the_goal(env):
     places = [(1.0, 0.0), (-2.0, 1.2), (-2.0, -1.2), (-1.0, -1.2)]
     for address, place in zip(scene.groups[0].root_qposadr, places, strict=True):
         qpos[:, address[:2]], qpos[:, address[3:]] = place, (1.0, 0.0, 0.0, 0.0)
-    qpos[:, scene.loose_geoms.root_qpos[0, :2]] = 1.5, 0.0
+    qpos[:, scene.loose_geoms.root_qposadr[0, :2]] = 1.5, 0.0
     everywhere = jnp.ones(env.worlds, bool)
     physics = env.batch.engine.reset(state.batch.physics, everywhere, jnp.asarray(qpos))
     state = state.replace(batch=state.batch.replace(physics=physics))
@@ -425,10 +425,10 @@ def test_yellow_plays_by_hand_or_stands_if_asked_to():
     zero = jnp.zeros(())
     memory = SoccerMemory(belief=initial_belief(4), potential=zero, score=zero, step=jnp.zeros((), jnp.int32))
     wheel = view.scene.groups[0].robot.wheel_radius
-    orders = by_hand.act(view, memory, (jnp.ones((2, 2)),))
-    np.testing.assert_allclose(orders.drive[0]["Left"], 1.0 / wheel)
+    actions = by_hand.act(view, memory, (jnp.ones((2, 2)),))
+    np.testing.assert_allclose(actions.drive[0]["Left"], 1.0 / wheel)
     told = [soccer_action(rows)[1] for rows in by_hand.observations(view, memory)[2:]]
-    np.testing.assert_allclose(orders.drive[1]["Right"], np.array(told) / wheel, atol=1e-5)
+    np.testing.assert_allclose(actions.drive[1]["Right"], np.array(told) / wheel, atol=1e-5)
     assert np.abs(told).max() > 0
     still = Soccer(opponent="still").act(view, memory, (jnp.ones((2, 2)),))
     np.testing.assert_array_equal(still.drive[1]["Right"], 0.0)

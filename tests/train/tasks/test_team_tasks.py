@@ -67,7 +67,7 @@ def test_the_score_of_exploring_is_the_mean_of_what_is_explored_and_known(explor
 
 def test_rewards_of_exploring_add_up_to_its_score_but_for_the_first_scans(explored):
     _, steps = explored
-    rewards = sum(float(group.sum()) for _, _, verdict in steps[1:] for group in verdict.reward)
+    rewards = sum(float(group.sum()) for _, _, result in steps[1:] for group in result.reward)
     first = 50 * (float(coverage(steps[0][1])) + float(on_maps(steps[0][1])))
     np.testing.assert_allclose(rewards + first, float(steps[-1][2].score), rtol=1e-4)
 
@@ -78,7 +78,7 @@ def test_maps_are_shared_over_links_alone(explored):
     assert (maps[3][0] & ~maps[3][1]).sum() > 20  # robot 0 has seen what robot 1 has not
     # What was written after step 3 was read in step 4.
     assert not (maps[3][0] & ~maps[4][1]).any()
-    gaps = [float(verdict.metrics["unlinked"]) for _, _, verdict in steps[1:]]
+    gaps = [float(result.metrics["unlinked"]) for _, _, result in steps[1:]]
     np.testing.assert_allclose(gaps[-1], 2 / STEPS, atol=1e-6)  # steps 1 and 2
 
 
@@ -137,18 +137,18 @@ def test_a_victim_is_reported_when_the_word_reaches_the_base_over_others():
     path = [[(*STARTS[0], 0.0), (3.8561, 1.8, 0.0), (*STARTS[2], 0.0)]] * (STEPS + 1)
     task, steps = searching(links, path, [1])
     # Met in step 1, written after step 3 to robot 2, after step 4 by that to the base, read in step 5.
-    reported = [float(verdict.metrics["reported"]) for _, _, verdict in steps[1:]]
+    reported = [float(result.metrics["reported"]) for _, _, result in steps[1:]]
     assert reported == [0, 0, 0, 0, 1, 1]
-    _, memory, verdict = steps[-1]
+    _, memory, result = steps[-1]
     marked = np.argwhere(np.asarray(memory.belief.squares)[0] == MARK)
     np.testing.assert_array_equal(marked, [np.round(np.array(VICTIM) / 0.3)])
-    assert verdict.metrics["wrong"] == 0
+    assert result.metrics["wrong"] == 0
     connected = [len(search(links[k], 0)) - 1 for k in range(1, STEPS + 1)]
-    np.testing.assert_allclose(verdict.metrics["connected"], np.mean(connected) / 2, rtol=1e-5)
+    np.testing.assert_allclose(result.metrics["connected"], np.mean(connected) / 2, rtol=1e-5)
     mapped = np.array([float(v.metrics["mapped"]) for _, _, v in steps[1:]])
-    contacts = float(verdict.metrics["contacts"])
+    contacts = float(result.metrics["contacts"])
     expected = 60 * np.mean(reported) + 30 * mapped.mean() + 10 * np.mean(connected) / 2
-    np.testing.assert_allclose(verdict.score, expected - task.price * contacts, rtol=1e-4)
+    np.testing.assert_allclose(result.score, expected - task.price * contacts, rtol=1e-4)
 
 
 def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
@@ -169,7 +169,7 @@ def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
 def test_contacts_cost_those_that_touch_and_the_rest_goes_to_all():
     path = paths((0.6, 0.9), (0.235, 2.1), (1.8, 0.9))  # robot 1 ends as near to the wall as half its width
     _, steps = searching([chain(3, (0, 1))] * (STEPS + 1), path, [], hint=0.0, price=0.25)
-    rewards = np.array([np.asarray(verdict.reward[0]) for _, _, verdict in steps[1:]])
+    rewards = np.array([np.asarray(result.reward[0]) for _, _, result in steps[1:]])
     assert float(steps[-1][2].metrics["contacts"]) == 1
     np.testing.assert_allclose(rewards[:, 0].sum() - rewards[:, 1].sum(), -0.25, atol=1e-5)
     np.testing.assert_allclose(rewards.sum(), float(steps[-1][2].score), rtol=1e-4)
@@ -192,10 +192,10 @@ def test_the_chain_is_as_long_as_its_deepest_robot_that_reaches_the_base():
     total = 0.0
     depth = np.asarray(steps[0][1].extra.depth)
     grid = task.arena_grid(steps[0][0].scene).grid
-    for k, (_, _, verdict) in enumerate(steps[1:], start=1):
+    for k, (_, _, result) in enumerate(steps[1:], start=1):
         squares = np.asarray(grid.index(path[k, :, :2]))
         deep = [depth[tuple(squares[robot])] for robot in search(links[k], 0)]
-        np.testing.assert_allclose(verdict.metrics["reach"], max(deep), rtol=1e-5)
+        np.testing.assert_allclose(result.metrics["reach"], max(deep), rtol=1e-5)
         total += max(deep)
     np.testing.assert_allclose(steps[-1][2].score, 100 * total / STEPS, rtol=1e-4)
 

@@ -101,7 +101,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._state is None:
             raise UsageError(f"{self.env.name}: call reset first")
         self._state = self._step(self._state, self._groups(np.asarray(actions, np.float32)))
-        s = jax.device_get(self._state.replace(batch=None, memory=None))
+        s = jax.device_get(self._state.task_state.replace(memory=()))
         done = self._spread(s.done)
         reward = s.reward[0].reshape(-1) if self._each else np.concatenate(s.reward, -1).mean(-1)
         return (

@@ -103,7 +103,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         if not self.agents:
             raise UsageError(f"{self.env.name}: the episode is over; call reset")
         self._state = self._step(before, stack_actions(self.env, actions))
-        s = jax.device_get(self._state.replace(batch=None, memory=None))
+        s = jax.device_get(self._state.task_state.replace(memory=()))
         done, truncated = bool(s.done[0]), bool(s.truncated[0])
         info = {name: float(value[0]) for name, value in s.metrics.items()}
         info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bool(s.bad[0])}

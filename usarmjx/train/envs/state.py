@@ -1,12 +1,13 @@
 """What an environment hands out: who acts in it, and how all worlds are after a step."""
 
 from dataclasses import dataclass
+from dataclasses import fields as fields_of
 from typing import Any
 
 import jax
 from flax import struct
 
-Array = jax.Array
+from usarmjx.sim.batch import BatchState
 
 
 @dataclass(frozen=True)
@@ -26,51 +27,76 @@ class AgentGroup:
     action_size: int
 
 
-class EnvState(struct.PyTreeNode, kw_only=True):
-    """A batch of worlds at work on a task.
+class TaskState(struct.PyTreeNode, kw_only=True):
+    """How a task stands in a batch of worlds: all of an `EnvState` but the worlds.
 
     Attributes:
-        batch: The worlds.
         memory: The task's own (worlds, ...).
-        obs: What the agents see, per group (worlds, robots, obs_size).
-        privileged: What only critics see (worlds, privileged_size).
+        obs: What the agents observe, per group (worlds, robots, obs_size).
+        privileged: What only critics observe (worlds, privileged_size).
         reward: Of the step, per group (worlds, robots); 0 in bad worlds.
         done: Whether the episode ended with this step; the world has started the next one (worlds,).
         truncated: Whether that was because the time was up, and for no other reason (worlds,).
-        final_obs: As `obs`, before the restart; the same where not done.
-        final_privileged: As `privileged`, before the restart.
+        final_obs: As `obs`, before the reset; the same where not done.
+        final_privileged: As `privileged`, before the reset (worlds, privileged_size).
         score: The score of the running episode (worlds,).
         final_score: The score of the last episode that ended; where done, of the one that ended now
             (worlds,).
         length: Steps of the running episode (worlds,).
         bad: Whether the physics went wrong in this step (worlds,): not finite, or contacts lost. Such an
-            episode is done; its last transition is not to be learned from.
-        metrics: As judged in this step, before any restart (worlds,).
+            episode is done; its last transition is not to be trained on.
+        metrics: As evaluated in this step, before any reset (worlds,).
         level: How difficult the arenas in play are, from 0 to 1 (); see `Env.at_level`.
     """
 
-    batch: Any
     memory: Any
-    obs: tuple[Array, ...]
-    privileged: Array
-    reward: tuple[Array, ...]
-    done: Array
-    truncated: Array
-    final_obs: tuple[Array, ...]
-    final_privileged: Array
-    score: Array
-    final_score: Array
-    length: Array
-    bad: Array
-    metrics: dict[str, Array]
-    level: Array | None = None
+    obs: tuple[jax.Array, ...]
+    privileged: jax.Array
+    reward: tuple[jax.Array, ...]
+    done: jax.Array
+    truncated: jax.Array
+    final_obs: tuple[jax.Array, ...]
+    final_privileged: jax.Array
+    score: jax.Array
+    final_score: jax.Array
+    length: jax.Array
+    bad: jax.Array
+    metrics: dict[str, jax.Array]
+    level: jax.Array | None = None
+
+
+class EnvState(TaskState, kw_only=True):
+    """A batch of worlds at work on a task: the worlds, beside the fields of `TaskState`.
+
+    Attributes:
+        batch: The worlds.
+    """
+
+    batch: BatchState
+
+    @property
+    def task_state(self) -> TaskState:
+        """How the task stands, without the worlds."""
+        return TaskState(**{field.name: getattr(self, field.name) for field in fields_of(TaskState)})
+
+    def with_task(self, batch: BatchState, task: TaskState) -> "EnvState":
+        """Return the state with other worlds in which the task stands so."""
+        return self.replace(batch=batch, **{one.name: getattr(task, one.name) for one in fields_of(task)})
 
 
 class EpisodeStart(struct.PyTreeNode, kw_only=True):
-    """What an episode begins with."""
+    """What an episode begins with, in one world; `TaskState` has fields of the same names for all worlds.
+
+    Attributes:
+        memory: The task's own.
+        obs: What the agents observe, per group (robots, obs_size).
+        privileged: What only critics observe (privileged_size,).
+        score: 0 ().
+        length: 0 ().
+    """
 
     memory: Any
-    obs: tuple[Array, ...]
-    privileged: Array
-    score: Array
-    length: Array
+    obs: tuple[jax.Array, ...]
+    privileged: jax.Array
+    score: jax.Array
+    length: jax.Array

@@ -100,7 +100,7 @@ def run_episodes(
     state = env.reset(seed) if level is None else env.reset(seed, level)
     memory, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
-    rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, turn
+    rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index
     while (ended < each).any():
         memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
         state = env.step(state, actions)
@@ -114,9 +114,9 @@ def run_episodes(
         rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], strict=True)
         bad += int((counts & wrong).sum())
         ended, length = ended + done, np.where(done, 0, length)
-    scores, lengths, worlds, turns = np.array(rows, float).reshape(-1, 4).T
-    places = {"lengths": lengths, "worlds": worlds, "turns": turns}
-    return Episodes(seed=seed, scores=scores, bad=bad, **{k: v.astype(int) for k, v in places.items()})
+    scores, lengths, worlds, index = np.array(rows, float).reshape(-1, 4).T
+    counts = {"lengths": lengths, "worlds": worlds, "episode_index": index}
+    return Episodes(seed=seed, scores=scores, bad=bad, **{k: v.astype(int) for k, v in counts.items()})
 
 
 def evaluate_episodes(
