@@ -35,6 +35,46 @@ ROOT = Path(__file__).resolve().parent
 PINNED_BY = ("pyproject.toml", "constraints.txt")
 LOG_TAIL = 30  # lines of pip's output shown when an installation fails
 
+# Two workers: a world compiles on every core that it gets, and more workers were not faster.
+WORKERS = ("-n", "2", "--dist", "loadfile")
+# Tests that compile next to nothing, for `test --quick`.
+QUICK = (
+    "tests/base/test_registry.py",
+    "tests/base/test_transforms.py",
+    "tests/cli/test_sensor_tables.py",
+    "tests/models/arenas/test_elements.py",
+    "tests/models/generate",
+    "tests/models/ini",
+    "tests/models/roads",
+    "tests/models/robots/test_ackermann.py",
+    "tests/models/robots/test_manual_figures.py",
+    "tests/models/robots/test_pioneer.py",
+    "tests/sensors/test_limits.py",
+    "tests/sensors/test_settings.py",
+    "tests/server/protocol",
+    "tests/server/test_found.py",
+    "tests/server/wireless/test_wireless_a.py",
+    "tests/server/wireless/test_wireless_b.py",
+    "tests/test_conformance.py",
+    "tests/test_dev.py",
+    "tests/test_docs.py::test_commands_exist",
+    "tests/test_docs.py::test_links_lead_to_files",
+    "tests/test_names.py",
+)
+# A cross-section of the packages, run once more with the compiler's optimisation that users have.
+OPTIMISED = (
+    "tests/cameras/test_every_camera.py",
+    "tests/comms/test_attenuation.py",
+    "tests/comms/test_mail.py",
+    "tests/engines/test_engines.py::test_jax_drives_as_c_mujoco_does",
+    "tests/models/build/test_plan.py",
+    "tests/sensors/rays/test_raycast.py",
+    "tests/server/test_joints_wire.py",
+    "tests/sim/test_control.py",
+    "tests/train/envs/test_env.py::test_a_world_is_the_same_alone_as_in_a_batch",
+    "tests/train/learning/test_ppo.py",
+)
+
 
 class SetupError(Exception):
     """The environment cannot be made; the message says what to do about it."""
@@ -188,12 +228,24 @@ def layers(*args: str) -> list[str]:
     return ["-c", run, *args]
 
 
+def quick(*args: str) -> list[list[str]]:
+    """Lint, format check, layers and the quick tests; the arguments go to pytest."""
+    return [lint(), formatter("--check"), layers(), pytest(*WORKERS, *QUICK, *args)]
+
+
 def everything(*args: str) -> list[list[str]]:
     """All that CI runs; with arguments, only pytest with them."""
+    if "--quick" in args:
+        return quick(*(arg for arg in args if arg != "--quick"))
     if args:
         return [pytest(*args)]
-    # Two workers: a world compiles on every core that it gets, and more workers were not faster.
-    return [lint(), formatter("--check"), types(), layers(), pytest("-n", "2", "--dist", "loadfile")]
+    tests = [pytest(*WORKERS), pytest("--optimised", *WORKERS, *OPTIMISED)]
+    return [lint(), formatter("--check"), types(), layers(), *tests]
+
+
+def fuzz(*args: str) -> list[list[str]]:
+    """The property tests with random examples."""
+    return [pytest("-m", "hypothesis", "--hypothesis-profile", "fuzz", *args)]
 
 
 @dataclass(frozen=True)
@@ -218,9 +270,11 @@ VERBS = {
         extras=frozenset(),
     ),
     "test": Verb(
-        "lint, format check, types, layers and all tests; with arguments, pytest with them",
+        "lint, format check, types, layers and all tests; --quick: what needs no compilation;"
+        " other arguments: pytest with them",
         everything,
     ),
+    "fuzz": Verb("property tests with other examples each time (arguments go to pytest)", fuzz),
     "check": Verb("the same as test without arguments: everything that CI runs", everything),
     "format": Verb("rewrite the code with ruff format", lambda *args: [formatter(*args)]),
     "lint": Verb("ruff check", lambda *args: [lint(*args)]),

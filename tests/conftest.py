@@ -1,21 +1,37 @@
-"""What all tests share: the pool size that keeps jax alive, and why a test is skipped."""
+"""What all tests share: how jax compiles, which examples hypothesis tries, and why a test is skipped."""
 
 import gc
 import os
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
-import pytest
-
-# Before jax starts: on two cores two batched factorisations deadlock in its pool of two threads.
-os.environ.setdefault("NPROC", "8")
-# Most of the time of the tests goes into compiling for a CPU; unoptimised code is there a quarter sooner.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
-
+import hypothesis
 import jax
+import pytest
 
 MUCH = 2.5e9
 """A process of tests shall not hold much more memory than this [bytes]."""
+
+# A run is the same on every machine; `dev.py fuzz` looks for what no run has met.
+# No deadlines: a loaded machine is no failure.
+hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("fuzz", max_examples=2000, print_blob=True, deadline=None)
+hypothesis.settings.load_profile("same")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option of the run that compiles as users do."""
+    parser.addoption("--optimised", action="store_true", help="compile with XLA's default optimisation")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Set what jax reads when it starts its backend."""
+    # On two cores two batched factorisations deadlock in its pool of two threads.
+    os.environ.setdefault("NPROC", "8")
+    # Most of the time of the tests goes into compiling; unoptimised code is there a quarter sooner.
+    if not config.getoption("optimised"):
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -46,3 +62,13 @@ def forget_what_is_compiled() -> Iterator[None]:
     if resident() > MUCH:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(scope="session")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an uninterrupted training run, which tests of several packages look at."""
+    from tests.train.runs import run
+
+    folder = tmp_path_factory.mktemp("reference") / "run"
+    run(folder)
+    return folder

@@ -9,6 +9,7 @@ import tomllib
 from importlib import metadata
 from pathlib import Path
 
+import hypothesis
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -110,10 +111,63 @@ def test_unknown_verb_lists_the_known_ones(capsys: pytest.CaptureFixture[str]):
 
 def test_test_runs_everything_and_with_arguments_only_pytest():
     tools = [" ".join(step) for step in dev.VERBS["test"].steps()]
-    for part in ("ruff check", "ruff format --check", "pyright", "importlinter", "pytest -n 2"):
+    parts = ("ruff check", "ruff format --check", "pyright", "importlinter", "pytest -n 2", "--optimised")
+    for part in parts:
         assert sum(part in tool for tool in tools) == 1, part
     assert dev.VERBS["check"].steps() == dev.VERBS["test"].steps()
     assert dev.VERBS["test"].steps("-k", "foo") == [["-m", "pytest", "-k", "foo"]]
+
+
+def test_quick_leaves_out_what_takes_long_and_hands_on_what_else_is_asked():
+    *tools, tests = dev.VERBS["test"].steps("--quick", "-k", "foo")
+    tools = [" ".join(tool) for tool in tools]
+    for part in ("ruff check", "ruff format --check", "importlinter"):
+        assert sum(part in tool for tool in tools) == 1, part
+    assert len(tools) == 3
+    assert set(dev.QUICK) < set(tests)
+    assert tests[-2:] == ["-k", "foo"]
+
+
+@pytest.mark.parametrize("name", [*dev.QUICK, *dev.OPTIMISED])
+def test_what_quick_and_optimised_name_is_there(name: str):
+    path, *tests = name.split("::")
+    text = (dev.ROOT / path).read_text(encoding="utf-8") if tests else ""
+    assert (dev.ROOT / path).exists()
+    assert all(f"def {test}(" in text for test in tests)
+
+
+def collected(*args: object) -> list[str]:
+    """Names of the tests that pytest finds with our settings."""
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--collect-only", "-q"]
+    done = subprocess.run([*command, *map(str, args)], cwd=dev.ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [line for line in done.stdout.splitlines() if "::" in line]
+
+
+def test_quick_is_a_net_of_more_than_a_thousand_tests():
+    assert len(collected(*dev.QUICK)) > 1000
+
+
+def test_fuzz_runs_the_property_tests_alone_and_each_time_with_other_examples():
+    (step,) = dev.VERBS["fuzz"].steps("tests/server")
+    assert step == ["-m", "pytest", "-m", "hypothesis", "--hypothesis-profile", "fuzz", "tests/server"]
+    found = collected("tests/base/test_registry.py", "tests/server/test_found.py", *step[2:6])
+    (name,) = {line.split("::")[1] for line in found}
+    assert name == "test_any_text_that_a_line_can_carry_is_read_back_as_it_was_written"
+    fuzz, same = (hypothesis.settings.get_profile(name) for name in ("fuzz", "same"))
+    assert not fuzz.derandomize
+    assert fuzz.max_examples > same.max_examples
+    assert fuzz.print_blob
+    assert same.derandomize
+    assert same.database is None
+
+
+def test_a_folder_named_build_is_no_build_output(tmp_path: Path):
+    """By default pytest leaves such folders out, and ours have tests of usarmjx/models/build."""
+    (tmp_path / "build").mkdir()
+    (tmp_path / "build" / "test_sample.py").write_text("def test_it(): pass\n")
+    (found,) = collected("--rootdir", tmp_path, tmp_path)
+    assert found.endswith("test_sample.py::test_it")
 
 
 def test_only_the_demo_does_without_the_development_tools():

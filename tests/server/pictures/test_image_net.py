@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from tests.scripts import load
 from tests.server.peers import PATIENCE
-from tests.server.radios import wait_until
+from tests.server.radio_servers import wait_until
 from tests.server.watchers import DISTANCE, SIDE, classes, gallery, on_show, shows
 from usarmjx.cli.app import app
 from usarmjx.server.pictures import image_server
@@ -28,9 +28,16 @@ WIDTH, HEIGHT = 96, 72
 
 
 @pytest.fixture(scope="module")
-def world():
+def gallery_world():
     with classes():
         yield gallery()
+
+
+@pytest.fixture
+def world(gallery_world):
+    """The one world, in which a test leaves no traces: painters have no depths to draw them at."""
+    yield gallery_world
+    gallery_world.traces.points.clear()
 
 
 class Painter:
@@ -39,7 +46,7 @@ class Painter:
     def __init__(self):
         self.count = 0
 
-    def expose(self, shots):
+    def snapshot(self, shots):
         self.count += 1
         number = self.count
         rgbs = [np.full((shot.height, shot.width, 3), number % 256, np.uint8) for shot in shots]
@@ -49,7 +56,7 @@ class Painter:
 @pytest.fixture
 def painter(world, monkeypatch):
     painter = Painter()
-    monkeypatch.setattr(world, "expose", painter.expose)
+    monkeypatch.setattr(world, "snapshot", painter.snapshot)
     return painter
 
 
@@ -116,13 +123,15 @@ def test_a_trace_is_visible_and_stays(world):
         assert shows(viewer.next(), "green") == 0
         robot.say("Trace {On true} {Color Green}")
         robot.say("DRIVE {Left -5} {Right -5}")
+        # The reports of the seconds in which the first picture was compiled come before the answer to this.
+        robot.say("SET {Type Camera} {Name Ahead} {FOV 1.0}")
+        robot.until(b"RES")
         robot.sta_times(40)
         robot.say("DRIVE {Left 0} {Right 0}")
         robot.say("Trace {On false}")
         robot.sta_times(2)
         assert shows(viewer.next(), "green") > 20
         assert shows(viewer.next(), "red") == 0
-    world.traces.points.clear()
 
 
 def test_reports_keep_coming_while_pictures_are_pulled(world):
@@ -238,12 +247,12 @@ def test_without_a_robot_the_picture_is_black(painted, painter):
 def test_views_are_tied_by_address(painted, world, monkeypatch):
     """Manual 9.4; several operators, each with a camera of its own."""
 
-    def expose(shots):
+    def snapshot(shots):
         levels = {"R1": 50, "R2": 100}
         rgbs = [np.full((s.height, s.width, 3), levels[s.robot.name] + s.camera, np.uint8) for s in shots]
         return lambda: [SimpleNamespace(rgb=rgb) for rgb in rgbs]
 
-    monkeypatch.setattr(world, "expose", expose)
+    monkeypatch.setattr(world, "snapshot", snapshot)
     other = painted.robot("Lookout", "R2", "S1")
     first, second = painted.viewer(address="127.0.0.2"), painted.viewer(address="127.0.0.3")
     other.say("SET {Type Camera} {Robot R2} {Name Behind} {Client 127.0.0.3}")
@@ -261,11 +270,11 @@ def test_views_are_tied_by_address(painted, world, monkeypatch):
 def test_multi_view_is_one_picture_that_clients_split(world, monkeypatch):
     """Manual 3.2.6.2: the tile is the View of the robot's STA."""
 
-    def expose(shots):
+    def snapshot(shots):
         rgbs = [np.full((s.height, s.width, 3), int(s.robot.name[1:]), np.uint8) for s in shots]
         return lambda: [SimpleNamespace(rgb=rgb) for rgb in rgbs]
 
-    monkeypatch.setattr(world, "expose", expose)
+    monkeypatch.setattr(world, "snapshot", snapshot)
     shared = MultiView(camera_num=4, wide_mode=4, camera_x_res=40, camera_y_res=30)
     with on_show(world, size=shared.size, multi_view=shared) as show:
         robots = {level: show.robot("Cyclops", f"R{level}", f"S{i}") for i, level in enumerate((60, 70, 80))}
@@ -372,7 +381,7 @@ def test_a_camera_that_fails_loses_its_clients_and_nothing_else(painted, world, 
         return take
 
     with monkeypatch.context() as patch:
-        patch.setattr(world, "expose", broken)
+        patch.setattr(world, "snapshot", broken)
         with pytest.raises(ConnectionError):
             painted.viewer().frame()
     wait_until(lambda: "the film is torn" in caplog.text, "the log to say why")
