@@ -162,4 +162,4 @@ def is_due(links: Links, step: jax.Array, every: int) -> jax.Array:
 def without_old_events(links: Links, step: jax.Array) -> Links:
     """Return the last table for another look at it: its events stay events of their own control step."""
     same = links.step == step
-    return links.replace(lost=links.went_down & same, gained=links.came_up & same)
+    return links.replace(went_down=links.went_down & same, came_up=links.came_up & same)

@@ -175,7 +175,7 @@ def deliver(
         count=inboxes.count + fits.sum(0, dtype=jnp.int32),
         sender=jnp.where(fresh, source, inboxes.sender),
         time=jnp.where(fresh, time, inboxes.time),
-        length=jnp.where(fresh, length[source], inboxes.size_bytes),
+        size_bytes=jnp.where(fresh, length[source], inboxes.size_bytes),
         payload=jnp.where(fresh[..., None], messages.payload[source], inboxes.payload),
         spent=spent + length * count(paid),
         step=jnp.asarray(step, jnp.int32),
