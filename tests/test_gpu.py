@@ -40,17 +40,17 @@ def test_scans_on_the_gpu_are_full_single_precision():
     scene = build_scene("yellow", ["P2AT"])
     batch = Batch(scene, 8, engine="warp")
     state, readings = batch.observe(batch.reset())
-    team = scene.groups[0]
-    scan = np.asarray(readings[0][team.suite.index("RangeScanner")].value)[0, 0]
+    group = scene.groups[0]
+    scan = np.asarray(readings[0][group.suite.index("RangeScanner")].value)[0, 0]
     data = mujoco.MjData(scene.model)
     data.qpos[:] = np.asarray(batch.physics(state).qpos[0])
     mujoco.mj_forward(scene.model, data)
-    mount = team.robot.sensors[16]
-    origin = data.qpos[team.root_qposadr[0, :3]] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
+    mount = group.robot.sensors[16]
+    origin = data.qpos[group.root_qposadr[0, :3]] + np.array([mount.at[0], -mount.at[1], -mount.at[2]])
     for beam in range(0, 181, 20):
         angle = -np.pi / 2 + beam * np.pi / 180
         along = np.array([np.cos(angle), np.sin(angle), 0.0])
-        own = team.indices[0].body_ids
+        own = group.indices[0].body_ids
         start, travelled = origin.copy(), 0.0
         geom = np.zeros(1, np.int32)
         while True:

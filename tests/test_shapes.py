@@ -107,32 +107,32 @@ def test_world_team_and_status(scene, built):
     _, world, _ = built
     check(world, (), {})
     check(world.faults, (), {})
-    (team,) = world.groups
+    (group,) = world.groups
     assert isinstance(world, World)
-    assert isinstance(team, GroupState)
+    assert isinstance(group, GroupState)
     assert isinstance(world.faults, FaultCounts)
-    check(team, (), {"n": ROBOTS})
-    check(team.command, (ROBOTS,), {"joints": JOINTS, "keys": 2})
-    check(team.memory, (ROBOTS,), {"sensors": SENSORS})
-    assert isinstance(team.command, RobotCommand)
-    assert isinstance(team.memory, SensorMemory)
+    check(group, (), {"n": ROBOTS})
+    check(group.command, (ROBOTS,), {"joints": JOINTS, "keys": 2})
+    check(group.memory, (ROBOTS,), {"sensors": SENSORS})
+    assert isinstance(group.command, RobotCommand)
+    assert isinstance(group.memory, SensorMemory)
 
 
 def test_robot_state_bodies_and_sight(scene, built):
     _, world, physics = built
-    (team,) = scene.groups
-    states = jax.eval_shape(partial(robot_states, team), physics)
+    (group,) = scene.groups
+    states = jax.eval_shape(partial(robot_states, group), physics)
     assert isinstance(states, RobotState)
     check(states, (ROBOTS,), {"joints": JOINTS})
-    one = jax.eval_shape(lambda p: jax.tree.map(lambda x: x[0], robot_states(team, p)), physics)
-    bodies = jax.eval_shape(partial(forward_kinematics, team.plan), one)
+    one = jax.eval_shape(lambda p: jax.tree.map(lambda x: x[0], robot_states(group, p)), physics)
+    bodies = jax.eval_shape(partial(forward_kinematics, group.plan), one)
     assert isinstance(bodies, BodyPoses)
     check(bodies, (), {"bodies": BODIES})
-    (sight,) = jax.eval_shape(partial(sense, scene), world, physics)
-    assert isinstance(sight, SensorInput)
-    assert sight.time.shape == jax.eval_shape(partial(time_of, scene), world).shape == ()
-    check(sight.bodies, (ROBOTS,), {"bodies": BODIES})
-    check(sight.hits, (ROBOTS,), {"rays": sum(team.suite.ray_counts)})
+    (sensor_input,) = jax.eval_shape(partial(sense, scene), world, physics)
+    assert isinstance(sensor_input, SensorInput)
+    assert sensor_input.time.shape == jax.eval_shape(partial(time_of, scene), world).shape == ()
+    check(sensor_input.bodies, (ROBOTS,), {"bodies": BODIES})
+    check(sensor_input.hits, (ROBOTS,), {"rays": sum(group.suite.ray_counts)})
 
 
 def test_readings_and_memories(scene, built):

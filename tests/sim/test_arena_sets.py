@@ -112,8 +112,8 @@ def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
     tolerance = TOLERANCE[engine]
     _, links = batch.links(state)
     for world, (single, lone, seen) in enumerate(solo):
-        team, own = scene.groups[0], single.scene.groups[0]
-        pos = np.asarray(batch.physics(state).qpos[world])[team.root_qposadr]
+        group, own = scene.groups[0], single.scene.groups[0]
+        pos = np.asarray(batch.physics(state).qpos[world])[group.root_qposadr]
         expected = np.asarray(single.physics(lone).qpos[0])[own.root_qposadr]
         np.testing.assert_allclose(pos, expected, atol=tolerance, err_msg=ARENAS[world].name)
         for here, there in zip(readings[0], seen[0], strict=True):
@@ -142,13 +142,13 @@ def test_worlds_go_through_all_arenas_in_turn():
     for _ in range(2):
         state = batch.reset_where(state, jnp.array([True, False]))
         names.append([batch.arena_of(state, world).name for world in range(2)])
-        site = jax.tree.map(lambda x: x[0], state.worlds.arena_state)
+        arena = jax.tree.map(lambda x: x[0], state.worlds.arena_state)
         wanted = arena_set(ARENAS).states
         turn = int(arena_index_of(np.array(5), int(state.worlds.episode[0]), 3))
-        np.testing.assert_array_equal(site.pos, wanted.pos[turn])
+        np.testing.assert_array_equal(arena.pos, wanted.pos[turn])
     assert {row[0] for row in names} == {one.name for one in ARENAS}
     assert len({row[1] for row in names}) == 1
-    # Another library of the same shapes takes over at the next reset, and not before.
+    # Another set of arenas of the same shapes takes over at the next reset, and not before.
     before = np.asarray(state.worlds.arena_state.pos)
     state = state.replace(arenas=state.arenas.replace(pos=state.arenas.pos + 1))
     state = batch.reset_where(state, jnp.array([True, False]))

@@ -159,15 +159,15 @@ def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):
 @pytest.mark.parametrize("roll", [np.pi, np.pi / 2])
 def test_righting_gets_a_robot_back_on_its_wheels(roll):
     scene = build_scene(NOWHERE, ["P2AT"])
-    data, team = mujoco.MjData(scene.model), scene.groups[0]
-    data.qpos[team.root_qposadr[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
+    data, group = mujoco.MjData(scene.model), scene.groups[0]
+    data.qpos[group.root_qposadr[0]] = [0, 0, 0.3, np.cos(roll / 2), np.sin(roll / 2), 0, 0]
     push = jax.jit(partial(righting_wrench, kinematic_tree_of(P2AT), period=PERIOD))
     for _ in range(300):  # 6 s, twice FlipTime: one push to the feet, and time to come to rest
-        root, dof = data.qpos[team.root_qposadr[0]], data.qvel[team.root_dofadr[0]]
+        root, dof = data.qpos[group.root_qposadr[0]], data.qvel[group.root_dofadr[0]]
         state = RobotState(
             pos=root[:3], quat=root[3:], linear=dof[:3], angular=dof[3:], joint_pos=None, joint_vel=None
         )  # fmt: skip
-        data.xfrc_applied[team.chassis[0]] = push(state) if data.time < 3.0 else 0.0
+        data.xfrc_applied[group.chassis[0]] = push(state) if data.time < 3.0 else 0.0
         for _ in range(4):
             mujoco.mj_step(scene.model, data)
     assert data.body("r0/chassis").xmat.reshape(3, 3)[2, 2] > 0.999
@@ -258,20 +258,20 @@ def test_the_servo_is_mujocos_integrated_velocity_servo(run):
 @pytest.mark.oracle
 def test_a_position_order_is_carried_out_at_max_speed_by_c_mujoco(run):
     scene = build_scene(NOWHERE, ["P2AT"])
-    data, team = mujoco.MjData(scene.model), scene.groups[0]
+    data, group = mujoco.MjData(scene.model), scene.groups[0]
     data.qpos[2] = 0.26
     goal = np.array([0, 0, 0, 0, 0.5, 9.0])  # the tilt's is out of its range
     fastest, arrived = 0.0, None
     for step in range(250):
-        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[team.qposadr[0]], act=data.act[team.actadr[0]])
-        data.ctrl[team.actuator_ids[0]], data.ctrl[team.hold_actuator_ids[0]] = told.ctrl, told.hold
-        data.act[team.actadr[0]] = told.act
+        told = run(goal, WHEELS_TURN, joint_pos=data.qpos[group.qposadr[0]], act=data.act[group.actadr[0]])
+        data.ctrl[group.actuator_ids[0]], data.ctrl[group.hold_actuator_ids[0]] = told.ctrl, told.hold
+        data.act[group.actadr[0]] = told.act
         for _ in range(4):
             mujoco.mj_step(scene.model, data)
-        fastest = max(fastest, np.abs(data.qvel[team.dofadr[0, PAN:]]).max())
-        if arrived is None and abs(data.qpos[team.qposadr[0, PAN]] - 0.5) < OVERSHOOT:
+        fastest = max(fastest, np.abs(data.qvel[group.dofadr[0, PAN:]]).max())
+        if arrived is None and abs(data.qpos[group.qposadr[0, PAN]] - 0.5) < OVERSHOOT:
             arrived = (step + 1) * PERIOD
-    camera = data.qpos[team.qposadr[0, PAN:]]
+    camera = data.qpos[group.qposadr[0, PAN:]]
     np.testing.assert_allclose(camera, [0.5, TILT_RANGE[1]], atol=OVERSHOOT)
     assert fastest <= CAMERA_SPEED * SPEED_MARGIN
     assert arrived == pytest.approx(0.5 / CAMERA_SPEED, abs=0.2)

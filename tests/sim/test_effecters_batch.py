@@ -102,8 +102,8 @@ def test_the_command_moves_the_fingers(batch, fresh):
     )
     for _ in range(60):
         state = batch.step(state)
-    team = batch.scene.groups[0]
-    fingers = np.asarray(batch.physics(state).qpos)[:, team.qpos[:, -2:]]
+    group = batch.scene.groups[0]
+    fingers = np.asarray(batch.physics(state).qpos)[:, group.qposadr[:, -2:]]
     open_ = LEVER * math.sin(0.5)
     expected = np.array([[open_, open_], [open_, 0.0], [0.0, 0.0]])[..., None]
     np.testing.assert_allclose(fingers, np.broadcast_to(expected, fingers.shape), atol=5e-4)
@@ -123,11 +123,11 @@ def test_what_cannot_be_asked_is_named(batch, fresh, name, opcode, error, messag
 
 
 def test_robots_without_power_and_parked_ones_fail(batch, fresh):
-    team = members(fresh)
-    dead = team.replace(
-        active=team.active.at[0, 0].set(False),
-        battery_start=team.battery_start.at[1, 1].set(-2 * TAGGER.battery_life),
-        drowned=team.drowned.at[2, 0].set(True),
+    group = members(fresh)
+    dead = group.replace(
+        active=group.active.at[0, 0].set(False),
+        battery_start=group.battery_start.at[1, 1].set(-2 * TAGGER.battery_life),
+        drowned=group.drowned.at[2, 0].set(True),
     )
     state, outcome = batch.operate(batch.with_group(fresh, 0, dead), 0, "Gun", "Release")
     expected = np.array([[False, True], [True, False], [False, True]])
@@ -142,7 +142,7 @@ def test_a_tag_lies_on_the_ground_below_its_releaser(batch, fresh):
     """Oracle: C MuJoCo's forward kinematics of the chassis, and its ray onto floor and ramp."""
     state, outcome = batch.operate(fresh, 0, "Gun", "Release")
     assert np.asarray(outcome.done).all()
-    model, team = batch.scene.model, batch.scene.groups[0]
+    model, group = batch.scene.model, batch.scene.groups[0]
     data = mujoco.MjData(model)
     model = model.__copy__()
     robots = model.geom_bodyid >= 2
@@ -151,7 +151,7 @@ def test_a_tag_lies_on_the_ground_below_its_releaser(batch, fresh):
     for world in range(WORLDS):
         data.qpos[:] = batch.physics(state).qpos[world]
         mujoco.mj_kinematics(model, data)
-        for robot, body in enumerate(team.chassis):
+        for robot, body in enumerate(group.chassis):
             gun = data.xpos[body] + data.xmat[body].reshape(3, 3) @ (-0.3, -0.1, 0.1)
             hit = np.zeros(1, np.int32)
             depth = mujoco.mj_ray(model, data, gun, (0.0, 0.0, -1.0), None, 1, -1, hit)
@@ -233,7 +233,7 @@ PILE = replace(
 
 
 def loose_qpos(batch, state):
-    return np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qpos]
+    return np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qposadr]
 
 
 @pytest.fixture(scope="module")
@@ -266,7 +266,7 @@ def test_sonar_and_scanner_see_loose_objects_as_c_mujoco_does(pile, look_around,
     random, scene = np.random.default_rng(seed), pile.scene
     state = pile.reset()
     physics = jax.tree.map(lambda x: np.array(x[0]), pile.physics(state))
-    for root in scene.loose_geoms.root_qpos:
+    for root in scene.loose_geoms.root_qposadr:
         quat = random.normal(size=4)
         physics.qpos[root] = (
             *random.uniform(-1.2, 1.2, 2),
@@ -274,15 +274,15 @@ def test_sonar_and_scanner_see_loose_objects_as_c_mujoco_does(pile, look_around,
             *quat / np.linalg.norm(quat),
         )
     world = jax.tree.map(lambda x: x[0], state.worlds)
-    (sight,) = look_around(world, physics)
-    team = scene.groups[0]
-    origins, directions = team.suite.rays(jax.tree.map(lambda x: x[0], sight.bodies))
-    seen = np.asarray(sight.hits.distance[0])
+    (sensor_input,) = look_around(world, physics)
+    group = scene.groups[0]
+    origins, directions = group.suite.rays(jax.tree.map(lambda x: x[0], sensor_input.bodies))
+    seen = np.asarray(sensor_input.hits.distance[0])
 
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = physics.qpos
     mujoco.mj_kinematics(model, data)
-    own = np.isin(model.geom_bodyid, team.indices[0].body_ids)
+    own = np.isin(model.geom_bodyid, group.indices[0].body_ids)
     model = model.__copy__()
     model.geom_rgba[own, 3] = 0.0  # a robot's own solids are transparent to it, as to C's rays these are
 
@@ -311,7 +311,7 @@ def test_c_and_jax_agree_on_a_block_that_a_robot_pushes_takes_between_its_finger
     final = []
     for engine in ("c", "jax"):
         batch = Batch(build_scene(arena, ["Grabber"]), 1, engine=engine)
-        team = batch.scene.groups[0]
+        group = batch.scene.groups[0]
 
         def run(state, seconds, batch=batch):
             for _ in range(round(seconds / batch.scene.physics.period)):
@@ -327,7 +327,7 @@ def test_c_and_jax_agree_on_a_block_that_a_robot_pushes_takes_between_its_finger
         batch.check_overflow(state)
         qpos = np.asarray(batch.physics(state).qpos)[0]
         block_ = loose_qpos(batch, state)[0, 0, :3]
-        final.append([pushed, *block_, *qpos[team.root_qposadr[0, :3]], *qpos[team.qposadr[0, -3:]]])
+        final.append([pushed, *block_, *qpos[group.root_qposadr[0, :3]], *qpos[group.qposadr[0, -3:]]])
     c, jax_ = final
     assert c[0] > 0.6, "pushed along"
     assert c[3] > 0.2, "and lifted"

@@ -38,15 +38,15 @@ def moved(scene):
         if engine not in done:
             batch = Batch(scene, 2, engine=engine)
             start = state = batch.reset()
-            for t, team in enumerate(scene.groups):
-                state = batch.drive(state, t, ORDERS[team.robot.name])
+            for t, group in enumerate(scene.groups):
+                state = batch.drive(state, t, ORDERS[group.robot.name])
             for _ in range(STEPS):
                 state = batch.step(state)
             batch.check_overflow(state)
-            status = state.worlds.faults
-            assert not any(np.asarray(x).any() for x in jax.tree.leaves(status))
+            faults = state.worlds.faults
+            assert not any(np.asarray(x).any() for x in jax.tree.leaves(faults))
             before, after = (np.asarray(batch.physics(s).qpos) for s in (start, state))
-            places = {team.robot.name: team.root_qposadr[0, :3] for team in scene.groups}
+            places = {group.robot.name: group.root_qposadr[0, :3] for group in scene.groups}
             done[engine] = {name: (after - before)[:, at] for name, at in places.items()}
         return done[engine]
 

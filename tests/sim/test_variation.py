@@ -39,7 +39,9 @@ class Trip:
 
     def __init__(self, engine, vary=EVERYTHING, worlds=WORLDS):
         self.batch = Batch(build_scene(FLAT, [LEAN], CONVERGED, vary=vary), worlds, engine=engine, seed=3)
-        self.dof, self.root = (getattr(self.batch.scene.groups[0], n)[0] for n in ("root_dof", "root_qpos"))
+        self.dof, self.root = (
+            getattr(self.batch.scene.groups[0], n)[0] for n in ("root_dofadr", "root_qposadr")
+        )
         state = self.batch.drive(self.batch.reset(), 0, {"Left": SPIN, "Right": SPIN})
         self.varied = jax.tree.map(np.asarray, state.worlds.varied)
         self.speeds = []
@@ -294,11 +296,13 @@ def test_noise_is_multiplied_and_nothing_else():
 
     @jax.jit
     def read(noise):
-        sight = SensorInput(
+        sensor_input = SensorInput(
             time=jnp.float32(0), state=state, bodies=forward_kinematics(plan, state), hits=hits
         )
-        sight = sight.replace(noise_factor=noise)
-        _, readings = suite.read(sight, suite.init_memory(sight, jax.random.key(1)), jax.random.key(2))
+        sensor_input = sensor_input.replace(noise_factor=noise)
+        _, readings = suite.read(
+            sensor_input, suite.init_memory(sensor_input, jax.random.key(1)), jax.random.key(2)
+        )
         return [reading.value for reading in readings]
 
     silent, usual, double, same = (

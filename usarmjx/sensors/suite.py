@@ -104,7 +104,8 @@ class Suite:
                     sensor.transparent, sensor.bundle_size, sensor.max_distance, sensor.needs_incidence
                 )
                 wanted = None if due is None else due[i]
-                hits.append(cast_rays(geoms, *rays, slot, query, wanted, sensor.fans(bodies)))
+                with jax.named_scope(sensor.kind):
+                    hits.append(cast_rays(geoms, *rays, slot, query, wanted, sensor.fans(bodies)))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def init_memory(self, inputs: SensorInput, key: jax.Array) -> SensorMemory:
@@ -136,7 +137,8 @@ class Suite:
         sensors = self._as_noisy_as(inputs)
         for i, (sensor, count, end) in enumerate(zip(sensors, self.ray_counts, ends, strict=True)):
             mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], inputs.hits)
-            pairs.append(sensor.read(inputs.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
+            with jax.named_scope(sensor.kind):
+                pairs.append(sensor.read(inputs.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
         return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
 
     def read(

@@ -15,32 +15,27 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError, UsageError
-from usarmjx.cameras.mounts import camera_index, cameras_of
-from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, check_size, render_picture_jit
-from usarmjx.cameras.shading import RenderScene
+from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.comms.links import Links
-from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages, clear_inboxes
-from usarmjx.engines import Inputs, PhysicsState, choose_engine, make_engine
-from usarmjx.models.build.arena_set import ArenaState, arena_index_of
-from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.comms.mail import clear_inboxes
+from usarmjx.engines import PhysicsState, choose_engine, make_engine
+from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
-from usarmjx.sim.operate import OperationResult, find_operation, operate
-from usarmjx.sim.radio import (
-    last_links,
-    link_interval,
-    links_due,
-    mail_of,
-    mailboxes,
-    radio_of,
-    send,
-    update_links,
-)
+from usarmjx.sim.operate import OperationResult, find_operation, operate_in_worlds
+from usarmjx.sim.radio import mailboxes, outgoing_messages, radio_of, send, update_links_of_worlds
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.views import GroupCamera, build_render_scene, map_pictures, render_group
-from usarmjx.sim.world import GroupState, World, compute_inputs, finish_step, observe
+from usarmjx.sim.views import find_camera, render_groups, render_scene_of_world
+from usarmjx.sim.world import (
+    GroupState,
+    World,
+    compute_inputs,
+    finish_and_compute_inputs,
+    finish_step,
+    observe,
+)
 
 Readings = tuple[tuple[Reading, ...], ...]
 """Per group and sensor a reading with leading axes (worlds, robots of the group)."""
@@ -106,19 +101,17 @@ class Batch:
         self._keys = self._keys_of(seed)
         self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))
-        self._finish_and_compute_inputs = self._compile(self._finish_and_compute_inputs_all)
+        self._finish_and_compute_inputs = self._compile(jax.vmap(partial(finish_and_compute_inputs, scene)))
         self._fresh = jax.vmap(partial(reset, scene, shuffle=shuffle), in_axes=(0, None))
         self._reset = self._compile(self._reset_worlds_where)
         self._init = self._compile(
             jax.vmap(partial(init_world, scene, shuffle=shuffle), in_axes=(0, 0, None))
         )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
-        self._operate = self._compile(
-            jax.vmap(partial(operate, scene), in_axes=(0, 0, None, None, 0, 0)), static_argnums=(2, 3)
-        )
-        self._render = self._compile(self._render_all, static_argnums=(2, 3))
-        self._render_scene = self._compile(self._render_scene_of)
-        self._links = self._compile(self._update_links)
+        self._operate = self._compile(partial(operate_in_worlds, scene), static_argnums=(2, 3))
+        self._render = self._compile(partial(render_groups, scene), static_argnums=(2, 3))
+        self._render_scene = self._compile(partial(render_scene_of_world, scene))
+        self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
         traceable = self.engine.traceable
         self.step: Callable[[BatchState], BatchState] = self._compile(self._step) if traceable else self._step
@@ -163,7 +156,8 @@ class Batch:
 
     def _step(self, state: BatchState) -> BatchState:
         worlds, inputs = self._compute_inputs(state.worlds, self.engine.state(state.physics))
-        physics = self.engine.advance(state.physics, inputs)
+        with jax.named_scope("physics"):
+            physics = self.engine.advance(state.physics, inputs)
         lost = self.engine.overflow(physics, inputs)
         worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
         state = state.replace(physics=physics, worlds=worlds)
@@ -188,20 +182,9 @@ class Batch:
             worlds = begun if left else finished
         return state.replace(physics=physics, worlds=worlds)
 
-    def _finish_and_compute_inputs_all(
-        self, worlds: World, physics: PhysicsState, lost: jax.Array
-    ) -> tuple[World, jax.Array, tuple[World, Inputs]]:
-        """Finish a control step and begin the next one."""
-        worlds, finite = jax.vmap(partial(finish_step, self.scene))(worlds, physics, lost)
-        return worlds, finite, jax.vmap(partial(compute_inputs, self.scene))(worlds, physics)
-
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
         """Return the arena that a world has in its present episode, if nobody replaced the arenas."""
-        arenas = self.scene.arenas
-        if arenas is None:
-            return self.scene.arena
-        episode = int(state.worlds.episode[world])
-        return arenas.arenas[arena_index_of(int(state.worlds.number[world]), episode, len(arenas.arenas))]
+        return self.scene.arena_of(int(state.worlds.number[world]), int(state.worlds.episode[world]))
 
     def physics(self, state: BatchState) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""
@@ -211,13 +194,6 @@ class Batch:
         """Read the sensors that are due; the others repeat their last reading, marked as not fresh."""
         worlds, readings = self._observe(state.worlds, self.physics(state))
         return state.replace(worlds=worlds), readings
-
-    def _update_links(self, worlds: World, physics: PhysicsState) -> Links:
-        update, keep = jax.vmap(partial(update_links, self.scene)), jax.vmap(last_links)
-        if link_interval(self.scene) == 1:
-            return update(worlds, physics)
-        due = jax.vmap(partial(links_due, self.scene))(worlds).any()
-        return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
     def links(self, state: BatchState) -> tuple[BatchState, Links]:
         """Look at the radio links, which are evaluated at most once in a control step, or radio `period`.
@@ -247,15 +223,8 @@ class Batch:
         Raises:
             UsageError: The scene has no mail.
         """
-        mail, robots = mail_of(self.scene), self.scene.num_robots
+        messages = outgoing_messages(self.scene, (self.worlds,), to, payload, length)
         state, _ = self.links(state)
-        shape = (self.worlds, robots)
-        size = BYTES_PER_NUMBER * mail.numbers if length is None else length
-        messages = OutgoingMessages(
-            receivers=jnp.broadcast_to(to, (*shape, robots)),
-            payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
-            size_bytes=jnp.broadcast_to(size, shape),
-        )
         return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, messages)))
 
     def clear_mail(self, state: BatchState, where: Array = True) -> BatchState:
@@ -342,12 +311,6 @@ class Batch:
         )
         return state.replace(worlds=worlds), result
 
-    def _group_camera(self, group: int, camera: str | int | None, size: tuple[int, int]) -> GroupCamera:
-        robot = self.scene.groups[group].robot
-        place = camera_index(robot, camera)
-        check_size(cameras_of(robot)[place], *size)
-        return group, cameras_of(robot)[place], place
-
     def render(
         self,
         state: BatchState,
@@ -361,7 +324,7 @@ class Batch:
         Args:
             state: The batch.
             group: Index into `scene.groups`.
-            camera: Name or place of a camera of the class; None: the main one.
+            camera: Name or index of a camera of the class; None: the main one.
             width: Pixels along a row.
             height: Rows.
 
@@ -369,8 +332,8 @@ class Batch:
             UnknownNameError: The robots have no such camera; lists those they have.
             UsageError: A picture of that size cannot be taken.
         """
-        eye = self._group_camera(group, camera, (width, height))
-        return self._render(state.worlds, self.physics(state), eye, (width, height))
+        group_camera = find_camera(self.scene, group, camera, (width, height))
+        return self._render(state.worlds, self.physics(state), group_camera, (width, height))
 
     def render_robot(
         self,
@@ -383,32 +346,21 @@ class Batch:
     ) -> Picture:
         """Return what a camera of the robot in one slot of one world sees; the others are as in `render`."""
         group, member = self.scene.group_of(slot)
-        _, lens, place = self._group_camera(group, camera, (width, height))
-        stage, bodies = self._render_scene(state.worlds, self.physics(state), world)
+        _, lens, index = find_camera(self.scene, group, camera, (width, height))
+        render_scene, bodies = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
             body = jax.tree.map(lambda x: x[member], bodies[group])
-            fov = state.worlds.groups[group].fov[world, member, place]
-            return render_picture_jit(stage, camera_viewpoint(lens, body, np.int32(slot), fov), width, height)
+            fov = state.worlds.groups[group].fov[world, member, index]
+            viewpoint = camera_viewpoint(lens, body, np.int32(slot), fov)
+            return render_picture_jit(render_scene, viewpoint, width, height)
 
     def render_view(
         self, state: BatchState, world: int, viewpoint: Viewpoint, width: int = 320, height: int = 240
     ) -> Picture:
         """Return what there is to see of a world from any place."""
-        stage, _ = self._render_scene(state.worlds, self.physics(state), world)
+        render_scene, _ = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
-            return render_picture_jit(stage, viewpoint, width, height)
-
-    def _render_all(
-        self, worlds: World, physics: PhysicsState, eye: GroupCamera, size: tuple[int, int]
-    ) -> Picture:
-        return map_pictures(
-            lambda world, now: render_group(self.scene, world, now, eye, size), worlds, physics
-        )
-
-    def _render_scene_of(
-        self, worlds: World, physics: PhysicsState, world: int
-    ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
-        return build_render_scene(self.scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
+            return render_picture_jit(render_scene, viewpoint, width, height)
 
     def zoom(
         self, state: BatchState, group: int, camera: str | int | None, fov: Array, where: Array = True
@@ -418,17 +370,16 @@ class Batch:
         Args:
             state: The batch.
             group: Index into `scene.groups`.
-            camera: Name or place of a camera of the class; None: the main one.
+            camera: Name or index of a camera of the class; None: the main one.
             fov: Horizontal field of view [rad], broadcast to (worlds, robots).
             where: Which robots shall do it, broadcast to (worlds, robots).
 
         Raises:
             UnknownNameError: The robots have no such camera; lists those they have.
         """
-        members, robot = state.worlds.groups[group], self.scene.groups[group].robot
-        place = camera_index(robot, camera)
-        told = jnp.where(where, cameras_of(robot)[place].clamp(fov, jnp), members.fov[..., place])
-        return self.with_group(state, group, members.replace(fov=members.fov.at[..., place].set(told)))
+        members, (_, lens, index) = state.worlds.groups[group], find_camera(self.scene, group, camera)
+        told = jnp.where(where, lens.clamp(fov, jnp), members.fov[..., index])
+        return self.with_group(state, group, members.replace(fov=members.fov.at[..., index].set(told)))
 
     @staticmethod
     def with_group(state: BatchState, group: int, group_state: GroupState) -> BatchState:

@@ -298,6 +298,7 @@ def update_command(
     return jax.tree.map(chosen, told, command)
 
 
+@jax.named_scope("actuation")
 def compute_actuation(
     plan: KinematicTree,
     command: RobotCommand,

@@ -175,6 +175,7 @@ def ground_below(geoms: Geoms, point: jax.Array) -> jax.Array:
     return point.at[2].add(-hits.distance[0])
 
 
+@jax.named_scope("operate")
 def operate(
     scene: Scene,
     world: World,
@@ -211,3 +212,22 @@ def operate(
     after, result = apply_operation(what, value, before, mask=mask, ground=ground)
     state = state.replace(command=after.command, releases=state.releases.at[:, place].set(after.stock))
     return world.with_group(index, state).replace(tags=after.tags), result
+
+
+def operate_in_worlds(
+    scene: Scene,
+    worlds: World,
+    physics: PhysicsState,
+    effecter_index: tuple[int, int],
+    opcode: Opcode,
+    value: jax.Array,
+    mask: jax.Array,
+) -> tuple[World, OperationResult]:
+    """Let the robots of a group operate as `operate` does, in all worlds (worlds, ...)."""
+
+    def one(
+        world: World, physics: PhysicsState, value: jax.Array, mask: jax.Array
+    ) -> tuple[World, OperationResult]:
+        return operate(scene, world, physics, effecter_index, opcode, value, mask)
+
+    return jax.vmap(one)(worlds, physics, value, mask)

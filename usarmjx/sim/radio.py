@@ -1,15 +1,18 @@
 """The radio of a world: its links, and messages over them. Pure functions."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.antenna import antenna_positions
 from usarmjx.comms.attenuation import AnyRadioSettings, RadioSettings, WorldRadioSettings
 from usarmjx.comms.links import Links, evaluate_links, is_due, without_old_events
-from usarmjx.comms.mail import Inboxes, MessageSettings, OutgoingMessages, deliver
+from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, OutgoingMessages, deliver
 from usarmjx.comms.walls import arena_solids, bare_floor, with_boxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.doors import door_boxes
@@ -99,6 +102,7 @@ def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, arena.size[walls])
 
 
+@jax.named_scope("update_links")
 def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
     places, in_use = robot_antennas(scene, world, physics)
@@ -106,6 +110,15 @@ def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     now = evaluate_links(world_radio(scene, world), walls, (places, in_use), _links(world), key, world.step)
     due = links_due(scene, world)
     return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, last_links(world))
+
+
+def update_links_of_worlds(scene: Scene, worlds: World, physics: PhysicsState) -> Links:
+    """Return the links of all worlds (worlds, ...); where none are due, nothing is evaluated."""
+    update, keep = jax.vmap(partial(update_links, scene)), jax.vmap(last_links)
+    if link_interval(scene) == 1:
+        return update(worlds, physics)
+    due = jax.vmap(partial(links_due, scene))(worlds).any()
+    return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
 
 def mailboxes(scene: Scene, world: World) -> Inboxes:
@@ -119,6 +132,31 @@ def mailboxes(scene: Scene, world: World) -> Inboxes:
     return world.mail
 
 
+def outgoing_messages(
+    scene: Scene, worlds: tuple[int, ...], to: ArrayLike, payload: ArrayLike, length: ArrayLike | None = None
+) -> OutgoingMessages:
+    """Return messages from all robots.
+
+    Args:
+        scene: The scene.
+        worlds: Leading axes.
+        to: Receivers, sender by row, broadcast to (*worlds, robots, robots).
+        payload: What is said, broadcast to (*worlds, robots, numbers).
+        length: What each message stands for [bytes], broadcast to (*worlds, robots); None: 4 a number.
+
+    Raises:
+        UsageError: The scene has no mail.
+    """
+    mail, shape = mail_of(scene), (*worlds, scene.num_robots)
+    size = BYTES_PER_NUMBER * mail.numbers if length is None else length
+    return OutgoingMessages(
+        receivers=jnp.broadcast_to(to, (*shape, scene.num_robots)),
+        payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
+        size_bytes=jnp.broadcast_to(size, shape),
+    )
+
+
+@jax.named_scope("send_messages")
 def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)

@@ -13,7 +13,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
-from usarmjx.models.build.arena_set import ArenaSet, arena_set
+from usarmjx.models.build.arena_set import ArenaSet, arena_index_of, arena_set
 from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
@@ -248,6 +248,13 @@ class Scene:
     def door_qpos(self) -> np.ndarray:
         """Qpos addresses of the doors' hinges (doors,)."""
         return door_qpos(self.model, self.arena)
+
+    def arena_of(self, number: int, episode: int) -> ArenaSpec:
+        """Return the arena that a world has in an episode."""
+        if self.arenas is None:
+            return self.arena
+        arenas = self.arenas.arenas
+        return arenas[arena_index_of(number, episode, len(arenas))]
 
     def group_of(self, slot: int) -> tuple[int, int]:
         """Return (group, place in the group) of a roster slot."""

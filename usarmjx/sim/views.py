@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.cameras.light import SUN_DIRECTION, Headlights, PointLights, point_lights
-from usarmjx.cameras.mounts import Camera, headlight_of
+from usarmjx.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.cameras.paint import ROBOT_LABEL
-from usarmjx.cameras.picture import Picture, camera_viewpoint, render_picture
+from usarmjx.cameras.picture import Picture, camera_viewpoint, check_size, render_picture
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
@@ -27,12 +27,36 @@ from usarmjx.sim.visible import (
 from usarmjx.sim.world import World, powered, robot_states, time_of
 
 GroupCamera = tuple[int, Camera, int]
-"""A group, one of its robots' cameras, and its place among them."""
+"""Index of a group, one of its robots' cameras, and its index among them."""
 CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
 UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 
 
+def find_camera(
+    scene: Scene, group: int, camera: str | int | None, size: tuple[int, int] | None = None
+) -> GroupCamera:
+    """Return a camera of a group's robots.
+
+    Args:
+        scene: The scene.
+        group: Index into `scene.groups`.
+        camera: Name or index of a camera of the class; None: the main one.
+        size: Width and height of a picture that it shall take; None: any.
+
+    Raises:
+        UnknownNameError: The robots have no such camera; lists those they have.
+        UsageError: A picture of that size cannot be taken.
+    """
+    robot = scene.groups[group].robot
+    index = camera_index(robot, camera)
+    found = cameras_of(robot)[index]
+    if size is not None:
+        check_size(found, *size)
+    return group, found, index
+
+
+@jax.named_scope("render_scene")
 def build_render_scene(
     scene: Scene, world: World, physics: PhysicsState
 ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
@@ -55,7 +79,7 @@ def build_render_scene(
     else:
         lamps = PointLights(pos=world.arena_state.lamps[:, :3], rgb=world.arena_state.lamps[:, 3:])
     sun = np.array(SUN_DIRECTION, np.float32)
-    stage = RenderScene(
+    render_scene = RenderScene(
         geoms=geoms,
         appearance=paint,
         sun_direction=sun / np.linalg.norm(sun),
@@ -64,7 +88,7 @@ def build_render_scene(
         checker_size=np.float32(CHECKER_SIZE),
         checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
     )
-    return stage, bodies
+    return render_scene, bodies
 
 
 def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
@@ -81,6 +105,7 @@ def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> He
     return Headlights(pos=joined[0], direction=joined[1], on=joined[2], label=ROBOT_LABEL + slots)
 
 
+@jax.named_scope("render")
 def render_group(
     scene: Scene,
     world: World,
@@ -98,11 +123,25 @@ def render_group(
         size: Width and height of a picture; static.
     """
     group, camera, place = group_camera
-    stage, bodies = build_render_scene(scene, world, physics)
+    render_scene, bodies = build_render_scene(scene, world, physics)
     members = bodies[group], jnp.asarray(scene.groups[group].slots), world.groups[group].fov[:, place]
     return map_pictures(
-        lambda *member: render_picture(stage, camera_viewpoint(camera, *member), *size), *members
+        lambda *member: render_picture(render_scene, camera_viewpoint(camera, *member), *size), *members
     )
+
+
+def render_scene_of_world(
+    scene: Scene, worlds: World, physics: PhysicsState, world: int
+) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
+    """Return what `build_render_scene` does, of one of many worlds."""
+    return build_render_scene(scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
+
+
+def render_groups(
+    scene: Scene, worlds: World, physics: PhysicsState, group_camera: GroupCamera, size: tuple[int, int]
+) -> Picture:
+    """Return what `render_group` does, of all worlds (worlds, robots, ...)."""
+    return map_pictures(lambda *one: render_group(scene, *one, group_camera, size), worlds, physics)
 
 
 def map_pictures(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees

@@ -166,6 +166,7 @@ def sense_self(scene: Scene, world: World, physics: PhysicsState, group: RobotGr
     )
 
 
+@jax.named_scope("cast_rays")
 def sense(scene: Scene, world: World, physics: PhysicsState) -> tuple[SensorInput, ...]:
     """Return what each group's robots sense, rays cast; leading axis over robots, but for the time."""
     sensor_inputs = [sense_self(scene, world, physics, group) for group in scene.groups]
@@ -216,6 +217,7 @@ def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) ->
     return state.active & (age < group.robot.battery_life) & ~state.drowned
 
 
+@jax.named_scope("compute_inputs")
 def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
     """Turn the commands in force into the engine's inputs for one control step.
 
@@ -295,6 +297,7 @@ def _set_mask(mask: jax.Array, addresses: np.ndarray, where: jax.Array) -> jax.A
     return mask.at[addresses].set(jnp.broadcast_to(where[:, None], addresses.shape))
 
 
+@jax.named_scope("finish_step")
 def finish_step(
     scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array
 ) -> tuple[World, jax.Array]:
@@ -315,6 +318,15 @@ def finish_step(
     return world.replace(step=world.step + 1, faults=faults), finite
 
 
+def finish_and_compute_inputs(
+    scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array
+) -> tuple[World, jax.Array, tuple[World, Inputs]]:
+    """Finish a control step as `finish_step` does, and begin the next one as `compute_inputs` does."""
+    world, finite = finish_step(scene, world, physics, overflow)
+    return world, finite, compute_inputs(scene, world, physics)
+
+
+@jax.named_scope("observe")
 def observe(
     scene: Scene, world: World, physics: PhysicsState
 ) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
@@ -323,7 +335,8 @@ def observe(
     key = jax.random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
     groups, readings = [], []
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
-        memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
+        with jax.named_scope(group.robot.name):
+            memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)
     return world.replace(groups=tuple(groups)), tuple(readings)
