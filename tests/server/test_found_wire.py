@@ -155,7 +155,7 @@ def test_pictures_show_the_lines_to_tags_and_where_the_victim_sensor_looks(clien
     black = SimpleNamespace(
         rgb=np.zeros((height, width, 3), np.uint8), depth=np.full((height, width), np.inf)
     )
-    monkeypatch.setattr(world, "expose", lambda shots: lambda: [black for _ in shots])
+    monkeypatch.setattr(world, "snapshot", lambda shots: lambda: [black for _ in shots])
     shot = CameraRequest(client.robot, 0, width, height)
     (picture,) = snapshot(world, [shot])()
     assert not black.rgb.any()

@@ -12,16 +12,16 @@ KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return what `[BotAPI.BotServer]` of ini files says, by fields of `net.BotServerSettings`; later files override.
+    """Return what `[BotAPI.BotServer]` of ini files says, by fields of `net.BotServerSettings`; the last counts.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.
     """
-    told: dict[str, int] = {}
+    fields: dict[str, int] = {}
     for path in paths:
         for line in read_ini(Path(path)).section(SECTION).lines:
             if line.key.lower() not in KEYS:
                 fail(line, f"[{SECTION}] has no key {line.key}", "ListenPort or MaxConnections")
             name, least, most = KEYS[line.key.lower()]
-            told[name] = as_whole(line, least, most)
-    return told
+            fields[name] = as_whole(line, least, most)
+    return fields

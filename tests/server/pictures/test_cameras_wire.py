@@ -256,7 +256,7 @@ def test_a_stereo_camera_fills_its_tile_with_both_eyes(house):
         0, "Owl", suite_of(watcher("Owl", camera("Camera", **fields))), idle_command(MOLE), 0.0, tile=1
     )
     shared = MultiView(camera_num=2, wide_mode=2, camera_x_res=101, camera_y_res=75)
-    world = SimpleNamespace(robots={0: owl}, ties=ViewBindings(), multi_view=shared)
+    world = SimpleNamespace(robots={0: owl}, view_bindings=ViewBindings(), multi_view=shared)
     ((shot, left, top),) = client_view(world, "10.0.0.2", 1, (202, 75)).tiles
     assert (shot.width, shot.height, left, top) == (100, 75, 101, 0)
     assert len(owl.cameras[shot.camera].eye_offsets) == 2

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.server.airs import FakeAir
+from tests.server.fake_radio import FakeRadio
 from usarmjx.base.errors import PeerError
 from usarmjx.server.wireless import comserver, data_link, dialect_a
 from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, Refusal, Register
@@ -32,8 +32,8 @@ class Party:
     """A server with some robots in its world, and sessions with it."""
 
     def __init__(self, *robots, powers=None, allowed=()):
-        self.air = FakeAir(robots or ("R1", "R2"), powers)
-        self.server = ComServer(self.air, allowed)
+        self.radio = FakeRadio(robots or ("R1", "R2"), powers)
+        self.server = ComServer(self.radio, allowed)
         self.sessions = {}
 
     def session(self, caller=HERE):
@@ -109,7 +109,7 @@ def test_opening_below_the_cutoff_fails():
     party = registered(powers={("R1", "R2"): -93.01})
     party.ask("LISTEN R2 4002;")
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: Cannot connect to R2;"
-    party.air.powers["R1", "R2"] = -93.0
+    party.radio.powers["R1", "R2"] = -93.0
     assert party.dial("OPEN R1 4001 R2 4002;") is not None
 
 
@@ -277,7 +277,7 @@ def test_links_per_robot_are_bounded():
 
 
 def test_links_of_all_robots_together_are_bounded(monkeypatch):
-    monkeypatch.setattr(comserver, "LINKS_IN_ALL", 2)
+    monkeypatch.setattr(comserver, "MAX_LINKS", 2)
     party = registered()
     for port in (1, 2, 3):
         party.ask(f"LISTEN R2 {port};")
@@ -307,7 +307,7 @@ def test_a_name_is_free_for_another_address_once_its_robot_has_left():
     party.server.poll_presence()
     taken = "Fail: Robot with name R1 already registered;"
     assert party.ask(f"REGISTER R1 {THERE};", THERE) == taken
-    party.air.robots = ["R2"]
+    party.radio.robots = ["R2"]
     party.server.poll_presence()
     assert party.ask("LISTEN R1 4000;") == "OK;", "its own controller may come back"
     assert party.ask(f"REGISTER R1 {THERE};", THERE) == "OK;"
@@ -463,7 +463,7 @@ def test_chunking_makes_no_difference_to_junk_either(data, places):
 
 def test_refusals_are_the_peers_fault():
     with pytest.raises(Refusal) as refusal:
-        ComServer(FakeAir(["R1"])).register(HERE, Register("R1", THERE))
+        ComServer(FakeRadio(["R1"])).register(HERE, Register("R1", THERE))
     assert isinstance(refusal.value, PeerError)
 
 

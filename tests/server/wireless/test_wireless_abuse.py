@@ -16,7 +16,7 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer
-from tests.server.radios import client, crowded, drain, on_air, spread, wait_until
+from tests.server.radio_servers import client, crowded, drain, on_air, spread, wait_until
 from usarmjx.server.wireless import sockets
 from usarmjx.server.wireless.data_link import MAX_PAYLOAD
 from usarmjx.server.wireless.sockets import MAX_WRITE_BUFFER
@@ -92,8 +92,10 @@ def pour(peer, data, times):
 def backlog(service):
     """What waits in the server for peers to read it [bytes]."""
     writers = [side.writer for link in service._links._links for side in link.sides]
-    writers += [end for pipes in service._pipes._connections.values() for pipe in pipes for end in pipe.ends]
-    writers += [guest.writer for guest in service._connections]
+    writers += [
+        end for pipes in service._proxies._connections.values() for pipe in pipes for end in pipe.ends
+    ]
+    writers += [connection.writer for connection in service._connections]
     return max(writer.transport.get_write_buffer_size() for writer in writers)
 
 
@@ -258,7 +260,7 @@ def test_a_robot_that_does_not_take_the_call_fails_the_opening(radio, control):
 
 def test_a_robot_that_does_not_answer_the_call_fails_the_opening_in_time(radio, control, monkeypatch):
     """A listener whose queue is full answers nobody."""
-    monkeypatch.setattr(sockets, "DIAL_LIMIT", 0.3)
+    monkeypatch.setattr(sockets, "CONNECT_TIMEOUT", 0.3)
     with contextlib.ExitStack() as stack:
         full = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
         address = full.getsockname()
@@ -346,9 +348,9 @@ def churn(radio, control, base, ugly):
             near._socket.sendall(b"SEND 1000000000000 ")
             there._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     wait_until(lambda: len(radio.service._links._links) == 1, "the link to go")
-    wait_until(lambda: not radio.service._pipes._connections, "the pipe to go")
-    wait_until(lambda: len(radio.service._pipes._handlers) == 1, "the caller to go")
-    wait_until(lambda: not radio.service._pipes._ports, "its number to be given back")
+    wait_until(lambda: not radio.service._proxies._connections, "the pipe to go")
+    wait_until(lambda: len(radio.service._proxies._handlers) == 1, "the caller to go")
+    wait_until(lambda: not radio.service._proxies._ports, "its number to be given back")
 
 
 LISTED = pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts what /proc lists")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.server.airs import FakeAir
+from tests.server.fake_radio import FakeRadio
 from usarmjx.server.wireless import switchboard
 from usarmjx.server.wireless.dialect_b import (
     TRANSITIONS,
@@ -28,10 +28,10 @@ class Party:
     """A switchboard whose clock stands still and whose port numbers count up from 40000."""
 
     def __init__(self, *robots, powers=None, ports=64000):
-        self.air = FakeAir(robots or ("R1", "R2"), powers)
+        self.radio = FakeRadio(robots or ("R1", "R2"), powers)
         self.time = 0.0
         numbers = iter(range(40000, 40000 + ports))
-        self.board = Switchboard(self.air, lambda route: next(numbers, None), lambda: self.time)
+        self.board = Switchboard(self.radio, lambda route: next(numbers, None), lambda: self.time)
 
     def session(self, address=HERE):
         return DialectBSession(self.board, address)
@@ -206,8 +206,8 @@ def test_numbers_per_robot_are_bounded():
 
 
 def test_numbers_and_pipes_of_all_robots_together_are_bounded(monkeypatch):
-    monkeypatch.setattr(switchboard, "NUMBERS_IN_ALL", 2)
-    monkeypatch.setattr(switchboard, "PIPES_IN_ALL", 1)
+    monkeypatch.setattr(switchboard, "MAX_PORTS", 2)
+    monkeypatch.setattr(switchboard, "MAX_CONNECTIONS", 1)
     party = Party()
     one, two = party.joined("R1", "1,2"), party.joined("R2", "1,2")
     for session, line in ((one, "DNS {Robot R2}"), (two, "DNS {Robot R1}")):
@@ -258,14 +258,14 @@ def test_a_number_stays_closed_without_a_signal_and_follows_it():
     assert party.board.take_opened() == []
     assert not party.board.is_open(route)
     assert not party.board.poll().opened
-    party.air.powers["R1", "R2"] = -93.0
+    party.radio.powers["R1", "R2"] = -93.0
     assert not party.board.is_open(route), "until somebody looks"
     assert party.board.poll().opened == (route,)
     assert not party.board.poll().opened, "told once"
-    party.air.powers["R1", "R2"] = -93.01
+    party.radio.powers["R1", "R2"] = -93.01
     assert party.board.poll().closed == (route,)
     assert not party.board.poll().closed
-    party.air.powers["R1", "R2"] = -90.0
+    party.radio.powers["R1", "R2"] = -90.0
     assert ask(one, "DNS {Robot R2}") == "DNSREPLY {Robot R2} {Port 40000}"
     assert party.board.take_opened() == [route], "asking is looking"
 
@@ -283,7 +283,7 @@ def test_only_the_caller_may_call_and_only_with_a_signal():
     assert party.board.may_call(route, HERE)
     assert not party.board.may_call(route, THERE)
     assert not party.board.may_call(Route("R2", "R1", 3333), HERE), "no such number"
-    party.air.powers["R1", "R2"] = -100.0
+    party.radio.powers["R1", "R2"] = -100.0
     assert not party.board.may_call(route, HERE), "though nobody has looked yet"
 
 
@@ -304,9 +304,9 @@ def test_a_robot_that_ends_takes_part_no_longer(end):
     _, _, route = open_route(party)
     party.board.poll()
     if end == "left":
-        party.air.robots.remove("R2")
+        party.radio.robots.remove("R2")
     else:
-        party.air.empty.add("R2")
+        party.radio.empty.add("R2")
     changes = party.board.poll()
     assert (changes.gone, changes.closed) == (("R2",), (route,))
 
@@ -401,36 +401,36 @@ def test_almost_lines_never_break_a_session(text):
 # The position service
 
 
-def told(air, line):
-    return PositionSession(air).receive_data(line + b"\r\n").decode()
+def told(radio, line):
+    return PositionSession(radio).receive_data(line + b"\r\n").decode()
 
 
 def test_positions_are_in_the_wires_axes():
-    air = FakeAir(["R1", "Base"])
-    air.places = {"R1": (4.5, -1.9, -1.8), "Base": (0.0, 0.25, -1.0)}
-    air.empty = {"Base"}
-    assert told(air, b"GETPOS") == (
+    radio = FakeRadio(["R1", "Base"])
+    radio.positions = {"R1": (4.5, -1.9, -1.8), "Base": (0.0, 0.25, -1.0)}
+    radio.empty = {"Base"}
+    assert told(radio, b"GETPOS") == (
         "POSITIONS {Robots 2} {Name R1 Location 4.5000,1.9000,1.8000 BatteryEmpty False}"
         " {Name Base Location 0.0000,-0.2500,1.0000 BatteryEmpty True}\r\n"
     )
 
 
 def test_positions_of_an_empty_world():
-    assert told(FakeAir([]), b"getpos") == "POSITIONS {Robots 0}\r\n"
+    assert told(FakeRadio([]), b"getpos") == "POSITIONS {Robots 0}\r\n"
 
 
 def test_a_name_of_several_words_stays_one_word_in_its_segment():
-    assert "{Name My_robot Location 0.0000" in told(FakeAir(["My robot"]), b"GETPOS")
+    assert "{Name My_robot Location 0.0000" in told(FakeRadio(["My robot"]), b"GETPOS")
 
 
 def test_obstacles_between_robots_and_between_places():
-    air = FakeAir(["R1", "R2"])
-    air.walls = {("R1", "R2"): 3, ((0.0, -1.0, -2.0), (3.0, 0.0, -2.0)): 2}
-    assert told(air, b"GETOBS {From R2} {To r1}") == "NUMOBS {From R2} {To r1} {ObstCount 3.00}\r\n"
-    assert told(air, b"GETOBS {Start 0,1,2} {End 3,0,2}") == (
+    radio = FakeRadio(["R1", "R2"])
+    radio.walls = {("R1", "R2"): 3, ((0.0, -1.0, -2.0), (3.0, 0.0, -2.0)): 2}
+    assert told(radio, b"GETOBS {From R2} {To r1}") == "NUMOBS {From R2} {To r1} {ObstCount 3.00}\r\n"
+    assert told(radio, b"GETOBS {Start 0,1,2} {End 3,0,2}") == (
         "NUMOBS {Start 0,1,2} {End 3,0,2} {ObstCount 2.00}\r\n"
     )
-    assert told(air, b"GETOBS {From R1} {To R3}") == "NUMOBS {From R1} {To R3} {ObstCount -1}\r\n"
+    assert told(radio, b"GETOBS {From R1} {To R3}") == "NUMOBS {From R1} {To R3} {ObstCount -1}\r\n"
 
 
 @pytest.mark.parametrize(
@@ -443,14 +443,14 @@ def test_obstacles_between_robots_and_between_places():
     ],
 )
 def test_questions_without_sense_are_not_answered(line):
-    assert told(FakeAir(["R1"]), line) == ""
+    assert told(FakeRadio(["R1"]), line) == ""
 
 
 @given(st.binary(max_size=200), st.lists(st.integers(0, 10_000), max_size=10))
 def test_positions_are_told_however_lines_are_cut(junk, places):
     data = b"GETPOS\r\n" + junk.replace(b"\n", b"").replace(b"\r", b"") + b"\r\nGETOBS {From R1} {To R2}\r\n"
-    whole = PositionSession(FakeAir(["R1", "R2"])).receive_data(data)
+    whole = PositionSession(FakeRadio(["R1", "R2"])).receive_data(data)
     assert whole.startswith(b"POSITIONS {Robots 2} ")
     assert whole.endswith(b"NUMOBS {From R1} {To R2} {ObstCount 0.00}\r\n")
-    session = PositionSession(FakeAir(["R1", "R2"]))
+    session = PositionSession(FakeRadio(["R1", "R2"]))
     assert b"".join(session.receive_data(piece) for piece in cut(data, places)) == whole

@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.arenas import COURSE, FLAT
-from tests.server.radios import REACH, SHORT, client, crowded, drain, on_air, spread, wait_until
+from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_air, spread, wait_until
 from usarmjx.cli.app import app
 from usarmjx.comms.antenna import antenna_of
 from usarmjx.models.robots import ROBOTS
@@ -90,7 +90,7 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     assert CliRunner().invoke(app, words).exit_code == 0
     (service,) = seen["services"]
     assert service._settings.wss_port == 4567
-    assert service._ether.cutoff == -70.0
+    assert service._radio.cutoff == -70.0
     assert CliRunner().invoke(app, [*words, "--wss-port", "9"]).exit_code == 0
     assert seen["services"][0]._settings.wss_port == 9
     assert CliRunner().invoke(app, ["serve", "--no-wireless", "--no-images"]).exit_code == 0

@@ -38,7 +38,7 @@ class Roll(Task):
     def observe(self, view, memory):
         return (view.sensor(0, "GroundTruth"),)
 
-    def judge(self, view, memory):
+    def evaluate(self, view, memory):
         return StepResult(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
 
 

@@ -48,7 +48,7 @@ class RadioAccess(Protocol):
         ...
 
     def obstacles_between(self, start: Vec3, end: Vec3) -> int:
-        """Return how many solids lie between two places, in our axes [m]."""
+        """Return how many solids lie between two positions, in our axes [m]."""
         ...
 
 

@@ -1,10 +1,10 @@
 """Dialect A of the wireless server: who is registered, who listens where, and who may be linked.
 
-Its messages and replies are in `wireless_a`. Names are matched exactly here, as in the in-engine server;
-robots in the world are found by name in any case. Our own rules beyond that server's: it dials no address
-but the registering peer's own, unless the operator has allowed it; nobody makes it dial a port of someone
-else who has not asked for that with LISTEN; and a name whose robot has left the world may be registered
-from another address.
+Its messages and replies are in `dialect_a`. Names are matched exactly here, as in the in-engine server;
+robots in the world are found by name in any case. Our own rules beyond that server's: it connects to no
+address but the registering peer's own, unless the operator has allowed it; nobody makes it connect to a port
+of someone else who has not asked for that with LISTEN; and a name whose robot has left the world may be
+registered from another address.
 """
 
 import ipaddress
@@ -73,7 +73,7 @@ Request: TypeAlias = Register | Listen | Open | GetSS
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """Where to dial one end of a link."""
+    """Where to connect one end of a link."""
 
     name: str
     address: str
@@ -82,7 +82,7 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class EndpointPair:
-    """A link to make: both ends have to be dialled."""
+    """A link to make: the server has to connect to both ends."""
 
     first: Endpoint
     second: Endpoint
@@ -129,9 +129,9 @@ class ComServer:
     """
 
     def __init__(self, radio: RadioAccess, allowed: Collection[str] = ()) -> None:
-        self._air = radio
+        self._radio = radio
         self._allowed = frozenset(normalize_address(address) for address in allowed)
-        self._stations: dict[str, Registration] = {}
+        self._registrations: dict[str, Registration] = {}
         self._listening: dict[str, list[int]] = {}
         self._links: Counter[str] = Counter()
         self._seen: set[str] = set()
@@ -145,14 +145,14 @@ class ComServer:
         address = normalize_address(ask.address)
         if address != caller and address not in self._allowed:
             raise Refusal(f"Address {ask.address} is not yours")
-        known = self._stations.get(ask.name)
+        known = self._registrations.get(ask.name)
         if known and known.address != address and not self._has_left(ask.name):
             raise Refusal(f"Robot with name {ask.name} already registered")
-        if not known and len(self._stations) >= MAX_REGISTRATIONS:
+        if not known and len(self._registrations) >= MAX_REGISTRATIONS:
             self._make_room()
         if not known or known.address != address:
             self._forget(ask.name)
-            self._stations[ask.name] = Registration(address, caller)
+            self._registrations[ask.name] = Registration(address, caller)
 
     def listen(self, caller: str, ask: Listen) -> None:
         """Note that a robot's controller takes a link on a port; one OPEN uses it up.
@@ -160,7 +160,7 @@ class ComServer:
         Raises:
             Refusal: The robot is not registered, not the caller's, or listens there already.
         """
-        if ask.name not in self._stations:
+        if ask.name not in self._registrations:
             raise Refusal(f"Robot {ask.name} not registered")
         if not self._owns(caller, ask.name):
             raise Refusal(THIRD_PARTY)
@@ -172,7 +172,7 @@ class ComServer:
         ports.append(ask.port)
 
     def open(self, caller: str, ask: Open) -> EndpointPair:
-        """Return what to dial; tell `opened` how it went.
+        """Return where to connect; tell `opened` how it went.
 
         Raises:
             Refusal: The host does not listen there or is out of reach, or the other robot is unknown.
@@ -181,22 +181,22 @@ class ComServer:
             raise Refusal(f"{ask.host} not listening on port {ask.host_port}")
         if not self._owns(caller, ask.name) and not self._owns(caller, ask.host):
             raise Refusal(THIRD_PARTY)
-        if not reaches(self._air, ask.name, ask.host):
+        if not reaches(self._radio, ask.name, ask.host):
             raise Refusal(f"Cannot connect to {ask.host}")
-        if ask.name not in self._stations or self._is_full(ask):
+        if ask.name not in self._registrations or self._is_full(ask):
             raise Refusal(NO_CONNECTION)
         if not self._owns(caller, ask.name) and ask.port not in self._listening.get(ask.name, ()):
             raise Refusal(f"{ask.name} not listening on port {ask.port}")
         endpoints = EndpointPair(
-            Endpoint(ask.name, self._stations[ask.name].address, ask.port),
-            Endpoint(ask.host, self._stations[ask.host].address, ask.host_port),
+            Endpoint(ask.name, self._registrations[ask.name].address, ask.port),
+            Endpoint(ask.host, self._registrations[ask.host].address, ask.host_port),
         )
         self._listening[ask.host].remove(ask.host_port)
         self._links.update(endpoints.names)
         return endpoints
 
     def opened(self, endpoints: EndpointPair, done: bool) -> None:
-        """Note whether both ends of a dial answered; if not, the host goes on listening."""
+        """Note whether both ends answered; if not, the host goes on listening."""
         if not done:
             self.closed(endpoints)
             ports = self._listening.get(endpoints.second.name)
@@ -216,25 +216,25 @@ class ComServer:
         """
         if not self._owns(caller, ask.one) and not self._owns(caller, ask.other):
             raise Refusal(THIRD_PARTY)
-        power = self._air.signal_strength(ask.one, ask.other)
+        power = self._radio.signal_strength(ask.one, ask.other)
         if power is None or power > 0:
             raise Refusal("Could not calculate signal strength")
         return power
 
     def alive(self, name: str) -> bool:
         """Return whether a name is registered and such a robot in the world."""
-        return name in self._stations and self._air.has_robot(name)
+        return name in self._registrations and self._radio.has_robot(name)
 
     def poll_presence(self) -> None:
         """Note which robots are in the world, so that it shows when they have left."""
-        self._seen |= {name for name in self._stations if self._air.has_robot(name)}
+        self._seen |= {name for name in self._registrations if self._radio.has_robot(name)}
 
     def _owns(self, caller: str, name: str) -> bool:
-        station = self._stations.get(name)
-        return station is not None and caller in (station.address, station.owner)
+        registration = self._registrations.get(name)
+        return registration is not None and caller in (registration.address, registration.owner)
 
     def _has_left(self, name: str) -> bool:
-        return name in self._seen and not self._air.has_robot(name)
+        return name in self._seen and not self._radio.has_robot(name)
 
     def _is_full(self, ask: Open) -> bool:
         busiest = max(self._links[ask.name], self._links[ask.host])
@@ -242,12 +242,12 @@ class ComServer:
 
     def _make_room(self) -> None:
         """Forget the oldest registration without a robot."""
-        for name in self._stations:
-            if not self._air.has_robot(name):
+        for name in self._registrations:
+            if not self._radio.has_robot(name):
                 return self._forget(name)
         raise Refusal("Too many robots registered")
 
     def _forget(self, name: str) -> None:
-        self._stations.pop(name, None)
+        self._registrations.pop(name, None)
         self._listening.pop(name, None)
         self._seen.discard(name)

@@ -1,17 +1,17 @@
 """Dialect A of the wireless server, its control connection: the manual's messages (manual 3.2.4.3).
 
-Bytes in, replies and dials out; no socket. A message is words and a `;`:
+Bytes in, replies and links to open out; no socket. A message is words and a `;`:
 
     REGISTER R1 127.0.0.1;    OK;
     LISTEN R1 4001;           OK;
-    OPEN R2 4002 R1 4001;     OK;               and the server dials R2's port 4002 and R1's port 4001
+    OPEN R2 4002 R1 4001;     OK;               and the server connects to R2's port 4002 and R1's 4001
     GETSS R1 R2;              OK:-51.43;
 
 What cannot be done is answered `Fail: ...;`, in the words of the in-engine server. A session is fed so:
 
-    dial = session.receive_data(data)
-    while dial:
-        dial = session.answer_open(try_it(dial))
+    endpoints = session.receive_data(data)
+    while endpoints:
+        endpoints = session.answer_open(connect_both(endpoints))
     transport.write(session.data_to_send())
 """
 
@@ -75,14 +75,14 @@ class DialectAPhase(Enum):
     """Where a control connection stands."""
 
     READY = "ready"
-    DIALLING = "dialling"
+    OPENING = "opening"
 
 
 TRANSITIONS: dict[tuple[DialectAPhase, type[Request]], DialectAPhase] = {
     (DialectAPhase.READY, Register): DialectAPhase.READY,
     (DialectAPhase.READY, Listen): DialectAPhase.READY,
     (DialectAPhase.READY, GetSS): DialectAPhase.READY,
-    (DialectAPhase.READY, Open): DialectAPhase.DIALLING,  # until `answer_open`; messages wait
+    (DialectAPhase.READY, Open): DialectAPhase.OPENING,  # until `answer_open`; messages wait
 }
 
 
@@ -113,9 +113,9 @@ class DialectASession:
         return any(self._server.alive(name) for name in self._names)
 
     def receive_data(self, data: bytes) -> EndpointPair | None:
-        """Take bytes; return a dial that has to be made before anything else is answered, or None.
+        """Take bytes; return a link that has to be opened before anything else is answered, or None.
 
-        While a dial is not answered messages wait, without a bound: read no more from the peer until then.
+        Until `answer_open` messages wait, without a bound: read no more from the peer.
         """
         *complete, rest = data.split(b";")
         for piece in complete:
@@ -127,7 +127,7 @@ class DialectASession:
         return self._answer_all()
 
     def answer_open(self, done: bool) -> EndpointPair | None:
-        """Say whether both ends of the last dial answered; return the next dial, or None."""
+        """Say whether both ends of the last link answered; return the next link, or None."""
         if self._pending_link is None:
             return None
         self._server.opened(self._pending_link, done)

@@ -73,8 +73,8 @@ class DialectBSession:
     """One control connection: lines in any chunking, answered in order.
 
     Args:
-        board: Who takes part.
-        address: The peer's address: where its robot is dialled.
+        board: Who has joined.
+        address: The peer's address: where its robot listens.
 
     Attributes:
         phase: Where it stands.
@@ -88,14 +88,14 @@ class DialectBSession:
         self._lines = LineBuffer(MAX_LINE_SIZE)
         self._answers = {
             "INIT": self._init,
-            "GETSS": self._strength,
-            "DNS": self._number,
-            "REVERSEDNS": self._caller,
+            "GETSS": self._getss,
+            "DNS": self._dns,
+            "REVERSEDNS": self._reverse_dns,
         }
 
     @property
     def alive(self) -> bool:
-        """Whether the peer takes part: then it may be silent, as it goes when its robot goes."""
+        """Whether the peer has joined: then it may be silent, as it goes when its robot goes."""
         return bool(self.name)
 
     def receive_data(self, data: bytes) -> bytes:
@@ -123,40 +123,40 @@ class DialectBSession:
         self.name = name
         return Message("INITREPLY", (("Status", "OK"),))
 
-    def _strength(self, values: dict[str, str]) -> Message:
+    def _getss(self, values: dict[str, str]) -> Message:
         other = _name(values)
         power = self._board.radio.signal_strength(self.name, other)
         if other == self.name:
-            told, error = "INF", "SS.To.Self"
+            strength, error = "INF", "SS.To.Self"
         elif not self._board.has(other):
-            told, error = "NaN", "Robot.Does.Not.Exist"
+            strength, error = "NaN", "Robot.Does.Not.Exist"
         elif power == float("inf"):
-            told, error = "INF", "Model.Returned.INF"
+            strength, error = "INF", "Model.Returned.INF"
         elif power is None or not power <= 0:
-            told, error = "NaN", "Model.Returned.NaN"
+            strength, error = "NaN", "Model.Returned.NaN"
         else:
-            told, error = f"{power:.6g}", ""  # as C++ streams print a double
-        segments = (("Robot", other), ("Strength", told))
+            strength, error = f"{power:.6g}", ""  # as C++ streams print a double
+        segments = (("Robot", other), ("Strength", strength))
         return Message("SS", (*segments, ("Error", error)) if error else segments)
 
-    def _number(self, values: dict[str, str]) -> Message:
+    def _dns(self, values: dict[str, str]) -> Message:
         asked = _port(values["Port"], NO_PORT, least=0) if "Port" in values else 0
         other = _name(values)
         ports = self._board.ports_of(other)
         if not self._board.has(other) or other == self.name:
-            return _no_number(other, "NoSuchRobot")
+            return _no_port(other, "NoSuchRobot")
         if not ports or (asked and asked not in ports):
-            return _no_number(other, "RobotDoesNotListenOnThisPort")
-        number = self._board.forwarded_port(Route(self.name, other, asked or ports[0]))
-        if number is None:
+            return _no_port(other, "RobotDoesNotListenOnThisPort")
+        port = self._board.forwarded_port(Route(self.name, other, asked or ports[0]))
+        if port is None:
             raise _Error("Could.Not.Allocate.Port")
-        return Message("DNSREPLY", (("Robot", other), ("Port", str(number))))
+        return Message("DNSREPLY", (("Robot", other), ("Port", str(port))))
 
-    def _caller(self, values: dict[str, str]) -> Message:
+    def _reverse_dns(self, values: dict[str, str]) -> Message:
         port = _port(values.get("Port", ""), NO_PORT, least=0)
         caller = self._board.caller_at(self.name, port)
-        told = ("Robot", caller) if caller else ("Error", "UnknownOrIllegalPort")
-        return Message("REVERSEDNSREPLY", (("Port", str(port)), told))
+        answer = ("Robot", caller) if caller else ("Error", "UnknownOrIllegalPort")
+        return Message("REVERSEDNSREPLY", (("Port", str(port)), answer))
 
 
 def _name(values: dict[str, str]) -> str:
@@ -172,5 +172,5 @@ def _port(text: str, reason: str, least: int = 1) -> int:
     return int(text)
 
 
-def _no_number(robot: str, error: str) -> Message:
+def _no_port(robot: str, error: str) -> Message:
     return Message("DNSREPLY", (("Robot", robot), ("Port", "-1"), ("Error", error)))

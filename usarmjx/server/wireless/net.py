@@ -1,8 +1,8 @@
 """The wireless servers of a served world on real sockets, in the loop of the Gamebots server.
 
-`WirelessService` listens for dialect A, dialect B and the position service. `net.BotServer` starts it, tells it after
-every control step, and stops it. Every second of simulated time it looks at the world: that is when robots
-that have left lose their links, and when dialect B breaks and restores its own.
+`WirelessService` listens for dialect A, dialect B and the position service. `net.BotServer` starts it, calls
+`tick` after every control step, and stops it. Every second of simulated time it polls the world: that is when
+robots that have left lose their links, and when dialect B breaks and restores its own.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ from usarmjx.server.wireless.sockets import (
 from usarmjx.server.worlds.host import ServedWorld
 
 POLL_PERIOD = 1.0
-"""Between two looks at the world [s of simulated time]: the pace of the stand-alone server's poll."""
+"""Between two polls of the world [s of simulated time]: the pace of the stand-alone server's poll."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class WirelessSettings:
         wss_port: Port of dialect A (USARComServer.ini: ListenPort); this and the others: 0 picks a free one.
         wss2_port: Port of dialect B.
         position_port: Port of the position service.
-        allow: Addresses that may be dialled beside that of the peer who asks for it.
+        allow: Addresses that may be connected to beside that of the peer who asks for it.
         max_connections: Most control and position connections at once.
         idle_timeout: Who has no robot in the world and says nothing for so long is dropped [s].
     """
@@ -99,12 +99,12 @@ class PositionHandler:
 
     alive = closing = False
 
-    def __init__(self, ether: RadioChannel, turnstile: Throttle) -> None:
-        self._session, self._turnstile = PositionSession(ether), turnstile
+    def __init__(self, radio: RadioChannel, throttle: Throttle) -> None:
+        self._session, self._throttle = PositionSession(radio), throttle
 
     async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answer."""
-        async with self._turnstile:
+        async with self._throttle:
             return self._session.receive_data(data)
 
     def connection_lost(self) -> None:
@@ -124,10 +124,10 @@ class WirelessService:
     """
 
     def __init__(self, radio: RadioChannel, clock: Callable[[], float], settings: WirelessSettings) -> None:
-        self._ether, self._clock, self._settings = radio, clock, settings
-        self._turnstile = Throttle()
-        self._links = DataLinkServer(radio, settings.allow, self._turnstile)
-        self._pipes = ProxyServer(radio, settings.host, self._turnstile)
+        self._radio, self._clock, self._settings = radio, clock, settings
+        self._throttle = Throttle()
+        self._links = DataLinkServer(radio, settings.allow, self._throttle)
+        self._proxies = ProxyServer(radio, settings.host, self._throttle)
         self._connections: list[ClientConnection] = []
         self._listeners: list[asyncio.Server] = []
         self._poll_task: asyncio.Task[None] | None = None
@@ -140,15 +140,15 @@ class WirelessService:
         Raises:
             UsageError: A port is taken or the address is not ours.
         """
-        talks: tuple[tuple[str, str, int, Callable[[str], ConnectionHandler]], ...] = (
+        servers: tuple[tuple[str, str, int, Callable[[str], ConnectionHandler]], ...] = (
             ("wss", "wireless server", self._settings.wss_port, self._links.make_handler),
-            ("wss2", "second wireless server", self._settings.wss2_port, self._pipes.make_handler),
+            ("wss2", "second wireless server", self._settings.wss2_port, self._proxies.make_handler),
             ("position", "positions", self._settings.position_port, self._positions),
         )
         lines = []
-        for name, title, port, talk in talks:
+        for name, title, port, make_handler in servers:
             server, self.ports[name] = await listen(
-                self._settings.host, port, self._connection_callback(talk)
+                self._settings.host, port, self._connection_callback(make_handler)
             )
             self._listeners.append(server)
             lines.append(f"{title} on {self._settings.host}:{self.ports[name]}")
@@ -157,41 +157,43 @@ class WirelessService:
 
     def tick(self) -> None:
         """The world has made a control step."""
-        self._turnstile.refill()
+        self._throttle.refill()
         if self._clock() >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
             self._next_poll = self._clock() + POLL_PERIOD
             self._poll_task = asyncio.create_task(self._poll())
             self._poll_task.add_done_callback(_report)
 
     def stop(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         for server in self._listeners:
             server.close()
-        for guest in self._connections:
-            guest.writer.transport.abort()
+        for connection in self._connections:
+            connection.writer.transport.abort()
         self._links.stop()
-        self._pipes.stop()
+        self._proxies.stop()
         if self._poll_task is not None:
             self._poll_task.cancel()
 
     async def _poll(self) -> None:
-        async with self._turnstile:
-            self._ether.precompute([*self._links.pairs(), *self._pipes.pairs()])
+        async with self._throttle:
+            self._radio.precompute([*self._links.pairs(), *self._proxies.pairs()])
             self._links.poll()
-            changes = self._pipes.poll()
-        await self._pipes.apply_changes(changes)
+            changes = self._proxies.poll()
+        await self._proxies.apply_changes(changes)
         latest = time.monotonic() - self._settings.idle_timeout
-        for guest in self._connections:
-            if guest.handler.closing or (guest.last_received < latest and not guest.handler.alive):
-                log.info("%s:%d: dropped, it has no robot in the world", *peer_address(guest.writer))
-                guest.writer.transport.abort()
+        for connection in self._connections:
+            if connection.handler.closing or (
+                connection.last_received < latest and not connection.handler.alive
+            ):
+                log.info("%s:%d: dropped, it has no robot in the world", *peer_address(connection.writer))
+                connection.writer.transport.abort()
 
     def _positions(self, address: str) -> ConnectionHandler:
         del address
-        return PositionHandler(self._ether, self._turnstile)
+        return PositionHandler(self._radio, self._throttle)
 
     def _connection_callback(
-        self, talk: Callable[[str], ConnectionHandler]
+        self, make_handler: Callable[[str], ConnectionHandler]
     ) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
         async def come_in(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             address, port = peer_address(writer)
@@ -200,17 +202,17 @@ class WirelessService:
                 writer.close()
                 return
             limit_kernel_buffer(writer)
-            guest = ClientConnection(writer, talk(address))
-            self._connections.append(guest)
+            connection = ClientConnection(writer, make_handler(address))
+            self._connections.append(connection)
             try:
-                await _converse(guest, reader)
+                await _converse(connection, reader)
             except (OSError, PeerError) as error:
                 log.info("%s:%d: %s", address, port, error)
             except asyncio.CancelledError:
                 log.info("%s:%d: the server stops", address, port)
             finally:
-                self._connections.remove(guest)
-                guest.handler.connection_lost()
+                self._connections.remove(connection)
+                connection.handler.connection_lost()
                 close_gracefully(writer)
 
         return come_in
@@ -219,18 +221,18 @@ class WirelessService:
         """Return whether another connection fits; of those without a robot the most silent one yields."""
         if len(self._connections) < self._settings.max_connections:
             return True
-        strangers = [g for g in self._connections if not g.handler.alive and not g.writer.is_closing()]
+        strangers = [c for c in self._connections if not c.handler.alive and not c.writer.is_closing()]
         if not strangers:
             return False
-        min(strangers, key=lambda guest: guest.last_received).writer.transport.abort()
+        min(strangers, key=lambda connection: connection.last_received).writer.transport.abort()
         return True
 
 
-async def _converse(guest: ClientConnection, reader: asyncio.StreamReader) -> None:
+async def _converse(connection: ClientConnection, reader: asyncio.StreamReader) -> None:
     while data := await reader.read(READ_SIZE):
-        guest.last_received = time.monotonic()
-        guest.writer.write(await guest.handler.handle(data))
-        await drain(guest.writer)
+        connection.last_received = time.monotonic()
+        connection.writer.write(await connection.handler.handle(data))
+        await drain(connection.writer)
 
 
 def _report(task: asyncio.Task[None]) -> None:

@@ -1,4 +1,4 @@
-"""Dialect A of the wireless server on real sockets: it dials both ends of a link and carries SENDs across."""
+"""Dialect A of the wireless server on real sockets: it connects both ends of a link and carries SENDs across."""
 
 import asyncio
 from collections.abc import Collection
@@ -41,18 +41,18 @@ class DataLinkServer:
 
     Args:
         radio: The radio.
-        allow: Addresses that may be dialled beside that of the peer who asks for it.
+        allow: Addresses that may be connected to beside that of the peer who asks for it.
         throttle: Where work queues.
     """
 
     def __init__(self, radio: RadioChannel, allow: Collection[str], throttle: Throttle) -> None:
-        self._ether, self._turnstile = radio, throttle
+        self._radio, self._throttle = radio, throttle
         self._server = ComServer(radio, allow)
         self._links: dict[DataLink, asyncio.Task[None]] = {}
 
     def make_handler(self, address: str) -> "DialectAHandler":
         """Return what answers a new control connection."""
-        return DialectAHandler(self, DialectASession(self._server, address), self._turnstile)
+        return DialectAHandler(self, DialectASession(self._server, address), self._throttle)
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the names at both ends of every link."""
@@ -62,7 +62,7 @@ class DataLinkServer:
         """Cut the links of robots that have left the world."""
         self._server.poll_presence()
         for link in self._links:
-            if not all(self._ether.has_robot(name) for name in link.endpoints.names):
+            if not all(self._radio.has_robot(name) for name in link.endpoints.names):
                 link.cut()
 
     def stop(self) -> None:
@@ -73,20 +73,20 @@ class DataLinkServer:
             task.cancel()
 
     async def make(self, wanted: EndpointPair) -> bool:
-        """Dial both ends of a link and carry between them; return whether both answered."""
+        """Connect to both ends of a link and carry between them; return whether both answered."""
         ends = (wanted.first, wanted.second)
-        calls = await asyncio.gather(
+        streams = await asyncio.gather(
             *(connect(end.address, end.port) for end in ends), return_exceptions=True
         )
         sides = [
-            LinkEnd(end, *call)
-            for end, call in zip(ends, calls, strict=True)
-            if not isinstance(call, BaseException)
+            LinkEnd(end, *pair)
+            for end, pair in zip(ends, streams, strict=True)
+            if not isinstance(pair, BaseException)
         ]
         if len(sides) < 2:
             for side in sides:
                 side.writer.transport.abort()
-            log.info("no link between %s and %s: %s", *wanted.names, calls)
+            log.info("no link between %s and %s: %s", *wanted.names, streams)
             return False
         link = DataLink(wanted, (sides[0], sides[1]))
         self._links[link] = asyncio.create_task(self._carry(link))
@@ -110,9 +110,9 @@ class DataLinkServer:
             while parser.phase is not DataLinkPhase.CLOSED and (
                 data := await here.reader.read(DATA_READ_SIZE)
             ):
-                async with self._turnstile:
+                async with self._throttle:
                     messages = parser.receive_data(data)
-                    if messages and not reaches(self._ether, *link.endpoints.names):
+                    if messages and not reaches(self._radio, *link.endpoints.names):
                         log.info("%s and %s do not reach each other any more", *link.endpoints.names)
                         break
                     if there.writer.is_closing():
@@ -131,13 +131,13 @@ class DialectAHandler:
     Args:
         links: Makes the links.
         session: The dialogue.
-        turnstile: Where work queues.
+        throttle: Where work queues.
     """
 
     closing = False
 
-    def __init__(self, links: DataLinkServer, session: DialectASession, turnstile: Throttle) -> None:
-        self._links, self._session, self._turnstile = links, session, turnstile
+    def __init__(self, links: DataLinkServer, session: DialectASession, throttle: Throttle) -> None:
+        self._links, self._session, self._throttle = links, session, throttle
 
     @property
     def alive(self) -> bool:
@@ -146,7 +146,7 @@ class DialectAHandler:
 
     async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answers."""
-        async with self._turnstile:
+        async with self._throttle:
             link = self._session.receive_data(data)
         while link is not None:
             done = False

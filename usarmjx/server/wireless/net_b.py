@@ -1,4 +1,4 @@
-"""Dialect B of the wireless server on real sockets: port numbers that come and go with the signal."""
+"""Dialect B of the wireless server on real sockets: ports that open and close with the signal."""
 
 import asyncio
 import time
@@ -25,7 +25,7 @@ from usarmjx.server.wireless.switchboard import Changes, Route, Switchboard
 
 @dataclass(eq=False)
 class ProxyConnection:
-    """A connection through the server: the caller's end, and the end that we have dialled once it answers."""
+    """A connection through the server: the caller's end, and the callee's once it answers."""
 
     near: asyncio.StreamWriter
     far: asyncio.StreamWriter | None = None
@@ -43,7 +43,7 @@ class ProxyConnection:
 
 
 class ProxyServer:
-    """Keeps the port numbers and the pipes of dialect B.
+    """Keeps the forwarded ports and the proxied connections of dialect B.
 
     Args:
         radio: The radio.
@@ -52,7 +52,7 @@ class ProxyServer:
     """
 
     def __init__(self, radio: RadioChannel, host: str, throttle: Throttle) -> None:
-        self._host, self._turnstile = host, throttle
+        self._host, self._throttle = host, throttle
         self._board = Switchboard(radio, self._allocate, time.monotonic)
         self._ports: dict[Route, ReservedPort] = {}
         self._connections: dict[Route, set[ProxyConnection]] = {}
@@ -60,22 +60,22 @@ class ProxyServer:
 
     def make_handler(self, address: str) -> "DialectBHandler":
         """Return what answers a new control connection."""
-        talk = DialectBHandler(self, DialectBSession(self._board, normalize_address(address)))
-        self._handlers.add(talk)
-        return talk
+        handler = DialectBHandler(self, DialectBSession(self._board, normalize_address(address)))
+        self._handlers.add(handler)
+        return handler
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the names at both ends of every route."""
         return [(route.caller, route.callee) for route in self._ports]
 
-    async def handle(self, talk: "DialectBHandler", session: DialectBSession, data: bytes) -> bytes:
+    async def handle(self, handler: "DialectBHandler", session: DialectBSession, data: bytes) -> bytes:
         """Take bytes of a control connection and return the answers; nothing if it is over."""
-        async with self._turnstile:
-            if talk not in self._handlers:
+        async with self._throttle:
+            if handler not in self._handlers:
                 return b""
             answers = session.receive_data(data)
             opened = self._board.take_opened()
-        await self._open(opened)  # before anybody is told the number
+        await self._open(opened)  # before anybody is told the port
         return answers
 
     def poll(self) -> Changes:
@@ -83,32 +83,32 @@ class ProxyServer:
         return self._board.poll()
 
     async def apply_changes(self, changes: Changes) -> None:
-        """Let the ports and pipes follow what has changed."""
-        for talk in [talk for talk in self._handlers if talk.name in changes.gone]:
-            log.info("%s is not in the world, or has no battery: it no longer takes part", talk.name)
-            talk.closing = True
-            self.leave(talk)
+        """Let the ports and connections follow what has changed."""
+        for handler in [handler for handler in self._handlers if handler.name in changes.gone]:
+            log.info("%s is not in the world, or has no battery: it no longer takes part", handler.name)
+            handler.closing = True
+            self.leave(handler)
         for route in changes.closed:
             self._close(route)
         await self._open(changes.opened)
 
-    def leave(self, talk: "DialectBHandler") -> None:
+    def leave(self, handler: "DialectBHandler") -> None:
         """Forget a control connection and what its robot holds."""
-        if talk not in self._handlers:
+        if handler not in self._handlers:
             return
-        self._handlers.remove(talk)
-        gone, closed = self._board.leave(talk.name)
+        self._handlers.remove(handler)
+        gone, closed = self._board.leave(handler.name)
         for route in (*gone, *closed):
             self._close(route)
         for route in gone:
             self._ports.pop(route).release()
 
     def stop(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         for port in self._ports.values():
             port.release()
-        for pipe in (pipe for pipes in self._connections.values() for pipe in pipes):
-            for writer in pipe.ends:
+        for connection in (one for some in self._connections.values() for one in some):
+            for writer in connection.ends:
                 writer.transport.abort()
 
     def _allocate(self, route: Route) -> int | None:
@@ -138,66 +138,68 @@ class ProxyServer:
     def _close(self, route: Route) -> None:
         if route in self._ports:
             self._ports[route].close()
-        for pipe in self._connections.get(route, ()):
-            pipe.cut()
+        for connection in self._connections.get(route, ()):
+            connection.cut()
 
     async def _called(self, route: Route, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address, _ = peer_address(writer)
         if not address or not self._board.may_call(route, normalize_address(address)):
             writer.close()
             return
-        pipe, ports = ProxyConnection(writer), []
-        self._connections.setdefault(route, set()).add(pipe)
+        connection, ports = ProxyConnection(writer), []
+        self._connections.setdefault(route, set()).add(connection)
 
         def note(port: int) -> None:
             ports.append(port)
             self._board.add_connection(route, port)
 
         try:
-            there, pipe.far = await connect(self._board.address_of(route.callee), route.port, note)
+            there, far = await connect(self._board.address_of(route.callee), route.port, note)
+            connection.far = far
             if not writer.is_closing():  # cut while the far end took its time
                 log.info("%s calls %s", route.caller, route.callee)
-                await asyncio.gather(self._pump(reader, pipe, pipe.far), self._pump(there, pipe, writer))
+                pumps = self._pump(reader, connection, far), self._pump(there, connection, writer)
+                await asyncio.gather(*pumps)
         except OSError as error:
             log.info("%s does not answer %s: %s", route.callee, route.caller, error)
         except asyncio.CancelledError:
             log.info("%s and %s: the server stops", route.caller, route.callee)
         finally:
-            pipe.cut()
+            connection.cut()
             self._board.remove_connections(*ports)
-            self._connections[route].discard(pipe)
+            self._connections[route].discard(connection)
             if not self._connections[route]:
                 del self._connections[route]
 
     async def _pump(
-        self, reader: asyncio.StreamReader, pipe: ProxyConnection, writer: asyncio.StreamWriter
+        self, reader: asyncio.StreamReader, connection: ProxyConnection, writer: asyncio.StreamWriter
     ) -> None:
         try:
             while data := await reader.read(DATA_READ_SIZE):
-                async with self._turnstile:
+                async with self._throttle:
                     if writer.is_closing():
                         break
                     writer.write(data)
                 await drain(writer)
         except (OSError, PeerError) as error:
-            log.info("a pipe ends: %s", error)
+            log.info("a proxied connection ends: %s", error)
         finally:
-            pipe.cut()
+            connection.cut()
 
 
 class DialectBHandler:
     """Answers one control connection of dialect B.
 
     Args:
-        pipes: The ports and pipes.
+        server: The ports and connections.
         session: The dialogue.
 
     Attributes:
-        closing: Whether the robot no longer takes part, which ends the connection.
+        closing: Whether the robot is no participant any more, which ends the connection.
     """
 
-    def __init__(self, pipes: ProxyServer, session: DialectBSession) -> None:
-        self._pipes, self._session = pipes, session
+    def __init__(self, server: ProxyServer, session: DialectBSession) -> None:
+        self._server, self._session = server, session
         self.closing = False
 
     @property
@@ -207,13 +209,13 @@ class DialectBHandler:
 
     @property
     def alive(self) -> bool:
-        """Whether it takes part: then it may be silent, as it goes when its robot goes."""
+        """Whether it has joined: then it may be silent, as it goes when its robot goes."""
         return bool(self.name) and not self.closing
 
     async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answers."""
-        return await self._pipes.handle(self, self._session, data)
+        return await self._server.handle(self, self._session, data)
 
     def connection_lost(self) -> None:
         """The connection is gone, and with it what its robot holds."""
-        self._pipes.leave(self)
+        self._server.leave(self)

@@ -6,7 +6,7 @@ A line, ended by "\r\n", and its answer:
     GETOBS {From R1} {To R2}            NUMOBS {From R1} {To R2} {ObstCount 1.00}
     GETOBS {Start 0,0,0} {End 1,0,0}    NUMOBS {Start 0,0,0} {End 1,0,0} {ObstCount 0.00}
 
-A count of -1 means that a robot is not in the world. Places are in the wire's axes [m]. Anything else is
+A count of -1 means that a robot is not in the world. Positions are in the wire's axes [m]. Anything else is
 not answered, as in the original.
 """  # noqa: E501 - an answer is one line
 
@@ -32,9 +32,9 @@ def positions(radio: RadioAccess) -> Message:
     robots = radio.present()
     segments = [("Robots", str(len(robots)))]
     for robot in robots:
-        place = four_decimals_list(flip_wire_vector(robot.position))
+        location = four_decimals_list(flip_wire_vector(robot.position))
         name = "_".join(robot.name.split()) or "_"  # it has to be one word in its segment
-        segments.append(("Name", f"{name} Location {place} BatteryEmpty {robot.battery_empty}"))
+        segments.append(("Name", f"{name} Location {location} BatteryEmpty {robot.battery_empty}"))
     return Message("POSITIONS", tuple(segments))
 
 
@@ -42,30 +42,30 @@ def obstacles(radio: RadioAccess, message: Message) -> Message:
     """Return the answer to GETOBS.
 
     Raises:
-        PeerError: Neither two robots nor two places are given, or a place is none.
+        PeerError: Neither two robots nor two positions are given, or a position is none.
     """
-    names, places = ("From", "To"), ("Start", "End")
-    if all(message.get(key) for key in names):
-        count = radio.obstacles(*(message.get(key) for key in names))
-        keys = names
-    elif all(message.get(key) for key in places):
-        ends = [to_vector(message.get(key)) for key in places]
+    robots, points = ("From", "To"), ("Start", "End")
+    if all(message.get(key) for key in robots):
+        count = radio.obstacles(*(message.get(key) for key in robots))
+        keys = robots
+    elif all(message.get(key) for key in points):
+        ends = [to_vector(message.get(key)) for key in points]
         if any(len(end) != 3 for end in ends):
-            raise PeerError("a place has three numbers")
+            raise PeerError("a position has three numbers")
         count = radio.obstacles_between(*(flip_wire_vector(end) for end in ends))
-        keys = places
+        keys = points
     else:
         raise PeerError("GETOBS needs From and To, or Start and End")
     # The wireless server at the other end compares with "-1" as a text.
-    told = "-1" if count is None else two_decimals(count)
-    return Message("NUMOBS", (*((key, message.get(key)) for key in keys), ("ObstCount", told)))
+    number = "-1" if count is None else two_decimals(count)
+    return Message("NUMOBS", (*((key, message.get(key)) for key in keys), ("ObstCount", number)))
 
 
 class PositionSession:
     """One connection: lines in any chunking, answered in order."""
 
     def __init__(self, radio: RadioAccess) -> None:
-        self._air = radio
+        self._radio = radio
         self._lines = LineBuffer(MAX_LINE_SIZE)
 
     def receive_data(self, data: bytes) -> bytes:
@@ -77,7 +77,7 @@ class PositionSession:
         try:
             message = parse_message(line)
             if message.kind == "GETPOS":
-                return format_message(positions(self._air))
-            return format_message(obstacles(self._air, message)) if message.kind == "GETOBS" else ""
+                return format_message(positions(self._radio))
+            return format_message(obstacles(self._radio, message)) if message.kind == "GETOBS" else ""
         except PeerError:
             return ""

@@ -1,6 +1,6 @@
 """The radio of a served world: who is where in it, and how strongly they hear each other now.
 
-What is asked once per control step is worked out once; everything is compiled when the server starts, for
+What is asked once per control step is computed once; everything is compiled when the server starts, for
 lots of one size, so that no question makes the world wait for a compiler.
 """
 
@@ -24,11 +24,11 @@ from usarmjx.server.wireless.channel import Presence
 from usarmjx.server.worlds.host import Robot, ServedWorld
 
 PAIR_BATCH_SIZE = 16
-"""So many pairs are worked out at a time."""
+"""So many pairs are computed at a time."""
 
 
 class RadioChannel:
-    """The radio of one served world; an `air.RadioAccess`.
+    """The radio of one served world; a `channel.RadioAccess`.
 
     Antennas and solids are those of the batch's radio: doors count where they stand, robots and loose objects
     weaken no link.
@@ -81,15 +81,15 @@ class RadioChannel:
         return None if link is None else link[1]
 
     def obstacles_between(self, start: Vec3, end: Vec3) -> int:
-        """Return how many solids lie between two places, in our axes [m]."""
-        return self._work_out([(start, end)])[0][1]
+        """Return how many solids lie between two positions, in our axes [m]."""
+        return self._compute([(start, end)])[0][1]
 
     def precompute(self, pairs: Iterable[tuple[str, str]]) -> None:
-        """Work out many pairs at once that will be asked for in this control step."""
+        """Compute many pairs at once that will be asked for in this control step."""
         found = {_ordered(self._find(one), self._find(other)) for one, other in pairs}
         wanted = [pair for pair in found if pair is not None and pair not in self._now()]
         ends = [(self._antenna(one), self._antenna(other)) for one, other in wanted]
-        for pair, link in zip(wanted, self._work_out(ends), strict=True):
+        for pair, link in zip(wanted, self._compute(ends), strict=True):
             self._links[pair] = link
 
     def _robots(self) -> Iterator[Robot]:
@@ -100,7 +100,7 @@ class RadioChannel:
         return next((robot for robot in self._robots() if robot.name.lower() == wanted), None)
 
     def _now(self) -> dict[tuple[Robot, Robot], tuple[float, int]]:
-        """Return the links worked out in this control step."""
+        """Return the links computed in this control step."""
         if self._time != self._world.time:
             self._time = self._world.time
             self._states.clear()
@@ -122,18 +122,18 @@ class RadioChannel:
         if pair is None:
             return None
         if pair not in self._now():
-            self._links[pair] = self._work_out([(self._antenna(pair[0]), self._antenna(pair[1]))])[0]
+            self._links[pair] = self._compute([(self._antenna(pair[0]), self._antenna(pair[1]))])[0]
         return self._links[pair]
 
-    def _work_out(self, ends: Sequence[tuple[Vec3, Vec3]]) -> list[tuple[float, int]]:
-        """Return the power [dBm] and the number of solids between pairs of places."""
+    def _compute(self, ends: Sequence[tuple[Vec3, Vec3]]) -> list[tuple[float, int]]:
+        """Return the power [dBm] and the number of solids between pairs of positions."""
         out: list[tuple[float, int]] = []
         doors = self._world.door_angles()
         for first in range(0, len(ends), PAIR_BATCH_SIZE):
             lot = ends[first : first + PAIR_BATCH_SIZE]
-            places = np.zeros((2, PAIR_BATCH_SIZE, 3), np.float32)
-            places[:, : len(lot)] = np.swapaxes(np.array(lot, np.float32), 0, 1)
-            power, walls = jax.device_get(self._run(*places, doors))
+            positions = np.zeros((2, PAIR_BATCH_SIZE, 3), np.float32)
+            positions[:, : len(lot)] = np.swapaxes(np.array(lot, np.float32), 0, 1)
+            power, walls = jax.device_get(self._run(*positions, doors))
             out += [(float(p), int(w)) for p, w in zip(power[: len(lot)], walls, strict=False)]
         return out
 

@@ -1,4 +1,4 @@
-"""What the wireless servers share on sockets: taking turns, dialling, bounded waits, held port numbers."""
+"""What the wireless servers share on sockets: a throttle, connecting, bounded waits, reserved ports."""
 
 import asyncio
 import errno
@@ -29,9 +29,9 @@ MAX_WRITE_BUFFER = 256 * 1024
 STALL = 30.0
 """A peer that reads nothing for so long although something waits for it is dropped [s]."""
 CONNECT_TIMEOUT = 5.0
-"""How long a peer may take to answer a call [s]."""
+"""How long a peer may take to accept a connection [s]."""
 CONNECT_PENDING = (errno.EINPROGRESS, errno.EWOULDBLOCK)
-"""What a call that does not wait for its answer returns."""
+"""What a connect that does not wait returns."""
 LINGER = 5.0
 """How long what was written before a connection ends may take to leave [s]."""
 
@@ -39,7 +39,7 @@ LINGER = 5.0
 class Throttle:
     """Lets connections do their work one at a time, in the order of their coming, within their share.
 
-    `async with turnstile:` around work without waiting. Nobody can keep the world from stepping, and nobody
+    `async with throttle:` around work without waiting. Nobody can keep the world from stepping, and nobody
     comes twice before another has come once.
     """
 
@@ -82,7 +82,7 @@ class Throttle:
 def bound_socket(host: str, port: int) -> socket.socket:
     """Return a socket bound to an address, not listening yet; port 0 picks a free one.
 
-    While it only is bound, calls are refused and nobody else gets the number.
+    While it only is bound, connections are refused and nobody else gets the port.
 
     Raises:
         UsageError: The port is taken or the address is not ours.
@@ -117,7 +117,7 @@ async def listen(host: str, port: int, handler: Handler) -> tuple[asyncio.Server
 
 
 class ReservedPort:
-    """A port number that stays ours; it can be called only while it is open.
+    """A port that stays ours; connections are accepted only while it is open.
 
     Args:
         host: Address to listen on.
@@ -134,10 +134,10 @@ class ReservedPort:
         self.port: int = self._bound.getsockname()[1]
 
     async def open(self) -> None:
-        """Let it be called.
+        """Accept connections.
 
         Raises:
-            UsageError: Somebody else got hold of the number.
+            UsageError: Somebody else got hold of the port.
         """
         if self._server is None:
             bound, self._bound = self._bound or bound_socket(self._host, self.port), None
@@ -148,7 +148,7 @@ class ReservedPort:
                 raise UsageError(f"cannot listen on {self._host}:{self.port}: {error}") from error
 
     def close(self) -> None:
-        """Refuse calls, and keep the number."""
+        """Refuse connections, and keep the port."""
         if self._server is not None:
             self._server.close()
             self._server = None
@@ -158,7 +158,7 @@ class ReservedPort:
                 log.warning("%s", error)
 
     def release(self) -> None:
-        """Give the number back."""
+        """Give the port back."""
         if self._server is not None:
             self._server.close()
         if self._bound is not None:
@@ -174,27 +174,27 @@ async def connect(
     Args:
         address: Its IP address.
         port: Its port.
-        note: Is told our port as soon as the call is under way, before anything else is heard.
+        note: Called with our port as soon as the connection is under way, before anything is read.
 
     Raises:
         OSError: It does not answer; TimeoutError, which is one, if not in time.
     """
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    caller = socket.socket(family, socket.SOCK_STREAM)
+    client = socket.socket(family, socket.SOCK_STREAM)
     try:
-        caller.setblocking(False)
-        state = caller.connect_ex((address, port))
+        client.setblocking(False)
+        state = client.connect_ex((address, port))
         if state not in (0, *CONNECT_PENDING):
             raise OSError(state, os.strerror(state))
-        note(caller.getsockname()[1])
+        note(client.getsockname()[1])
         if state:
             async with asyncio.timeout(CONNECT_TIMEOUT):
-                await asyncio.get_running_loop().sock_connect(caller, (address, port))
-        if caller.getsockname() == caller.getpeername():
+                await asyncio.get_running_loop().sock_connect(client, (address, port))
+        if client.getsockname() == client.getpeername():
             raise ConnectionRefusedError("nobody listens there: the call was answered by itself")
-        return await asyncio.open_connection(sock=caller)
+        return await asyncio.open_connection(sock=client)
     except BaseException:
-        caller.close()
+        client.close()
         raise
 
 

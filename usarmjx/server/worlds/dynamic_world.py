@@ -96,7 +96,7 @@ class DynamicWorld(ServedWorld):
         self._compiled: dict[str, CompiledRobot] = {}
         self._sort_pieces()
         self._capacity = _capacity_for(self._piece_indices)
-        self._cast = jax.jit(cast_rays, static_argnames="gaze")
+        self._cast = jax.jit(cast_rays, static_argnames="query")
         self._compile_cast(self._capacity, materials_present(Sensor.transparent, arena))
 
     @property
@@ -120,7 +120,7 @@ class DynamicWorld(ServedWorld):
 
     def _compile_cast(self, room: dict[BlockKey, int], passes: frozenset[str]) -> None:
         rays = np.ones((RAY_BATCH_SIZE, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0), gaze=RayQuery(passes, incidence=True))
+        self._cast(_blank_geoms(room), rays, rays, np.int32(0), query=RayQuery(passes, incidence=True))
 
     def _sort_pieces(self) -> None:
         """Find out what rays see of the present model."""
@@ -233,8 +233,8 @@ class DynamicWorld(ServedWorld):
             bodies, origin, direction = compiled.bodies_and_rays(state, seeks)
             hits = NO_HITS
             for passes, mine in compiled.ray_queries:
-                gaze = RayQuery(passes, incidence=True)
-                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), gaze=gaze)
+                query = RayQuery(passes, incidence=True)
+                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), query=query)
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.spawn_time)
             sight = SensorInput(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)

@@ -3,7 +3,7 @@
 from usarmjx.server.wireless.channel import Presence
 
 
-class FakeAir:
+class FakeRadio:
     """Robots by name, and the power received between them [dBm]; -50 where nothing is said."""
 
     def __init__(self, robots, powers=None):
@@ -11,7 +11,7 @@ class FakeAir:
         self.robots = list(robots)
         self.powers = dict(powers or {})
         self.walls = {}
-        self.places = {}
+        self.positions = {}
         self.empty = set()
 
     def _find(self, name):
@@ -19,10 +19,11 @@ class FakeAir:
 
     def present(self):
         return [
-            Presence(name, self.places.get(name, (0.0, 0.0, 0.0)), name in self.empty) for name in self.robots
+            Presence(name, self.positions.get(name, (0.0, 0.0, 0.0)), name in self.empty)
+            for name in self.robots
         ]
 
-    def has(self, name):
+    def has_robot(self, name):
         return self._find(name) is not None
 
     def _between(self, table, one, other, default):
@@ -31,7 +32,7 @@ class FakeAir:
             return None
         return table.get(pair, table.get(pair[::-1], default))
 
-    def strength(self, one, other):
+    def signal_strength(self, one, other):
         return self._between(self.powers, one, other, -50.0)
 
     def obstacles(self, one, other):

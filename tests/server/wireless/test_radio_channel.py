@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.server.radios import crowded
+from tests.server.radio_servers import crowded
 from usarmjx.comms.antenna import antenna_positions
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import pair_powers, pairs_of
@@ -45,43 +45,43 @@ def yellow():
 @pytest.mark.oracle
 def test_all_pairs_in_the_yellow_arena_are_as_in_the_batch(yellow):
     """Same walls, and the same power but for single precision; 66 pairs are more than one lot."""
-    ether, robots = RadioChannel(yellow, SETTINGS), list(yellow.robots.values())
+    radio, robots = RadioChannel(yellow, SETTINGS), list(yellow.robots.values())
     places = jax.numpy.stack(
         [antenna_positions(STATION, s.pos, s.quat, yellow.arena.floor) for s in map(yellow.state, robots)]
     )
     power, walls = pair_powers(SETTINGS, arena_solids(yellow.arena), places)
     pairs = [(robots[i].name, robots[j].name) for i, j in zip(*pairs_of(len(robots)), strict=True)]
     assert len(pairs) > PAIR_BATCH_SIZE
-    ether.precompute(pairs)
-    np.testing.assert_array_equal([ether.obstacles(*pair) for pair in pairs], walls)
-    np.testing.assert_allclose([ether.signal_strength(*pair) for pair in pairs], power, atol=1e-3)
-    np.testing.assert_allclose([ether.signal_strength(*pair[::-1]) for pair in pairs], power, atol=1e-3)
+    radio.precompute(pairs)
+    np.testing.assert_array_equal([radio.obstacles(*pair) for pair in pairs], walls)
+    np.testing.assert_allclose([radio.signal_strength(*pair) for pair in pairs], power, atol=1e-3)
+    np.testing.assert_allclose([radio.signal_strength(*pair[::-1]) for pair in pairs], power, atol=1e-3)
 
 
 def test_places_are_asked_for_once_per_control_step(yellow, monkeypatch):
-    ether, asked = RadioChannel(yellow, SETTINGS), []
+    radio, asked = RadioChannel(yellow, SETTINGS), []
     state = yellow.state
     monkeypatch.setattr(yellow, "state", lambda robot: asked.append(robot.name) or state(robot))
     for _ in range(3):
-        ether.signal_strength("Base0", "Base1")
-        ether.present()
+        radio.signal_strength("Base0", "Base1")
+        radio.present()
     assert len(asked) == len(set(asked)) == 12
     yellow.step()
-    ether.signal_strength("Base0", "Base1")
+    radio.signal_strength("Base0", "Base1")
     assert asked[12:] == ["Base0", "Base1"]
 
 
 def test_robots_are_found_by_name_in_any_case_and_the_first_counts(yellow):
-    ether = RadioChannel(yellow, SETTINGS)
-    assert ether.has_robot("bASE3")
-    assert ether.signal_strength("BASE0", "base1") == ether.signal_strength("Base0", "Base1")
-    assert not ether.has_robot("Base")
-    assert ether.signal_strength("Base0", "Nobody") is None
-    assert ether.obstacles("Nobody", "Base0") is None
+    radio = RadioChannel(yellow, SETTINGS)
+    assert radio.has_robot("bASE3")
+    assert radio.signal_strength("BASE0", "base1") == radio.signal_strength("Base0", "Base1")
+    assert not radio.has_robot("Base")
+    assert radio.signal_strength("Base0", "Nobody") is None
+    assert radio.obstacles("Nobody", "Base0") is None
     x, y = ARENAS.get("yellow").starts[20].at[:2]
     twin = yellow.spawn(STATION, "BASE0", (x, y, yellow.arena.floor + 0.81), (0.0, 0.0, 0.0))
-    before = ether.signal_strength("Base0", "Base1")
-    assert ether.signal_strength("BASE0", "Base1") == before, "the one in the lower slot"
+    before = radio.signal_strength("Base0", "Base1")
+    assert radio.signal_strength("BASE0", "Base1") == before, "the one in the lower slot"
     yellow.remove(twin)
 
 
@@ -93,10 +93,10 @@ def test_a_robot_has_a_good_link_to_itself(yellow):
 
 
 def test_obstacles_between_places_are_counted_without_robots(yellow):
-    ether = RadioChannel(yellow, SETTINGS)
+    radio = RadioChannel(yellow, SETTINGS)
     floor = yellow.arena.floor
-    assert ether.obstacles_between((0.0, 0.0, 50.0), (10.0, 0.0, 50.0)) == 0
-    assert ether.obstacles_between((4.5, -1.9, floor + 0.5), (4.5, -1.9, floor - 0.5)) == 1, "the floor"
+    assert radio.obstacles_between((0.0, 0.0, 50.0), (10.0, 0.0, 50.0)) == 0
+    assert radio.obstacles_between((4.5, -1.9, floor + 0.5), (4.5, -1.9, floor - 0.5)) == 1, "the floor"
 
 
 @pytest.mark.parametrize("robot", ["P2AT", "ComStation", "Zerg"])
@@ -115,15 +115,15 @@ def test_the_antenna_is_where_the_batch_has_it(robot):
         np.testing.assert_allclose(antenna_position(some, state, -1.0), expected, atol=2e-6)
 
 
-def test_a_claimed_world_has_a_radio_too():
+def test_a_batch_world_has_a_radio_too():
     """World 1 of a batch; the parked robots of the roster are not there."""
     scene = build_scene(FLAT, [RosterEntry("ComStation", parked=True)] * 3)
     world = BatchWorld(Batch(scene, 2, engine="c", seed=0), 1)
-    ether = RadioChannel(world, SETTINGS)
-    assert ether.present() == []
+    radio = RadioChannel(world, SETTINGS)
+    assert radio.present() == []
     for name, x in (("A", 0.0), ("B", 3.0)):
         world.spawn(STATION, name, (x, 0.0, 0.801), (0.0, 0.0, 0.0))
-    assert ether.signal_strength("a", "b") == pytest.approx(formula(3.0), abs=1e-3)
-    assert [robot.name for robot in ether.present()] == ["A", "B"]
+    assert radio.signal_strength("a", "b") == pytest.approx(formula(3.0), abs=1e-3)
+    assert [robot.name for robot in radio.present()] == ["A", "B"]
     world.remove(world.robots[0])
-    assert ether.signal_strength("A", "B") is None
+    assert radio.signal_strength("A", "B") is None
