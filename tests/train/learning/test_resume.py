@@ -106,6 +106,17 @@ def test_a_broken_checkpoint_is_refused(copy, damage):
         run(copy, resume=True)
 
 
+def test_a_run_of_another_version_is_refused_in_one_line(copy):
+    """As those are whose leaves had other names."""
+    for path in Checkpoints(copy).all():
+        meta = json.loads((path / "meta.json").read_text())
+        (path / "meta.json").write_text(json.dumps({**meta, "format": 1}))
+    for use in (lambda: run(copy, resume=True), lambda: load_policy(copy), lambda: load_policy(copy, "last")):
+        with pytest.raises(UsageError, match="another version of usarmjx") as error:
+            use()
+        assert "\n" not in str(error.value)
+
+
 def test_a_checkpoint_of_something_else_is_refused(copy, reference):
     """Of other networks, or of another toy: it says what it found and what it expected."""
     path = Checkpoints(reference).find("last")

@@ -18,7 +18,13 @@ MAX_SEED = 2**31 - 1
 
 
 class Agent(NamedTuple):
-    """One robot: its name, its group and its place in that."""
+    """One robot.
+
+    Attributes:
+        name: Of the robot.
+        group: Index of its agent group.
+        index: Its own in that.
+    """
 
     name: str
     group: int
@@ -28,7 +34,7 @@ class Agent(NamedTuple):
 def agents_of(env: "Env") -> tuple[Agent, ...]:
     """Return all robots of an environment, group by group."""
     return tuple(
-        Agent(name, g, place) for g, group in enumerate(env.groups) for place, name in enumerate(group.agents)
+        Agent(name, g, index) for g, group in enumerate(env.groups) for index, name in enumerate(group.agents)
     )
 
 

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 class BatchedRobots(BraxEnv):
     """An environment whose robots, of all worlds, are the batch of a Brax environment.
 
-    It is batched and restarts by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
+    It is batched and resets its worlds by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
     `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs from
-    ends, `steps` of the running episode, `final_obs` before a restart, and `bad`: whether physics failed.
+    ends, `steps` of the running episode, `final_obs` before a reset, and `bad`: whether physics failed.
     Where its engine is not traceable, so is `step`.
 
     Args:
@@ -72,9 +72,9 @@ class BatchedRobots(BraxEnv):
         return jnp.reshape(values, (-1, values.shape[-1]))
 
     def _state(self, now: "EnvState") -> State:
-        told: Any = now
+        whole: Any = now
         return State(
-            pipeline_state=told,
+            pipeline_state=whole,
             obs=self._rows(now.obs[0]),
             reward=jnp.reshape(now.reward[0], -1),
             done=self._spread(now.done),

@@ -26,7 +26,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     reward is their mean; `each` makes each robot of each world an environment of its own (world by world),
     and needs robots of one class. Where worlds have one robot both are the same.
 
-    A world restarts in the step that ends its episode (`AutoresetMode.SAME_STEP`): observations are those of
+    A world is reset in the step that ends its episode (`AutoresetMode.SAME_STEP`): observations are those of
     the next start, and `final_obs` and `final_info` of the infos have the end, as Gymnasium's own vector
     environments give them. Infos have the task's metrics and `score`, and `bad`: whether physics failed, so
     that the transition is worth nothing.
@@ -140,9 +140,9 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             final = self._rows(s.final_obs)
             for i in np.flatnonzero(done):
                 ends[i] = final[i].copy()
-            told = {name: value.copy() for name, value in metrics.items()}
-            told["score"] = self._spread(s.final_score)
-            infos |= _masked({"final_obs": ends, "final_info": _masked(told, done)}, done)
+            ends_info = {name: value.copy() for name, value in metrics.items()}
+            ends_info["score"] = self._spread(s.final_score)
+            infos |= _masked({"final_obs": ends, "final_info": _masked(ends_info, done)}, done)
         return infos
 
 

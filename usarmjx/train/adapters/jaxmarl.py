@@ -20,8 +20,8 @@ Values = dict[str, jax.Array]
 class MultiAgentWorld(MultiAgentEnv):
     """An environment of one world as a JaxMARL environment; map it over keys for more.
 
-    Its state is the `EnvState`. A key given to `reset` decides the world's numbers for good: it restarts by
-    itself, in its next arena, and draws what it needs from its own key, so the key of `step` is not used.
+    Its state is the `EnvState`. A key given to `reset` decides the world's numbers for good: it is reset
+    by itself, in its next arena, and draws what it needs from its own key, so the key of `step` is not used.
 
     Infos have a row for each agent, as JaxMARL's wrappers and baselines expect: the task's metrics, its
     `score`, `truncated`, and `bad`: whether physics failed. What agents observed at an episode's end is
@@ -68,7 +68,7 @@ class MultiAgentWorld(MultiAgentEnv):
     def step_env(
         self, key: jax.Array, state: "EnvState", actions: Values
     ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
-        """Let all robots act; observations are those before a restart, the state is that after it."""
+        """Let all robots act; observations are those before a reset, the state is that after it."""
         del key
         state = self.env.step(state, stack_actions(self.env, actions, jnp))
         done = state.done[0]

@@ -34,7 +34,7 @@ def flipper_targets(seen: jax.Array, taper: float) -> jax.Array:
 
 
 def climb_policy(env: Env) -> Policy:
-    """Return the baseline of `stairs`; it has no memory.
+    """Return the baseline of `stairs`; its carry is empty.
 
     Raises:
         UsageError: Another task.
@@ -53,8 +53,8 @@ def climb_policy(env: Env) -> Policy:
         tracks = climb_action(seen, pace)
         return tracks if size == 2 else jnp.concatenate([tracks, flipper_targets(seen, taper)])
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(one))(obs[0]),)
+        return carry, (jax.vmap(jax.vmap(one))(obs[0]),)
 
     return Policy(initial_carry=lambda worlds: (), act=act)

@@ -8,7 +8,7 @@ from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 
 TURN, FASTEST_TURN = 0.8, 0.5
-"""Turning over the bearing of the next place [1/rad], and the most of it."""
+"""Turning over the bearing of the next position [1/rad], and the most of it."""
 CRUISE = 0.9
 STOP_RANGE = 0.35 / 4
 """What is so near ahead stops a robot; as observed (0.35 m)."""
@@ -17,15 +17,15 @@ STUCK = 0.3
 BACK_UP_PERIOD, BACK_UP_STEPS = 20, 5
 """Of so many steps it backs up for so many, and then tries again."""
 ARRIVED = 0.05
-"""The next place is so near, as observed, only where there is no way (6 cm)."""
+"""The next position is so near, as observed, only where there is no path (6 cm)."""
 
 
 def frontier_policy(env: Env) -> Policy:
-    """Return the policy for an environment of a team task; it has no memory."""
+    """Return the policy for an environment of a team task; its carry is empty."""
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, tuple(frontier_action(seen, env.episode_steps) for seen in obs)
+        return carry, tuple(frontier_action(seen, env.episode_steps) for seen in obs)
 
     return Policy(initial_carry=lambda worlds: (), act=act)
 

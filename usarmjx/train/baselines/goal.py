@@ -26,7 +26,7 @@ WALL_FOLLOW_ANGLE = 1.9
 
 
 class BugCarry(struct.PyTreeNode, kw_only=True):
-    """What it remembers.
+    """What a robot that follows walls carries from step to step.
 
     Attributes:
         side: 0 on the way to the goal; 1 along a wall on its right, -1 along one on its left ().
@@ -38,16 +38,16 @@ class BugCarry(struct.PyTreeNode, kw_only=True):
 
 
 def initial_bug_carry(*shape: int) -> BugCarry:
-    """Return what robots remember at first (shape)."""
+    """Return the carry of robots at first (*shape)."""
     return BugCarry(side=jnp.zeros(shape), best=jnp.zeros(shape))
 
 
 def bug_action(
-    robot: RobotSpec, kinds: tuple[str, ...], memory: BugCarry, obs: jax.Array
+    robot: RobotSpec, kinds: tuple[str, ...], carry: BugCarry, obs: jax.Array
 ) -> tuple[BugCarry, jax.Array]:
-    """Return the memory and the action (keys,) for one robot's observation of `DriveToGoal` (n,).
+    """Return the carry and the action (keys,) for one robot's observation of `DriveToGoal` (n,).
 
-    Distances are those that the observation tells: at most 10 m.
+    Distances are those of the observation: at most 10 m.
     """
     bearing, distance = jnp.arctan2(obs[1], obs[0]), MAX_GOAL_DISTANCE * obs[2]
     lengths = free_distances(obstacles(obs[4:], robot, kinds), robot)
@@ -56,12 +56,12 @@ def bug_action(
     straight, free = choose_direction(lengths, bearing, jnp.zeros(()))
     off = wrap_angle(straight - bearing)
     barred = jnp.abs(off) > BLOCKED_ANGLE
-    leave = (distance < memory.best - LEAVE_MARGIN) & ~barred
-    along = (memory.side != 0) & ~leave
+    leave = (distance < carry.best - LEAVE_MARGIN) & ~barred
+    along = (carry.side != 0) & ~leave
     begins = ~along & barred
-    side = jnp.where(along, memory.side, jnp.where(begins, jnp.sign(off), 0.0))
+    side = jnp.where(along, carry.side, jnp.where(begins, jnp.sign(off), 0.0))
     hugging, hug_free = choose_direction(lengths, -side * WALL_FOLLOW_ANGLE, side)
-    best = jnp.where(begins, distance, memory.best)
+    best = jnp.where(begins, distance, carry.best)
     walled = side != 0
     action = steer_toward(jnp.where(walled, hugging, straight), jnp.where(walled, hug_free, free), robot)
     return BugCarry(side=side, best=best), action
@@ -78,12 +78,12 @@ def bug_policy(env: Env) -> Policy:
         raise UsageError(f"this policy goes to the goals of drive-to-goal, not of {env.name}")
     robot, kinds = env.scene.groups[0].robot, task.ranges
 
-    def one(memory: BugCarry, obs: jax.Array) -> tuple[BugCarry, jax.Array]:
-        return bug_action(robot, kinds, memory, obs)
+    def one(carry: BugCarry, obs: jax.Array) -> tuple[BugCarry, jax.Array]:
+        return bug_action(robot, kinds, carry, obs)
 
-    def act(memory: BugCarry, obs: ObservationArrays, key: jax.Array) -> tuple[BugCarry, ActionArrays]:
+    def act(carry: BugCarry, obs: ObservationArrays, key: jax.Array) -> tuple[BugCarry, ActionArrays]:
         del key
-        memory, actions = jax.vmap(jax.vmap(one))(memory, obs[0])
-        return memory, (actions,)
+        carry, actions = jax.vmap(jax.vmap(one))(carry, obs[0])
+        return carry, (actions,)
 
     return Policy(initial_carry=lambda worlds: initial_bug_carry(worlds, 1), act=act)

@@ -60,7 +60,7 @@ def _action(forward: jax.Array, left: jax.Array, up: jax.Array, turn: jax.Array)
 
 
 def inspection_policy(env: Env) -> Policy:
-    """Return the baseline of `hover-inspect`; it has no memory.
+    """Return the baseline of `hover-inspect`; its carry is empty.
 
     Raises:
         UsageError: Another task.
@@ -68,8 +68,8 @@ def inspection_policy(env: Env) -> Policy:
     if not isinstance(env.task, HoverInspect):
         raise UsageError(f"this policy inspects points from the air, not {env.name}")
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(inspection_action))(obs[0]),)
+        return carry, (jax.vmap(jax.vmap(inspection_action))(obs[0]),)
 
     return Policy(initial_carry=lambda worlds: (), act=act)

@@ -15,22 +15,22 @@ LOOKAHEAD = 3.0, 0.6
 LANE = 1.5
 """What is nearer to the lane's middle than this is in the way [m]."""
 CATCH_UP = 1.25
-"""At most so many times the speed that is told, to close a gap."""
+"""At most so many times the target speed, to close a gap."""
 
 
 def pursuit_action(seen: jax.Array, task: Convoy) -> jax.Array:
     """Return the action (2,) for one car's observation of `Convoy` (n,)."""
     car = task.robots[0]
     assert isinstance(car.drive, Ackermann)  # as `robots` says
-    speed, told = SPEED_SCALE * seen[3], SPEED_SCALE * seen[4]
+    speed, target = SPEED_SCALE * seen[3], SPEED_SCALE * seen[4]
     points = RANGE_SCALE * seen[5 : 5 + 2 * len(AHEAD)].reshape(-1, 2)
     goal = _between(points, LOOKAHEAD[0] + LOOKAHEAD[1] * speed)
     # The circle through the rear axle, along the car's heading there, and the point.
     bend = 2.0 * goal[1] / jnp.maximum((goal**2).sum(), 1e-3)
     steer = jnp.arctan(car.wheel_base * bend) / car.drive.max_front_steer
     gap = _gap(RANGE_SCALE * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
-    wanted = jnp.where(gap >= RANGE_SCALE, told, (gap - task.standstill) / task.headway)
-    catching = jnp.where(gap >= RANGE_SCALE, 1.0, CATCH_UP) * told
+    wanted = jnp.where(gap >= RANGE_SCALE, target, (gap - task.standstill) / task.headway)
+    catching = jnp.where(gap >= RANGE_SCALE, 1.0, CATCH_UP) * target
     return jnp.clip(jnp.stack([jnp.clip(wanted, 0.0, catching) / SPEED_SCALE, steer]), -1.0, 1.0)
 
 
@@ -50,7 +50,7 @@ def _gap(scan: jax.Array, points: jax.Array, front: float) -> jax.Array:
 
 
 def pursuit_policy(env: Env) -> Policy:
-    """Return the baseline of `convoy`; it has no memory.
+    """Return the baseline of `convoy`; its carry is empty.
 
     Raises:
         UsageError: Another task.
@@ -59,8 +59,8 @@ def pursuit_policy(env: Env) -> Policy:
     if not isinstance(task, Convoy):
         raise UsageError(f"this policy drives in convoys, not in {env.name}")
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(lambda seen: pursuit_action(seen, task)))(obs[0]),)
+        return carry, (jax.vmap(jax.vmap(lambda seen: pursuit_action(seen, task)))(obs[0]),)
 
     return Policy(initial_carry=lambda worlds: (), act=act)

@@ -15,7 +15,7 @@ HOMING_AGE = 2.0 / 60.0
 
 
 def relay_policy(env: Env) -> Policy:
-    """Return the policy for an environment of `relay-chain`; it has no memory.
+    """Return the policy for an environment of `relay-chain`; its carry is empty.
 
     The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
     which leads outward, and stops where the signal of the one before it gets weak; so the first ones become
@@ -25,18 +25,18 @@ def relay_policy(env: Env) -> Policy:
     if getattr(env.task, "talk", "all") == "none":
         return frontier_policy(env)
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, tuple(_chained(seen, robots, env.episode_steps) for seen in obs)
+        return carry, tuple(_chained(seen, robots, env.episode_steps) for seen in obs)
 
     return Policy(initial_carry=lambda worlds: (), act=act)
 
 
 def _chained(seen: jax.Array, robots: int, steps: int) -> jax.Array:
-    told = frontier_action(seen, steps)
+    action = frontier_action(seen, steps)
     slot = jnp.round(seen[..., 7 + SECTOR_COUNT] * robots).astype(jnp.int32)
     powers = seen[..., -(robots - 1) :]
     before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]
     age = seen[..., -robots]
     go = jnp.where(age > HOMING_AGE, 1.0, jnp.clip((before - STOP) / (SLOW_MARGIN - STOP), 0.0, 1.0))
-    return told * go[..., None]
+    return action * go[..., None]

@@ -27,7 +27,7 @@ BESIDE_SHARE = 1.2
 def roam_action(
     robot: RobotSpec, kinds: tuple[str, ...], turning: jax.Array, obs: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the memory () and the action (keys,) for one robot's observation of `Wander` (n,).
+    """Return the carry `turning` () and the action (keys,) for one robot's observation of `Wander` (n,).
 
     Args:
         robot: The robot.

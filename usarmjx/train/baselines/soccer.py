@@ -10,7 +10,7 @@ from usarmjx.train.tasks.soccer_play import soccer_action
 
 
 def soccer_policy(env: Env) -> Policy:
-    """Return the baseline of `soccer`; it has no memory.
+    """Return the baseline of `soccer`; its carry is empty.
 
     Raises:
         UsageError: Another task.
@@ -18,8 +18,8 @@ def soccer_policy(env: Env) -> Policy:
     if not isinstance(env.task, Soccer):
         raise UsageError(f"this policy plays soccer, not {env.name}")
 
-    def act(memory: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return memory, (jax.vmap(jax.vmap(soccer_action))(obs[0]),)
+        return carry, (jax.vmap(jax.vmap(soccer_action))(obs[0]),)
 
     return Policy(initial_carry=lambda worlds: (), act=act)

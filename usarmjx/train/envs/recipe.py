@@ -19,7 +19,7 @@ MIN_START_DISTANCE = 1.0
 LEVEL_ATOL = 1e-6
 """Levels that rise in single precision are this far off at most."""
 TRIES = 100
-"""Places that are drawn for a start pose, at most, before the floor counts as full."""
+"""Positions that are drawn for a start pose, at most, before the floor counts as full."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,24 +92,24 @@ Arenas = str | ArenaSpec | Sequence[ArenaSpec] | GeneratedArenas
 
 
 def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
-    """Return an empty floor with start poses at random, `MIN_START_DISTANCE` from each other if there is room.
+    """Return an empty floor with start poses at random, `MIN_START_DISTANCE` apart if there is room.
 
     Args:
         side: Side of the square in which they are [m].
         starts: How many.
-        seed: Of places and yaws.
+        seed: Of positions and yaws.
     """
-    draw, places = np.random.default_rng(seed), []
+    draw, positions = np.random.default_rng(seed), list[np.ndarray]()
     for _ in range(starts):
         for _ in range(TRIES):
-            place = draw.uniform(-side / 2, side / 2, 2).round(3)
-            if all(np.hypot(*(place - other)) >= MIN_START_DISTANCE for other in places):
+            position = draw.uniform(-side / 2, side / 2, 2).round(3)
+            if all(np.hypot(*(position - other)) >= MIN_START_DISTANCE for other in positions):
                 break
-        places.append(place)
+        positions.append(position)
     poses = [
         StartPose(tag=f"Start{i}", at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
         for i, ((x, y), yaw) in enumerate(
-            zip(places, draw.uniform(-np.pi, np.pi, starts).round(3), strict=True)
+            zip(positions, draw.uniform(-np.pi, np.pi, starts).round(3), strict=True)
         )
     ]
     half = side / 2

@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from dataclasses import fields as fields_of
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 from flax import struct
 
 from usarmjx.sim.batch import BatchState
+
+Memory: TypeAlias = Any
+"""A task's own state within an episode: any tree of arrays; only the task knows what is in it."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         level: How difficult the arenas in play are, from 0 to 1 (); see `Env.at_level`.
     """
 
-    memory: Any
+    memory: Memory
     obs: tuple[jax.Array, ...]
     privileged: jax.Array
     reward: tuple[jax.Array, ...]
@@ -95,7 +98,7 @@ class EpisodeStart(struct.PyTreeNode, kw_only=True):
         length: 0 ().
     """
 
-    memory: Any
+    memory: Memory
     obs: tuple[jax.Array, ...]
     privileged: jax.Array
     score: jax.Array

@@ -1,6 +1,6 @@
 """What a task is: data, and small pure functions of one world, which `env.Env` maps over a batch.
 
-`observe` sees what real sensors and the radio give; `judge` and `privileged` may see where everything
+`observe` sees what real sensors and the radio give; `evaluate` and `privileged` may see where everything
 truly is.
 """
 
@@ -35,12 +35,12 @@ from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, s
 
 
 class TaskView(struct.PyTreeNode, kw_only=True):
-    """What one world offers to a task's functions at one moment. Teams are numbered as `scene.teams`.
+    """What one world offers to a task's functions at one moment. Groups are numbered as `scene.groups`.
 
     Attributes:
         world: Everything but the physics: arena, commands, sensors' memory, links, mail, status.
         physics: Positions and velocities.
-        readings: Per team and sensor what it last reported; leading axis over the team's robots.
+        readings: Per group and sensor what it last reported (robots, ...).
         scene: What the world is made from.
     """
 
@@ -72,7 +72,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
         return self.readings[group][self.scene.groups[group].suite.index(kind)].fresh
 
     def robots(self, group: int) -> RobotState:
-        """Return where a team's robots truly are; leading axis over them. Not for `observe`."""
+        """Return where a group's robots truly are; leading axis over them. Not for `observe`."""
         return robot_states(self.scene.groups[group], self.physics)
 
     @property
@@ -107,7 +107,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
 
 
 class StepResult(NamedTuple):
-    """What a task says of a step.
+    """What a step came to, as the task evaluates it.
 
     Attributes:
         memory: The task's memory from now on.
@@ -128,12 +128,12 @@ class StepResult(NamedTuple):
 class Task(ABC):
     """A task: its fields are what `make` lets one override; its functions are pure and of one world.
 
-    Groups are the robots of one class that are agents, in the order of `scene.teams`.
+    Agent groups are those of `scene.groups` whose robots are agents, in that order.
 
     Attributes:
         about: What it is, in a sentence.
-        arena: Its arenas: a name or description of one, several of them, `Generated`, the name of a kind of
-            generated arenas (`maze`), or `floor`, which is empty.
+        arena: Its arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a
+            kind of generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
         physics: Solver and time settings.
         repeat: Control steps per action.
@@ -189,13 +189,13 @@ class Task(ABC):
         return build_scene(arenas, robots, self.physics, radio=self.radio, mail=self.mail, vary=self.vary)
 
     def agent_groups(self, scene: Scene) -> tuple[int, ...]:
-        """Return the teams whose robots are agents."""
+        """Return which of `scene.groups` are agents, by index."""
         idle = {name.lower() for name in self.scripted}
-        return tuple(t for t, team in enumerate(scene.groups) if team.robot.name.lower() not in idle)
+        return tuple(g for g, group in enumerate(scene.groups) if group.robot.name.lower() not in idle)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
-        """Return how many numbers from -1 to 1 an action of each group has."""
-        return tuple(len(drive_keys(scene.groups[team].robot)) for team in self.agent_groups(scene))
+        """Return how many numbers from -1 to 1 an action of each agent group has."""
+        return tuple(len(drive_keys(scene.groups[group].robot)) for group in self.agent_groups(scene))
 
     def act(self, view: TaskView, memory: Any, actions: tuple[jax.Array, ...]) -> Actions:  # noqa: ANN401
         """Return what the robots are told until the next action; by default each key of DRIVE is a share.
@@ -207,7 +207,9 @@ class Task(ABC):
         """
         del memory
         groups = zip(self.agent_groups(view.scene), actions, strict=True)
-        return Actions(drive={team: drive_all(view.scene.groups[team].robot, told) for team, told in groups})
+        return Actions(
+            drive={group: drive_all(view.scene.groups[group].robot, action) for group, action in groups}
+        )
 
     def privileged(self, view: TaskView, memory: Any) -> jax.Array:  # noqa: ANN401
         """Return what only critics see (privileged_size,); by default nothing."""

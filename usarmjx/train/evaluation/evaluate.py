@@ -98,17 +98,17 @@ def run_episodes(
     each = -(-episodes // env.worlds)
     act, begin = jax.jit(policy.act), policy.initial_carry(env.worlds)
     state = env.reset(seed) if level is None else env.reset(seed, level)
-    memory, key = begin, jax.random.key(seed)
+    carry, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
     rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index
     while (ended < each).any():
-        memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
+        carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state = env.step(state, actions)
         step, length = step + 1, length + 1
         done = np.asarray(state.done)
         if not done.any():
             continue
-        memory = jax.tree.map(partial(select_worlds, state.done), begin, memory)
+        carry = jax.tree.map(partial(select_worlds, state.done), begin, carry)
         counts, wrong = done & (ended < each), np.asarray(state.bad)
         here = np.flatnonzero(counts & ~wrong)
         rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], strict=True)

@@ -71,10 +71,10 @@ def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
 def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out."""
     policy = BASELINES.get(name)(env)
-    act, memory, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
+    act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     good, score, metrics = np.ones(env.worlds, bool), np.zeros(env.worlds), {}
     for step in range(env.episode_steps):
-        memory, actions = act(memory, state.obs, jax.random.fold_in(jax.random.key(seed), step))
+        carry, actions = act(carry, state.obs, jax.random.fold_in(jax.random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
         score = np.asarray(state.final_score)
@@ -150,17 +150,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--steps", type=int, help="actions of an episode")
     parser.add_argument("--json", help="file to write the rows to")
-    told = parser.parse_args(arguments)
-    overrides = {} if told.steps is None else {"episode_steps": told.steps}
-    rows = measure(told.task, told.worlds, range(told.seeds), told.engine, **overrides)
-    verdict = check_results(rows)
+    options = parser.parse_args(arguments)
+    overrides = {} if options.steps is None else {"episode_steps": options.steps}
+    rows = measure(options.task, options.worlds, range(options.seeds), options.engine, **overrides)
+    holds = check_results(rows)
     print(table(rows))
-    print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in verdict.items()))
-    if told.json:
-        content = {"task": told.task, "rows": [vars(row) | {"score": vars(row.score)} for row in rows]}
-        with open(told.json, "w", encoding="utf-8") as file:
-            json.dump(content | {"holds": verdict}, file, indent=1)
-    return 0 if all(verdict.values()) else 1
+    print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in holds.items()))
+    if options.json:
+        content = {"task": options.task, "rows": [vars(row) | {"score": vars(row.score)} for row in rows]}
+        with open(options.json, "w", encoding="utf-8") as file:
+            json.dump(content | {"holds": holds}, file, indent=1)
+    return 0 if all(holds.values()) else 1
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Checkpoints: all that a run needs to go on as if it had never stopped.
 
-`checkpoints/00000020/` holds what was learned after 20 iterations (`learner`) and the worlds of all processes
-(`worlds`), both in orbax's format, lists of what each process put there with checksums, and `meta.json`. It
-is written under another name and renamed when it is complete, so whatever has that name is whole.
+`checkpoints/00000020/` holds the train state after 20 iterations (`learner`) and the rollout states of all
+processes (`worlds`), both in orbax's format, lists of what each process put there with checksums, and
+`meta.json`. It is written under another name and renamed when it is complete, so whatever has that name is
+whole.
 """
 
 import json
@@ -23,7 +24,9 @@ from usarmjx.train.learning.train_state import make_networks, make_train_state, 
 from usarmjx.train.processes.group import ProcessGroup
 
 FOLDER = "checkpoints"
-FORMAT = 1
+FORMAT = 2
+"""Raised whenever a field of what is kept is renamed, added or taken away: leaves are found by these
+names."""
 PARTIAL = ".partial"
 
 
@@ -173,8 +176,13 @@ class Checkpoints:
         """
         try:
             meta = json.loads((path / "meta.json").read_text())
-            if meta["format"] != FORMAT or meta["iteration"] != int(path.name):
-                raise UsageError(f"checkpoint {path} is of another version of usarmjx, or was renamed")
+            if meta["format"] != FORMAT:
+                raise UsageError(
+                    f"checkpoint {path} was written by another version of usarmjx (format {meta['format']}, "
+                    f"this one reads {FORMAT}): go on with that version; policies exported with it still load"
+                )
+            if meta["iteration"] != int(path.name):
+                raise UsageError(f"checkpoint {path} is of iteration {meta['iteration']}: it was renamed")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"checkpoint {path} is broken: meta.json does not read: {error}") from error
         return meta
@@ -231,7 +239,9 @@ def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyPa
         UsageError: No run, no such checkpoint, or a broken one.
     """
     record = load_record(run)
-    path = Checkpoints(run).find(which)
+    checkpoints = Checkpoints(run)
+    path = checkpoints.find(which)
+    checkpoints.meta(path)  # refuses what another version wrote
     networks = make_networks(record.groups, record.privileged_size, record.config)
-    learner = read_part(path, "learner", make_train_state(networks, record.config))
-    return networks.policy, policy_params(learner), record
+    train_state = read_part(path, "learner", make_train_state(networks, record.config))
+    return networks.policy, policy_params(train_state), record

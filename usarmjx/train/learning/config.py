@@ -34,7 +34,7 @@ class Config:
         worlds: Worlds in all, of all processes.
         seed: Of all random numbers.
         rollout: Actions of every robot between two updates.
-        epochs: How often an update goes through what was collected.
+        epochs: How often an update goes through a rollout.
         minibatches: Parts that an epoch is divided into, by worlds.
         blocks: Most blocks that the worlds are shuffled in, each for itself; the number of processes must
             divide it, and then it does not matter how many there are.

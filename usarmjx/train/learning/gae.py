@@ -1,7 +1,7 @@
 """Advantages of actions: generalised advantage estimation (Schulman et al. 2016), with care at the ends.
 
 An episode that ended by itself is worth nothing afterwards; one that was cut off by the time limit would
-have gone on, so the critic's opinion of its last state stands in for the rest. A bad transition teaches
+have gone on, so the critic's value of its last state stands in for the rest. A bad transition counts for
 nothing: its advantage is 0 and nothing is carried over it.
 """
 
@@ -22,9 +22,9 @@ def advantages(
 
     Args:
         reward: Of each step (steps, ...).
-        value: What the critic thought of the state that each step began in (steps, ...).
-        bootstrap: What it thought of the state before the restart, used where truncated (steps, ...).
-        last_value: What it thought of the state after the last step (...).
+        value: The critic's value of the state that each step began in (steps, ...).
+        bootstrap: That of the state before the reset, used where truncated (steps, ...).
+        last_value: That of the state after the last step (...).
         ends: Whether the episode ended with the step, whether that was by time-out, and whether the
             transition is bad, each (steps, ...).
         discount: Of the next step's value.

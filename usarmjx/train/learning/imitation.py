@@ -5,8 +5,6 @@ the states are those that the learner gets into. Meanwhile the critic learns wha
 bring.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from brax.training.distribution import NormalTanhDistribution
@@ -14,7 +12,7 @@ from brax.training.distribution import NormalTanhDistribution
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.policy import Carry, Policy
 
 TEACHER_STD = 0.3
 """Deviation of actions before they are squashed that PPO is to begin with."""
@@ -34,18 +32,18 @@ def teacher_of(env: Env) -> Policy:
     return BASELINES.get(env.name)(env)
 
 
-def reset_carry(teacher: Policy, memory: Any, done: jax.Array) -> Any:  # noqa: ANN401 - the teacher's own
-    """Return a teacher's memory with that of worlds where the episode is over (worlds,) as at the start."""
-    blank = teacher.initial_carry(len(done))
+def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:
+    """Return a teacher's carry, as at the start in worlds where the episode is over (worlds,)."""
+    initial = teacher.initial_carry(len(done))
 
     def one(start: jax.Array, now: jax.Array) -> jax.Array:
         return jnp.where(done.reshape(-1, *[1] * (now.ndim - 1)), start, now)
 
-    return jax.tree.map(one, blank, memory)
+    return jax.tree.map(one, initial, carry)
 
 
 def imitation_loss(kind: NormalTanhDistribution, logits: jax.Array, teacher_action: jax.Array) -> jax.Array:
-    """Return how far the most probable actions are from those shown, and their deviation from `TEACHER_STD`.
+    """Return how far the likeliest actions are from the teacher's, and their deviation from `TEACHER_STD`.
 
     Args:
         kind: The family of distributions.

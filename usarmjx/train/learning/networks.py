@@ -46,13 +46,13 @@ class Network(nn.Module):
     def __call__(
         self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, is_first: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return what comes out for a sequence of steps, and what is remembered after it.
+        """Return what comes out for a sequence of steps, and the carry after it.
 
         Args:
             seen: Of each robot (steps, worlds, robots, n).
             shared: What all robots of a world have in common (steps, worlds, m); None: nothing.
-            carry: What is remembered before the first step (worlds, robots, memory).
-            is_first: Whether everything is forgotten before the step (steps, worlds).
+            carry: That before the first step (worlds, robots, memory).
+            is_first: Whether the carry is reset before the step (steps, worlds).
         """
         x = nn.Dense(self.layers[0], kernel_init=nn.initializers.orthogonal(ROOT_TWO), name="layer_0")(seen)
         if shared is not None and shared.shape[-1]:
@@ -65,27 +65,27 @@ class Network(nn.Module):
             init = nn.initializers.orthogonal(ROOT_TWO)
             x = nn.elu(nn.Dense(width, kernel_init=init, name=f"layer_{i}")(x))
         if self.memory:
-            x, carry = self._remember(x, carry, is_first)
+            x, carry = self._recur(x, carry, is_first)
         init = nn.initializers.orthogonal(self.scale)
         return nn.Dense(self.outputs, kernel_init=init, name="head")(x), carry
 
-    def _remember(self, x: jax.Array, carry: jax.Array, fresh: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Run the GRU (Cho et al. 2014): only the part that needs its own past is done step by step."""
-        told = nn.Dense(3 * self.memory, name="gates")(x)
+        gates = nn.Dense(3 * self.memory, name="gates")(x)
         weights = self.param("recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
         bias = self.param("recurrent_bias", nn.initializers.zeros, (self.memory,))
 
         def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            told, fresh = now
-            carry = jnp.where(fresh[:, None, None], 0.0, carry)
-            reset, update, new = jnp.split(told, 3, axis=-1)
+            gates, is_first = now
+            carry = jnp.where(is_first[:, None, None], 0.0, carry)
+            reset, update, new = jnp.split(gates, 3, axis=-1)
             own_reset, own_update, own_new = jnp.split(carry @ weights, 3, axis=-1)
             update = nn.sigmoid(update + own_update)
             new = jnp.tanh(new + nn.sigmoid(reset + own_reset) * (own_new + bias))
             carry = (1.0 - update) * new + update * carry
             return carry, carry
 
-        carry, x = jax.lax.scan(step, carry, (told, fresh))
+        carry, x = jax.lax.scan(step, carry, (gates, is_first))
         return x, carry
 
 
@@ -105,7 +105,7 @@ class PolicyParams(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True)
 class LearnedPolicy:
-    """What robots do: from observations, and what each remembers, to actions.
+    """What robots do: from observations and a carry to actions.
 
     Attributes:
         groups: The agents.
@@ -134,23 +134,23 @@ class LearnedPolicy:
         )
 
     def initial_carry(self, worlds: int) -> tuple[jax.Array, ...]:
-        """Return what robots remember at the start of an episode, per group (worlds, robots, memory)."""
+        """Return the carry at the start of an episode, per group (worlds, robots, memory)."""
         return tuple(jnp.zeros((worlds, len(group.agents), self.memory)) for group in self.groups)
 
     @staticmethod
     def reset_carry(carry: tuple[jax.Array, ...], done: jax.Array) -> tuple[jax.Array, ...]:
-        """Return the memories with those of worlds where the episode is over (worlds,) blank."""
-        return tuple(jnp.where(done[:, None, None], 0.0, memory) for memory in carry)
+        """Return the carry, reset in worlds where the episode is over (worlds,)."""
+        return tuple(jnp.where(done[:, None, None], 0.0, one) for one in carry)
 
     def distribution_params(
         self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and memories."""
+        """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and the carry."""
         found = []
         for g, seen in enumerate(obs):
             x = normalise(params.mean[g], params.std[g], seen)[None]
-            fresh = jnp.zeros((1, len(seen)), bool)
-            out, after = self.network(g).apply(params.weights[g], x, None, carry[g], fresh)
+            no = jnp.zeros((1, len(seen)), bool)
+            out, after = self.network(g).apply(params.weights[g], x, None, carry[g], no)
             found.append((out[0], after))
         return tuple(out for out, _ in found), tuple(after for _, after in found)
 
@@ -162,17 +162,17 @@ class LearnedPolicy:
         key: jax.Array | None = None,
         deterministic: bool = False,
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """Return actions and what is remembered after them.
+        """Return actions and the carry after them.
 
         Args:
             params: Weights and statistics.
             obs: Per group (worlds, robots, obs_size).
-            carry: What the robots remember, per group (worlds, robots, memory).
-            key: Of the random numbers; worlds fold in their place. Not needed if deterministic.
+            carry: That before them, per group (worlds, robots, memory).
+            key: Of the random numbers; worlds fold in their index. Not needed if deterministic.
             deterministic: Take the most probable actions instead of drawing them.
 
         Returns:
-            Per group (worlds, robots, action_size), each number from -1 to 1, and memories as `carry`.
+            Per group (worlds, robots, action_size), each number from -1 to 1, and the new carry.
 
         Raises:
             UsageError: Neither a key nor deterministic.
@@ -182,7 +182,7 @@ class LearnedPolicy:
         logits, carry = self.distribution_params(params, obs, carry)
         kinds = [self.distribution(g) for g in range(len(self.groups))]
         if key is None or deterministic:
-            return tuple(kind.mode(told) for kind, told in zip(kinds, logits, strict=True)), carry
+            return tuple(kind.mode(one) for kind, one in zip(kinds, logits, strict=True)), carry
         keys = fold_each(key, jnp.arange(len(obs[0])))
         raw = sample_actions(self, logits, keys)
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry
@@ -209,8 +209,8 @@ def sample_actions(
 ) -> tuple[jax.Array, ...]:
     """Draw actions, before they are squashed, with a key for each world (worlds,)."""
     return tuple(
-        jax.vmap(policy.distribution(g).sample_no_postprocessing)(told, fold_all(keys, g))
-        for g, told in enumerate(logits)
+        jax.vmap(policy.distribution(g).sample_no_postprocessing)(one, fold_all(keys, g))
+        for g, one in enumerate(logits)
     )
 
 

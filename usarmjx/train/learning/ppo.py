@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017): one update from what was collected.
+"""Proximal policy optimisation (Schulman et al. 2017): one update from what the rollout brought.
 
 The update runs in every process at once, on a mesh with one device of each, over worlds that are local to
 a process. Sums over worlds, gradients among them, cross; so all processes learn the same. Worlds are
@@ -35,26 +35,27 @@ MAX_LEARNING_RATE, MIN_LEARNING_RATE = 1e-2, 1e-5
 
 
 class Minibatch(struct.PyTreeNode, kw_only=True):
-    """What is learned from: the steps, and what became of them.
+    """What an update is computed from: steps of some worlds, and what became of them.
 
     Attributes:
-        steps: What happened (steps, worlds, ...).
-        bounds: What was known at the ends (worlds, ...).
+        trajectory: The steps (steps, worlds, ...).
+        ends: The rollout's ends (worlds, ...).
         advantage: Normalised, per group (steps, worlds, robots).
-        target: What the critics should have said, in their own scale, per group (steps, worlds, robots).
+        target: What the critics' values should have been, in their own scale, per group (steps, worlds,
+            robots).
     """
 
-    steps: Trajectory
-    bounds: RolloutEnds
+    trajectory: Trajectory
+    ends: RolloutEnds
     advantage: tuple[jax.Array, ...]
     target: tuple[jax.Array, ...]
 
     def select_worlds(self, worlds: jax.Array) -> "Minibatch":
-        """Return that of some worlds only (places,)."""
-        timed = (self.steps, self.advantage, self.target)
-        steps, advantage, target = jax.tree.map(lambda leaf: leaf[:, worlds], timed)
-        bounds = jax.tree.map(lambda leaf: leaf[worlds], self.bounds)
-        return Minibatch(steps=steps, bounds=bounds, advantage=advantage, target=target)
+        """Return that of some worlds only, by index (worlds,)."""
+        timed = (self.trajectory, self.advantage, self.target)
+        trajectory, advantage, target = jax.tree.map(lambda leaf: leaf[:, worlds], timed)
+        ends = jax.tree.map(lambda leaf: leaf[worlds], self.ends)
+        return Minibatch(trajectory=trajectory, ends=ends, advantage=advantage, target=target)
 
 
 def _total(values: jax.Array) -> jax.Array:
@@ -74,7 +75,7 @@ def compute_targets(
     rollout_ends: RolloutEnds,
     config: Config,
 ) -> tuple[Minibatch, tuple[jax.Array, ...]]:
-    """Return the lesson of what happened, and the returns that were estimated, in rewards."""
+    """Return the targets of a trajectory, and the returns that were estimated, in the unit of rewards."""
     ends = tuple(one[..., None] for one in (trajectory.done, trajectory.truncated, trajectory.bad))
     normal, targets, returns = [], [], []
     for g in range(len(networks.groups)):
@@ -95,8 +96,10 @@ def compute_targets(
         returns.append(found + trajectory.value[g])
         scale = train_state.return_statistics[g]
         targets.append((returns[g] - scale.mean) / scale.std)
-    lesson = Minibatch(steps=trajectory, bounds=rollout_ends, advantage=tuple(normal), target=tuple(targets))
-    return lesson, tuple(returns)
+    batch = Minibatch(
+        trajectory=trajectory, ends=rollout_ends, advantage=tuple(normal), target=tuple(targets)
+    )
+    return batch, tuple(returns)
 
 
 def loss(
@@ -107,7 +110,7 @@ def loss(
     key: jax.Array,
     config: Config,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Return the sum of the losses of a lesson's steps, and of what is worth knowing of them.
+    """Return the sum of the losses of a minibatch's steps, and of what is worth knowing of them.
 
     Bad steps count as 0. To be divided by `weight` of all processes.
 
@@ -119,18 +122,18 @@ def loss(
         key: Of the random numbers that the entropy is estimated with.
         config: Settings.
     """
-    steps, bounds = minibatch.steps, minibatch.bounds
-    keys = fold_each(key, bounds.world_index)
+    steps, ends = minibatch.trajectory, minibatch.ends
+    keys = fold_each(key, ends.world_index)
     train_state = train_state.replace(params=weights)
     values, _ = critic_values(
-        networks, train_state, (steps.obs, steps.privileged), bounds.critic_carry, steps.is_first
+        networks, train_state, (steps.obs, steps.privileged), ends.critic_carry, steps.is_first
     )
     sums: dict[str, Any] = {}
     imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
     for g, raw in enumerate(steps.raw_action):
         seen = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
         logits, _ = networks.policy.network(g).apply(
-            policies[g], seen, None, bounds.policy_carry[g], steps.is_first
+            policies[g], seen, None, ends.policy_carry[g], steps.is_first
         )
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
@@ -181,44 +184,44 @@ def run_epochs(
     batch: Minibatch,
     key: jax.Array,
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Go through a lesson, `epochs` times, and return what is worth knowing of it, means over minibatches."""
+    """Go through a batch, `epochs` times, and return what is worth knowing of it, means over minibatches."""
     optimiser = make_optimiser(config)
-    worlds, blocks = batch.steps.done.shape[1], config.shuffled_blocks // processes
+    worlds, blocks = batch.trajectory.done.shape[1], config.shuffled_blocks // processes
     if config.schedule == "linear":
         left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
         train_state = train_state.replace(
             learning_rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
         )
 
-    def minibatch(
-        learner: TrainState, now: tuple[jax.Array, jax.Array]
+    def update_once(
+        state: TrainState, now: tuple[jax.Array, jax.Array]
     ) -> tuple[TrainState, dict[str, jax.Array]]:
-        places, key = now
+        index, key = now
         gradient, sums = jax.grad(loss, has_aux=True)(
-            learner.params, networks, learner, batch.select_worlds(places), key, config
+            state.params, networks, state, batch.select_worlds(index), key, config
         )
         gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
         weight = jnp.maximum(sums.pop("weight"), 1.0)
         gradient, known = jax.tree.map(lambda one: one / weight, (gradient, sums))
         length = optax.tree.norm(gradient)
         sound = jnp.isfinite(length)
-        steps, moments = optimiser.update(gradient, learner.opt_state)
-        weights = jax.tree.map(lambda old, step: old - learner.learning_rate * step, learner.params, steps)
-        new = learner.replace(params=weights, opt_state=moments)
-        new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, learner)
+        steps, moments = optimiser.update(gradient, state.opt_state)
+        params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
+        new = state.replace(params=params, opt_state=moments)
+        new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, state)
         if config.schedule == "adaptive":
-            rate = _adapt(learner.learning_rate, known["divergence"], config)
+            rate = _adapt(state.learning_rate, known["divergence"], config)
             new = new.replace(
-                learning_rate=jnp.where(networks.is_imitating(learner, config), learner.learning_rate, rate)
+                learning_rate=jnp.where(networks.is_imitating(state, config), state.learning_rate, rate)
             )
         return new, {**known, "gradient": jnp.where(sound, length, 0.0), "skipped": 1.0 - sound}
 
-    def epoch(learner: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
+    def epoch(state: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         now = jax.random.fold_in(key, number)
         first = jax.lax.axis_index(PROCESS_AXIS) * blocks
-        places = _shuffle(now, worlds, blocks, first, config.minibatches)
+        index = _shuffle(now, worlds, blocks, first, config.minibatches)
         keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.minibatches))
-        return jax.lax.scan(minibatch, learner, (places, keys))
+        return jax.lax.scan(update_once, state, (index, keys))
 
     train_state, known = jax.lax.scan(epoch, train_state, jnp.arange(config.epochs))
     return train_state, jax.tree.map(jnp.mean, known)
@@ -238,22 +241,22 @@ def update(
     train_state: TrainState,
     experience: tuple[Trajectory, RolloutEnds, dict[str, jax.Array]],
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the learner after an update, and what is worth knowing; in every process at once.
+    """Return the train state after an update, and what is worth knowing; in every process at once.
 
     Args:
         networks: Shapes.
         config: Settings.
         processes: How many share the worlds.
         train_state: The same in all.
-        experience: Of this process: what happened (steps, worlds, ...), what was known at the ends
-            (worlds, ...), and sums for the log (1,).
+        experience: Of this process: trajectory (steps, worlds, ...), its ends (worlds, ...), and sums for the
+            log (1,).
     """
-    steps, bounds, sums = experience
+    steps, ends, sums = experience
     stream = jax.random.fold_in(jax.random.key(config.seed), UPDATE_STREAM)
     key = jax.random.fold_in(stream, train_state.iteration)
-    lesson, returns = compute_targets(networks, train_state, steps, bounds, config)
+    batch, returns = compute_targets(networks, train_state, steps, ends, config)
     old = train_state
-    train_state, known = run_epochs(networks, config, processes, train_state, lesson, key)
+    train_state, known = run_epochs(networks, config, processes, train_state, batch, key)
     good = ~steps.bad
     everyone: list[jax.Array] = [jnp.broadcast_to(good[..., None], one.shape) for one in returns]
     if config.normalise_obs:

@@ -1,4 +1,4 @@
-"""Robots act for a while under the present policy; what they see and get is written down."""
+"""Robots act for a while under the present policy; what they observe and get is kept."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.policy import Carry, Policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import reset_carry
 from usarmjx.train.learning.networks import fold_each, sample_actions
@@ -32,7 +32,7 @@ from usarmjx.train.learning.trajectory import (
 
 
 def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Trajectory, dict[str, jax.Array]]:
-    """Return steps with a leading axis over them, and what they sum up to."""
+    """Return steps with a leading axis over them, and the sums over them."""
     steps, sums = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
     return steps, jax.tree.map(lambda one: one.sum(0), sums)
 
@@ -65,28 +65,29 @@ class Rollout:
         self.collect: Callable[..., tuple[RolloutState, Trajectory, RolloutEnds, dict[str, jax.Array]]] = (
             jax.jit(self._scan) if env.traceable else self._loop
         )
-        """From learner, worlds and key to worlds, what happened, and sums over it for the log."""
+        """From train state, rollout state and key to the next rollout state, trajectory, ends, and sums for
+        the log."""
 
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
         generated = {} if not config.curriculum else {"level": level}
         env = self.env.reset(config.seed, **generated)
-        number, late, blank = jax.jit(self._opened)()
+        number, late, carry = jax.jit(self._initial)()
         if config.stagger:
             env = env.replace(length=late.astype(env.length.dtype))
         return RolloutState(
             env_state=env,
             world_index=number,
-            policy_carry=blank,
-            critic_carry=blank,
+            policy_carry=carry,
+            critic_carry=carry,
             teacher_carry=() if self.teacher is None else self.teacher.initial_carry(self.env.worlds),
             episode_return=jnp.zeros(self.env.worlds),
             is_first=jnp.ones(self.env.worlds, bool),
         )
 
-    def _opened(self) -> tuple[jax.Array, jax.Array, GroupArrays]:
-        """Return the worlds' numbers, how late their first episodes are, and blank memories."""
+    def _initial(self) -> tuple[jax.Array, jax.Array, GroupArrays]:
+        """Return the worlds' numbers, how late their first episodes are, and the carry."""
         number = self.first + jnp.arange(self.env.worlds)
         keys = fold_each(jax.random.fold_in(jax.random.key(self.config.seed), STAGGER_STREAM), number)
         late = jax.vmap(lambda key: jax.random.randint(key, (), 0, self.env.episode_steps))(keys)
@@ -95,40 +96,40 @@ class Rollout:
     def _decided(
         self,
         train_state: TrainState,
-        seen: StepView,
-        memory: tuple[GroupArrays, GroupArrays, Any],
+        view: StepView,
+        carry: tuple[GroupArrays, GroupArrays, Carry],
         worlds: jax.Array,
         key: Any,  # noqa: ANN401
     ) -> tuple[GroupArrays, Decision]:
-        """Return actions, and what led to them; `key` is the rollout's and the number of the step."""
+        """Return actions, and how they came about; `key` is the rollout's and the number of the step."""
         policy = self.networks.policy
-        logits, after = policy.distribution_params(policy_params(train_state), seen.obs, memory[0])
+        logits, after = policy.distribution_params(policy_params(train_state), view.obs, carry[0])
         raw = sample_actions(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
-        value, critic = self._value(train_state, seen.obs, seen.privileged, memory[1])
-        teacher, shown = self._taught(train_state, seen.obs, memory[2], jax.random.fold_in(*key))
+        value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
+        teacher, teacher_action = self._taught(train_state, view.obs, carry[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
             raw_action=raw,
             log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
             value=value,
-            teacher_action=shown,
+            teacher_action=teacher_action,
             policy_carry=after,
             critic_carry=critic,
             teacher_carry=teacher,
         )
 
     def _taught(
-        self, train_state: TrainState, obs: GroupArrays, memory: Any, key: jax.Array
-    ) -> tuple[Any, GroupArrays]:
-        """Return what the teacher remembers and would do; zeros when nobody imitates him any more."""
+        self, train_state: TrainState, obs: GroupArrays, carry: Carry, key: jax.Array
+    ) -> tuple[Carry, GroupArrays]:
+        """Return the teacher's carry and actions; zeros when nobody imitates him any more."""
         teacher, groups = self.teacher, self.networks.groups
         if teacher is None:
-            return memory, ()
+            return carry, ()
         nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
         return jax.lax.cond(
             self.networks.is_imitating(train_state, self.config),
-            lambda: teacher.act(memory, obs, key),
-            lambda: (memory, nothing),
+            lambda: teacher.act(carry, obs, key),
+            lambda: (carry, nothing),
         )
 
     def _value(
@@ -142,31 +143,34 @@ class Rollout:
     def _accounted(
         self,
         train_state: TrainState,
-        told: tuple[jax.Array, jax.Array],
+        episode: tuple[jax.Array, jax.Array],
         decision: Decision,
         before: StepView,
         after: StepView,
-    ) -> tuple[Trajectory, tuple[GroupArrays, GroupArrays, Any], jax.Array, dict[str, jax.Array]]:
-        """Write down a step; `told` is what was gained in the episode, and whether it began with the step."""
-        gained, fresh = told
+    ) -> tuple[Trajectory, tuple[GroupArrays, GroupArrays, Carry], jax.Array, dict[str, jax.Array]]:
+        """Return a step of the trajectory, the carries and returns after it, and sums for the log.
+
+        `episode` is the return of the running episode, and whether it began with the step.
+        """
+        episode_return, is_first = episode
         seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
         sound = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in seen]).all(0)
         bad = after.bad | ~sound
         done = after.done | bad
         truncated = after.truncated & ~bad
-        blank = tuple(jnp.zeros_like(value) for value in decision.value)
+        zeros = tuple(jnp.zeros_like(value) for value in decision.value)
         bootstrap = jax.lax.cond(
             truncated.any(),
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
                 0
             ],
-            lambda: blank,
+            lambda: zeros,
         )
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
         robots = sum(one.shape[1] for one in reward)
-        gained = gained + sum(one.sum(1) for one in reward) / robots
+        episode_return = episode_return + sum(one.sum(1) for one in reward) / robots
         ended = done & ~bad
-        forget = self.networks.policy.reset_carry
+        reset = self.networks.policy.reset_carry
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
@@ -175,7 +179,7 @@ class Rollout:
             value=decision.value,
             reward=tuple(one * self.config.reward_scale for one in reward),
             bootstrap_value=bootstrap,
-            is_first=fresh,
+            is_first=is_first,
             done=done,
             truncated=truncated,
             bad=bad,
@@ -183,7 +187,7 @@ class Rollout:
         )
         sums = {
             "episodes": ended.sum(),
-            "return": jnp.where(ended, gained, 0.0).sum(),
+            "return": jnp.where(ended, episode_return, 0.0).sum(),
             "score": jnp.where(ended, after.final_score, 0.0).sum(),
             "length": jnp.where(ended, before.length + 1, 0).sum(),
             "timeouts": truncated.sum(),
@@ -197,14 +201,18 @@ class Rollout:
             if self.teacher is None
             else reset_carry(self.teacher, decision.teacher_carry, done)
         )
-        memory = (forget(decision.policy_carry, done), forget(decision.critic_carry, done), teacher)
-        return step, memory, jnp.where(done, 0.0, gained), sums
+        carry = (reset(decision.policy_carry, done), reset(decision.critic_carry, done), teacher)
+        return step, carry, jnp.where(done, 0.0, episode_return), sums
 
     def _bounded(
-        self, train_state: TrainState, before: tuple[GroupArrays, GroupArrays], after: Any, seen: StepView
+        self,
+        train_state: TrainState,
+        before: tuple[GroupArrays, GroupArrays],
+        after: tuple[jax.Array, GroupArrays],
+        view: StepView,
     ) -> RolloutEnds:
-        """Return what is known at the ends; `after` is the worlds' numbers, and the critics' memories."""
-        last, _ = self._value(train_state, seen.obs, seen.privileged, after[1])
+        """Return the rollout's ends; `after` is the worlds' numbers, and the critics' carry."""
+        last, _ = self._value(train_state, view.obs, view.privileged, after[1])
         return RolloutEnds(
             world_index=after[0], policy_carry=before[0], critic_carry=before[1], last_value=last
         )
@@ -217,10 +225,10 @@ class Rollout:
         step: Any,  # noqa: ANN401 - int32 of any make
     ) -> tuple[RolloutState, tuple[Trajectory, Any]]:
         before = step_view(now.env_state)
-        memory = (now.policy_carry, now.critic_carry, now.teacher_carry)
-        actions, decision = self._decide(train_state, before, memory, now.world_index, (key, step))
+        carry = (now.policy_carry, now.critic_carry, now.teacher_carry)
+        actions, decision = self._decide(train_state, before, carry, now.world_index, (key, step))
         env = self.env.step(now.env_state, actions)
-        row, (policy, critic, teacher), gained, sums = self._account(
+        row, (policy, critic, teacher), episode_return, sums = self._account(
             train_state, (now.episode_return, now.is_first), decision, before, step_view(env)
         )
         now = now.replace(
@@ -228,7 +236,7 @@ class Rollout:
             policy_carry=policy,
             critic_carry=critic,
             teacher_carry=teacher,
-            episode_return=gained,
+            episode_return=episode_return,
             is_first=row.done,
         )
         return now, (row, sums)

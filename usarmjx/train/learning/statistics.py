@@ -14,10 +14,10 @@ LEAST_DEVIATION = 1e-2
 
 
 class Statistics(struct.PyTreeNode, kw_only=True):
-    """What is known of a quantity so far.
+    """Mean and deviation of a quantity so far.
 
     Attributes:
-        running: Brax's running statistics.
+        running: Brax's running statistics; leaves are () or (*shape).
     """
 
     running: Any

@@ -1,4 +1,4 @@
-"""What is learned, and what actors are told of it."""
+"""What training changes: the networks' parameters, the optimiser's state, running statistics."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = ra
 
 
 class ActorCriticParams(struct.PyTreeNode, kw_only=True):
-    """Weights of the networks.
+    """Parameters of all networks.
 
     Attributes:
         policy: Per group; of a policy that all share only one.
@@ -98,7 +98,7 @@ class Networks:
         return sum(len(group.agents) for group in self.groups)
 
     def is_imitating(self, train_state: "TrainState", config: Config) -> jax.Array:
-        """Return whether the learner still imitates a teacher ()."""
+        """Return whether the policy still imitates a teacher ()."""
         return train_state.iteration < config.imitations(self.agent_count)
 
     def init(self, key: jax.Array) -> ActorCriticParams:
@@ -135,15 +135,15 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
 
 
 def make_train_state(networks: Networks, config: Config) -> TrainState:
-    """Return a learner that has learned nothing."""
-    return jax.jit(lambda: _blank_learner(networks, config))()  # one compilation instead of dozens
+    """Return the train state before the first update."""
+    return jax.jit(lambda: _initial(networks, config))()  # one compilation instead of dozens
 
 
-def _blank_learner(networks: Networks, config: Config) -> TrainState:
-    weights: Any = networks.init(jax.random.key(config.seed))
+def _initial(networks: Networks, config: Config) -> TrainState:
+    params = networks.init(jax.random.key(config.seed))
     return TrainState(
-        params=weights,
-        opt_state=make_optimiser(config).init(weights),
+        params=params,
+        opt_state=make_optimiser(config).init(params),
         obs_statistics=tuple(init_statistics(group.obs_size) for group in networks.groups),
         privileged_statistics=init_statistics(networks.privileged_size),
         return_statistics=tuple(init_statistics() for _ in networks.groups),
@@ -166,21 +166,21 @@ def critic_values(
     train_state: TrainState,
     seen: tuple[tuple[jax.Array, ...], jax.Array],
     carry: tuple[jax.Array, ...],
-    fresh: jax.Array,
+    is_first: jax.Array,
 ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-    """Return what the critics think of a sequence of steps.
+    """Return the critics' values of a sequence of steps.
 
     Args:
         networks: Shapes.
         train_state: Weights and statistics.
         seen: Observations, per group (steps, worlds, robots, obs_size), and what critics see besides
             (steps, worlds, privileged_size).
-        carry: What the critics remember before, per group (worlds, robots, memory).
-        fresh: Whether they forget that before the step (steps, worlds).
+        carry: The critics' before the first step, per group (worlds, robots, memory).
+        is_first: Whether it is reset before the step (steps, worlds).
 
     Returns:
-        Values in the critics' own scale (the `value` statistics of the learner undo it), per group
-        (steps, worlds, robots), and what the critics remember afterwards.
+        Values in the critics' own scale (`unscaled_values` undoes it), per group (steps, worlds, robots), and
+        the carry afterwards.
     """
     obs, privileged = seen
     shared = normalise(
@@ -189,7 +189,7 @@ def critic_values(
     found = []
     for g, rows in enumerate(obs):
         x = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, rows)
-        value, after = networks.critic(g).apply(train_state.params.critic[g], x, shared, carry[g], fresh)
+        value, after = networks.critic(g).apply(train_state.params.critic[g], x, shared, carry[g], is_first)
         found.append((value[..., 0], after))
     return tuple(value for value, _ in found), tuple(after for _, after in found)
 

@@ -1,4 +1,4 @@
-"""Training: collect, update, write down, and start again where it was left."""
+"""Training: rollout, update, log, checkpoint; and going on where a run was left."""
 
 import time
 from collections.abc import Callable
@@ -69,8 +69,8 @@ class Trainer:
             env = env(share, process_group.index * share)
         if env.worlds != share:
             raise UsageError(
-                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} processes "
-                f"need {share}"
+                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} "
+                f"processes need {share}"
             )
         if config.curriculum and not env.levels:
             raise UsageError(
@@ -98,7 +98,7 @@ class Trainer:
         self._sums = jax.jit(lambda sums: jax.tree.map(lambda one: one[None], sums))
 
     def start(self) -> tuple[TrainState, RolloutState]:
-        """Return a learner that has learned nothing, and worlds at their start."""
+        """Return the train state before the first update, and worlds at their start."""
         return self.process_group.device_put(
             (make_train_state(self.networks, self.config), self.rollout.start(self.level(0)))
         )
@@ -108,8 +108,10 @@ class Trainer:
         share = self.config.curriculum * self.iterations
         return min(1.0, iteration / share) if share else 1.0
 
-    def iterate(self, train_state: TrainState, worlds: RolloutState, iteration: int) -> Any:  # noqa: ANN401
-        """Let the robots act and learn from it.
+    def iterate(
+        self, train_state: TrainState, worlds: RolloutState, iteration: int
+    ) -> tuple[TrainState, RolloutState, dict[str, jax.Array]]:
+        """Let the robots act, and update.
 
         Args:
             train_state: So far.
@@ -117,15 +119,17 @@ class Trainer:
             iteration: Number of this one, from 0.
 
         Returns:
-            Learner and worlds, and sums for the log.
+            Train state and rollout state, and numbers for the log.
         """
         if self.config.curriculum:
             worlds = worlds.replace(env_state=self.env.at_level(worlds.env_state, self.level(iteration)))
         key = self._fold(self._key, iteration)
-        worlds, steps, bounds, sums = self.rollout.collect(train_state, worlds, key)
-        whole = self.process_group.to_global
-        experience = (whole(steps, 1), whole(bounds, 0), whole(self._sums(sums), 0))
-        train_state, known = self.process_group.to_local(self._update(whole(train_state, None), experience))
+        worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
+        to_global = self.process_group.to_global
+        experience = (to_global(trajectory, 1), to_global(ends, 0), to_global(self._sums(sums), 0))
+        train_state, known = self.process_group.to_local(
+            self._update(to_global(train_state, None), experience)
+        )
         return train_state, worlds, known
 
 
@@ -139,7 +143,7 @@ def train(
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
 ) -> TrainResult:
-    """Train a policy; in every process at once, if there are several (see `distributed`).
+    """Train a policy; in every process at once, if there are several (see `processes.group`).
 
     Args:
         env: An environment; or what makes one of a number of worlds and the number of the first of them,
@@ -167,9 +171,9 @@ def train(
         record.check_resumes(load_record(out), out)
     _prepare(out, record, process_group)
     checkpoints = Checkpoints(out, process_group, config.keep)
-    learner, worlds, before = _restore(trainer, checkpoints)
+    train_state, worlds, before = _restore(trainer, checkpoints)
     log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
-    return _run(trainer, checkpoints, (learner, worlds, before), log, watch)
+    return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
 
 
 def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
@@ -180,18 +184,18 @@ def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
 
 
 def _restore(trainer: Trainer, checkpoints: Checkpoints) -> tuple[TrainState, RolloutState, int]:
-    learner, worlds = trainer.start()
+    train_state, worlds = trainer.start()
     if not checkpoints.all():
-        return learner, worlds, 0
+        return train_state, worlds, 0
     path, index = checkpoints.find("last"), trainer.process_group.index
     meta = checkpoints.meta(path)
     if meta["processes"] != trainer.process_group.count:
         raise UsageError(
             f"{path} is of {meta['processes']} processes, these are {trainer.process_group.count}"
         )
-    learner = read_part(path, "learner", learner, index)
+    train_state = read_part(path, "learner", train_state, index)
     worlds = read_part(path, "worlds", worlds, index)
-    return *trainer.process_group.device_put((learner, worlds)), meta["iteration"]
+    return *trainer.process_group.device_put((train_state, worlds)), meta["iteration"]
 
 
 def _mean_score(lines: list[dict[str, Any]]) -> float | None:
@@ -209,7 +213,7 @@ def _run(
     watch: Callable[[dict[str, Any]], None] | None,
 ) -> TrainResult:
     """Iterate to the end, from where it was left."""
-    learner, worlds, before = left
+    train_state, worlds, before = left
     config, iterations, out = trainer.config, trainer.iterations, checkpoints.run
     world_steps = config.rollout * config.worlds
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
@@ -217,7 +221,7 @@ def _run(
     with log or nullcontext():
         for iteration in range(before + 1, iterations + 1):
             began = time.perf_counter()
-            learner, worlds, known = trainer.iterate(learner, worlds, iteration - 1)
+            train_state, worlds, known = trainer.iterate(train_state, worlds, iteration - 1)
             sums = {name: float(one) for name, one in jax.device_get(known).items()}
             agent_steps = iteration * world_steps * trainer.agents
             seconds = time.perf_counter() - began
@@ -234,7 +238,7 @@ def _run(
                 log.write(line)
             if iteration % config.checkpoint_every == 0 or iteration == iterations:
                 note = {"agent_steps": agent_steps, "score": _mean_score(lines)}
-                checkpoints.save(iteration, learner, worlds, note)
+                checkpoints.save(iteration, train_state, worlds, note)
                 lines.clear()
             if watch:
                 watch(line)

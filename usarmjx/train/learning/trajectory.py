@@ -17,15 +17,17 @@ class Trajectory(struct.PyTreeNode, kw_only=True):
         obs: Per group (steps, worlds, robots, obs_size).
         privileged: (steps, worlds, privileged_size).
         raw_action: Actions before they are squashed, per group (steps, worlds, robots, action_size).
-        log_prob: How probable they were, per group (steps, worlds, robots).
-        value: What the critic thought before the step, per group (steps, worlds, robots).
+        log_prob: Their log-probability, per group (steps, worlds, robots).
+        value: The critic's value of the state before the step, per group (steps, worlds, robots).
         reward: Scaled, per group (steps, worlds, robots).
-        bootstrap_value: What it thought of the state before the restart, where truncated, per group as `value`.
+        bootstrap_value: That of the state before the reset, where truncated, per group (steps, worlds,
+            robots).
         is_first: Whether an episode began with the step (steps, worlds).
         done: Whether one ended with it (steps, worlds).
         truncated: Whether that was by time-out (steps, worlds).
-        bad: Whether there is nothing to learn from the step (steps, worlds).
-        teacher_action: What the teacher would have done, as `raw_action` but squashed; nothing without a teacher.
+        bad: Whether the step is not to be trained on (steps, worlds).
+        teacher_action: What the teacher would have done, squashed, per group (steps, worlds, robots,
+            action_size); empty without a teacher.
     """
 
     obs: GroupArrays
@@ -47,9 +49,9 @@ class RolloutEnds(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         world_index: Of each world, among those of all processes (worlds,).
-        policy_carry: What the policies remembered before the first step, per group (worlds, robots, memory).
-        critic_carry: What the critics remembered, as `policy_carry`.
-        last_value: What the critics think after the last step, per group (worlds, robots).
+        policy_carry: That of the policies before the first step, per group (worlds, robots, memory).
+        critic_carry: That of the critics, as `policy_carry`, per group (worlds, robots, memory).
+        last_value: The critics' values of the state after the last step, per group (worlds, robots).
     """
 
     world_index: jax.Array
@@ -64,9 +66,9 @@ class RolloutState(struct.PyTreeNode, kw_only=True):
     Attributes:
         env_state: The worlds.
         world_index: Of each of them, among those of all processes (worlds,).
-        policy_carry: What the robots remember, per group (worlds, robots, memory).
-        critic_carry: What their critics remember, as `policy_carry`.
-        teacher_carry: What the teacher remembers, if there is one (worlds, ...).
+        policy_carry: That of the policies, per group (worlds, robots, memory).
+        critic_carry: That of the critics, per group (worlds, robots, memory).
+        teacher_carry: That of the teacher, if there is one (worlds, ...).
         episode_return: Rewards of the running episode, mean of the robots (worlds,).
         is_first: Whether an episode begins now (worlds,).
     """
@@ -81,7 +83,21 @@ class RolloutState(struct.PyTreeNode, kw_only=True):
 
 
 class StepView(struct.PyTreeNode, kw_only=True):
-    """What of an environment's state the trainer looks at; see `EnvState`."""
+    """What of an environment's state the trainer needs.
+
+    Attributes:
+        obs: Per group (worlds, robots, obs_size).
+        privileged: (worlds, privileged_size).
+        reward: Per group (worlds, robots).
+        done: See `TaskState` (worlds,).
+        truncated: See `TaskState` (worlds,).
+        final_obs: Per group (worlds, robots, obs_size).
+        final_privileged: (worlds, privileged_size).
+        final_score: (worlds,).
+        length: (worlds,).
+        bad: (worlds,).
+        metrics: By name (worlds,).
+    """
 
     obs: GroupArrays
     privileged: jax.Array
@@ -97,12 +113,22 @@ class StepView(struct.PyTreeNode, kw_only=True):
 
 
 def step_view(env: EnvState) -> StepView:
-    """Return what the trainer looks at."""
+    """Return what the trainer needs of a state."""
     return StepView(**{name: getattr(env, name) for name in StepView.__dataclass_fields__})
 
 
 class Decision(struct.PyTreeNode, kw_only=True):
-    """What is decided in a step, and what is remembered after it; see `Trajectory` and `RolloutState`."""
+    """What is decided in a step, and the carries after it.
+
+    Attributes:
+        raw_action: Actions before they are squashed, per group (worlds, robots, action_size).
+        log_prob: Their log-probability, per group (worlds, robots).
+        value: The critic's, in the unit of rewards, per group (worlds, robots).
+        teacher_action: Squashed, per group (worlds, robots, action_size); empty without a teacher.
+        policy_carry: Per group (worlds, robots, memory).
+        critic_carry: Per group (worlds, robots, memory).
+        teacher_carry: The teacher's (worlds, ...).
+    """
 
     raw_action: GroupArrays
     log_prob: GroupArrays

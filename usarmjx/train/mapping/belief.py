@@ -1,7 +1,7 @@
-"""What each robot of a team knows: its own map, what others told it, and where it will go next.
+"""What each robot of a team believes: its own map, the maps it received, where it is and will go next.
 
-Pure functions; leading axes are over the robots of one world, by roster slot. Nothing of this is known to a
-robot but by its own sensors and by mail that came over the radio.
+Pure functions; leading axes are over the robots of one world, by roster slot. Beliefs come from a robot's own
+sensors and from mail that came over the radio, never from the truth.
 """
 
 import itertools
@@ -23,42 +23,44 @@ HEADER_SIZE = 6
 """Numbers of a message before the map: where the sender is (x, y, yaw), where it is going (x, y), and its
 last contact with the base (a time)."""
 SECTOR_COUNT = 12
-"""Sectors in which scans are looked at for what is near."""
+"""Sectors that scans are reduced to."""
 SCANNER_RANGE = 4.0
-"""Of the scanners [m]: see `equip`."""
+"""Of the scanners [m]: see `equip.HOKUYO`."""
 NO_SCANNER_RANGE = 100.0
 """What a robot without a scanner sees in every sector [m]."""
 STALE_AGE = 20.0
-"""After so long without a word a robot does not know where another one is [s]."""
+"""After so long without a message a robot does not know where another one is [s]."""
 RECENT_AGE = 1.0
-"""For so long after its last word a robot is taken to be where it was [s]."""
+"""For so long after its last message a robot is taken to be where it was [s]."""
 VISITED_RADIUS = 0.75
-"""A robot has been at a place that it was so near to [m]."""
+"""A robot has visited squares whose middles it was so near to [m]."""
 BODY = 0.65
 """What a scanner meets so near to another robot's middle is that robot, not a wall [m]."""
 
 
 class Belief(struct.PyTreeNode, kw_only=True):
-    """What the robots of one world know (robots, ...).
+    """What the robots of one world believe.
 
     Attributes:
-        evidence: Their own looks at squares; see `maps.update_evidence` (robots, i, j).
+        evidence: What their own scans say of squares; see `maps.update_evidence` (robots, i, j).
         marks: Where they have seen what they look for (robots, i, j).
-        received_map: What others told them of squares (robots, i, j).
+        received_map: What the maps that came by mail say of squares (robots, i, j).
         visited: Where they have been (robots, i, j).
         pose: Where they believe to be: x, y [m] and yaw [rad] (robots, 3).
-        mate_headers: What they last heard of each other: the header of the message; row listener, column sender
-            (robots, robots, HEADER).
-        heard_time: When that was; at the start they know where all are [s] (robots, robots).
+        mate_headers: Headers of the last messages from each other; row receiver, column sender
+            (robots, robots, HEADER_SIZE).
+        heard_time: When those came; at the start they know where all are [s] (robots, robots).
         link_since: Since when each hears from each without a break [s] (robots, robots).
-        base_contact_time: What each knew until then has come to the base, as far as it can know [s] (robots,).
+        base_contact_time: What each believed until then has come to the base, as far as it can know [s]
+            (robots,).
         mark_time: When each last learned of a mark [s] (robots,).
-        sector_ranges: How far they see: the shortest beam of each of `SECTOR_COUNT` sectors of their scanners, from right
-            to left [m] (robots, SECTORS).
+        sector_ranges: The shortest beam of each sector of their scanners, from right to left [m]
+            (robots, SECTOR_COUNT).
         lagged_position: Where they were some time ago, smoothed [m] (robots, 2).
-        waypoint: The next place on their way [m] (robots, 2).
-        goal: Where that leads, as they tell it [m] (robots, 2).
-        path_length: How long it is, with all penalties; `wavefront.UNREACHABLE`: there is no way [squares] (robots,).
+        waypoint: The next position on their path [m] (robots, 2).
+        goal: Where that leads, as they send it [m] (robots, 2).
+        path_length: How long it is, with all costs; `wavefront.UNREACHABLE`: there is none [squares]
+            (robots,).
     """
 
     evidence: Array
@@ -79,12 +81,12 @@ class Belief(struct.PyTreeNode, kw_only=True):
 
     @property
     def squares(self) -> jax.Array:
-        """What each knows of each square; see `maps.fuse_maps` (robots, i, j)."""
+        """What each believes of each square; see `maps.fuse_maps` (robots, i, j)."""
         return maps.fuse_maps(self.evidence, self.marks, self.received_map)
 
 
 def initial_belief(grid: MapGrid, pose: Array) -> Belief:
-    """Return what robots know that stand at poses (robots, 3) and have seen nothing yet.
+    """Return the belief of robots that stand at poses (robots, 3) and have scanned nothing yet.
 
     They know where the others start.
     """
@@ -117,14 +119,14 @@ def other_slots(robots: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class GroupScan:
-    """What the scanners of some robots say.
+    """What the scanners of one group's robots say.
 
     Attributes:
-        slots: Whose they are.
+        slots: Whose they are (robots,).
         settings: Of the scanner.
-        poses: Where the scanners believe to be: x, y [m], yaw [rad] (robots here, 3).
-        ranges: What they measured [m] (robots here, beams).
-        fresh: Whether that was now (robots here,).
+        poses: Where the scanners believe to be: x, y [m], yaw [rad] (robots, 3).
+        ranges: What they measured [m] (robots, beams).
+        fresh: Whether that was now (robots,).
     """
 
     slots: np.ndarray
@@ -135,14 +137,14 @@ class GroupScan:
 
 
 def sectors(ranges: Array) -> jax.Array:
-    """Return the shortest beam of each of `SECTOR_COUNT` sectors of a scan (..., beams) [m] (..., SECTORS)."""
+    """Return the shortest beam of each sector of a scan (..., beams) [m] (..., SECTOR_COUNT)."""
     beams = ranges.shape[-1]
     edges = np.round(np.linspace(0, beams, SECTOR_COUNT + 1)).astype(int)
     return jnp.stack([ranges[..., a:b].min(-1) for a, b in itertools.pairwise(edges)], -1)
 
 
 def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array) -> Belief:
-    """Return what robots know after their scanners looked.
+    """Return the belief after a group's scans.
 
     Walls are not drawn where another robot said a moment ago to be.
     """
@@ -164,9 +166,9 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
 
 
 def compose_messages(belief: Belief, to: Array, flyers: np.ndarray | None = None) -> OutgoingMessages:
-    """Return what all robots say to others (robots, robots): where they are and go, and all they know.
+    """Return the messages of all robots to others (robots, robots): where they are and go, and their maps.
 
-    What flying robots (robots,) have looked at they keep for themselves: it says nothing of walls.
+    What flying robots (robots,) have seen they do not send: it says nothing of walls.
     """
     header = jnp.concatenate([belief.pose, belief.goal, belief.base_contact_time[:, None]], -1)
     if flyers is not None:
@@ -177,29 +179,29 @@ def compose_messages(belief: Belief, to: Array, flyers: np.ndarray | None = None
 
 
 def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float) -> Belief:
-    """Return what robots know after they read their mail.
+    """Return the belief after robots read their mail.
 
-    A robot that hears from another every time has told it all it knew each time: links go both ways. So, if
-    that one says when it had contact with the base, what the robot had told it before has come there.
+    A robot that hears from another every time has sent it all it believed each time: links go both ways. So,
+    if that one says when it had contact with the base, what the robot had sent it before has come there.
 
     Args:
         grid: The squares.
-        belief: What they knew.
+        belief: That before it.
         mail: Their boxes.
         period: Time between two messages of a robot [s].
     """
 
     def one(own: tuple[Array, ...], box: Inboxes) -> tuple[Array, ...]:
-        def word(state: tuple[Array, ...], place: Array) -> tuple[tuple[Array, ...], None]:
-            told, mates, heard, since, contact = state
-            there, sender = place < box.count, box.sender[place]
-            payload, time = box.payload[place], box.time[place]
+        def read(state: tuple[Array, ...], index: Array) -> tuple[tuple[Array, ...], None]:
+            received, mates, heard, since, contact = state
+            there, sender = index < box.count, box.sender[index]
+            payload, time = box.payload[index], box.time[index]
             news = maps.unpack(payload[HEADER_SIZE:], grid.shape)
             begun = jnp.where(time - heard[sender] > 1.5 * period, time, since[sender])
             passed_on = jnp.minimum(payload[HEADER_SIZE - 1] - period, heard[sender])
             passed_on = jnp.where(passed_on >= begun - 1e-3, passed_on, contact)
             new = (
-                maps.merge_received(told, news),
+                maps.merge_received(received, news),
                 mates.at[sender].set(payload[:HEADER_SIZE]),
                 heard.at[sender].set(time),
                 since.at[sender].set(begun),
@@ -207,7 +209,7 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
             )
             return tuple(jnp.where(there, a, b) for a, b in zip(new, state, strict=True)), None
 
-        return jax.lax.scan(word, own, jnp.arange(box.sender.shape[-1]))[0]
+        return jax.lax.scan(read, own, jnp.arange(box.sender.shape[-1]))[0]
 
     box = mail.replace(spent=mail.count, step=mail.count, sent=mail.count)  # an axis over robots for all
     before = (
@@ -217,27 +219,32 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
         belief.link_since,
         belief.base_contact_time,
     )
-    told, mates, heard, since, contact = jax.vmap(one)(before, box)
+    received, mates, heard, since, contact = jax.vmap(one)(before, box)
     return belief.replace(
-        received_map=told, mate_headers=mates, heard_time=heard, link_since=since, base_contact_time=contact
+        received_map=received,
+        mate_headers=mates,
+        heard_time=heard,
+        link_since=since,
+        base_contact_time=contact,
     )
 
 
 def update_base_contact(belief: Belief, linked: Array, base: int, time: Array) -> Belief:
-    """Return what robots know that see which links of theirs hold (robots, robots)."""
+    """Return the belief of robots that see which links of theirs hold (robots, robots)."""
     direct = linked[:, base] | (jnp.arange(linked.shape[0]) == base)
     return belief.replace(base_contact_time=jnp.where(direct, time, belief.base_contact_time))
 
 
 def update_pose(grid: MapGrid, belief: Belief, pose: Array, share: float = 0.05) -> Belief:
-    """Return what robots know after they looked at their INS: poses (robots, 3).
+    """Return the belief after robots read their INS: poses (robots, 3).
 
     Args:
         grid: The squares.
-        belief: What they knew.
+        belief: That before it.
         pose: Where they believe to be.
-        share: Of the way to the present place that `trail` goes: with 0.05, it is some 20 steps late.
+        share: Of the way to the present position that `lagged_position` goes: with 0.05 it is some 20 steps
+            late.
     """
-    trail = belief.lagged_position + share * (pose[:, :2] - belief.lagged_position)
+    lagged = belief.lagged_position + share * (pose[:, :2] - belief.lagged_position)
     here = jnp.linalg.norm(grid.centres - pose[:, None, None, :2], axis=-1) < VISITED_RADIUS
-    return belief.replace(pose=pose, lagged_position=trail, visited=belief.visited | here)
+    return belief.replace(pose=pose, lagged_position=lagged, visited=belief.visited | here)

@@ -20,7 +20,7 @@ from usarmjx.sensors.ranging import ScannerSettings
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
 """What a square is known to be; a mark is something that was looked for, as a victim."""
 MAX_EVIDENCE = 4
-"""So often is a square seen as free, or as a wall, until further looks count no more."""
+"""So often is a square seen as free, or as a wall, until further scans count no more."""
 MAX_SURFACE_GAP = 1.0
 """Two neighbouring beams that end closer to each other than this met one surface [m]."""
 SQUARES_PER_NUMBER = 12
@@ -58,7 +58,7 @@ class MapGrid:
         return (np.array(self.low) + self.cell * steps).astype(np.float32)
 
     def index(self, position: Array) -> jax.Array:
-        """Return the square that places [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
+        """Return the square that positions [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
         steps = jnp.round((jnp.asarray(position) - np.array(self.low, np.float32)) / self.cell)
         return jnp.clip(steps.astype(jnp.int32), 0, np.array(self.shape) - 1)
 
@@ -126,38 +126,40 @@ def classify_scan(
 
 
 def update_evidence(evidence: Array, free: Array, wall: Array) -> jax.Array:
-    """Return how sure a robot is of squares after a look: below 0 free, above 0 a wall, int8 (i, j).
+    """Return how sure a robot is of squares after a scan: below 0 free, above 0 a wall, int8 (i, j).
 
-    What moves, as other robots, so is forgotten after some looks.
+    What moves, as other robots, so is forgotten after some scans.
     """
     change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
     return jnp.clip(evidence + change, -MAX_EVIDENCE, MAX_EVIDENCE).astype(jnp.int8)
 
 
-def fuse_maps(evidence: Array, marked: Array, told: Array) -> jax.Array:
-    """Return what a robot knows of squares, uint8 (i, j): what it has seen itself goes before hearsay.
+def fuse_maps(evidence: Array, marks: Array, received: Array) -> jax.Array:
+    """Return what a robot believes of squares, uint8 (i, j): its own scans go before what it received.
 
     Args:
-        evidence: See `update_evidence`.
-        marked: Where it has put marks.
-        told: What others told it of, as this function returns it.
+        evidence: See `update_evidence` (i, j).
+        marks: Where it has put marks (i, j).
+        received: The map that came by mail, as this function returns it (i, j).
     """
-    own = jnp.where(evidence < 0, FREE, jnp.where(evidence > 0, WALL, told))
-    return jnp.where(marked | (told == MARK), MARK, own).astype(jnp.uint8)
+    own = jnp.where(evidence < 0, FREE, jnp.where(evidence > 0, WALL, received))
+    return jnp.where(marks | (received == MARK), MARK, own).astype(jnp.uint8)
 
 
-def merge_received(told: Array, news: Array) -> jax.Array:
-    """Return hearsay (i, j) after another map came in.
+def merge_received(received: Array, news: Array) -> jax.Array:
+    """Return the received map (i, j) after another one came in.
 
     Marks go before all else, and what anybody has seen to be free before what another took for a wall: that
     may have been a robot.
     """
     ranks = np.array([0, 2, 1, 3])  # unknown, free, wall, mark
-    return jnp.where(jnp.asarray(ranks)[news] > jnp.asarray(ranks)[told], news, told).astype(jnp.uint8)
+    return jnp.where(jnp.asarray(ranks)[news] > jnp.asarray(ranks)[received], news, received).astype(
+        jnp.uint8
+    )
 
 
 def pack(squares: Array) -> jax.Array:
-    """Return a map (i, j) as numbers of a message, float32 (numbers,), of `SQUARES_PER_NUMBER` squares each."""
+    """Return a map (i, j) as numbers of a message, `SQUARES_PER_NUMBER` squares each, float32 (numbers,)."""
     flat = jnp.ravel(squares).astype(jnp.int32)
     rows = jnp.pad(flat, (0, -flat.shape[0] % SQUARES_PER_NUMBER)).reshape(-1, SQUARES_PER_NUMBER)
     return (rows * 4 ** np.arange(SQUARES_PER_NUMBER)).sum(-1).astype(jnp.float32)
@@ -177,8 +179,8 @@ def egocentric_map(grid: MapGrid, squares: Array, pose: Array, width: int, spaci
         grid: The squares.
         squares: The map (i, j).
         pose: x, y [m] and yaw [rad] (3,).
-        width: Places along a side.
-        spacing: Between two places [m]; each shows the square that it lies in. Off the map all is wall.
+        width: Points along a side.
+        spacing: Between two points [m]; each shows the square that it lies in. Off the map all is wall.
     """
     line = (np.arange(width) - (width - 1) / 2) * spacing
     ahead, aside = np.meshgrid(line, line, indexing="ij")

@@ -22,9 +22,9 @@ from usarmjx.train.mapping.wavefront import (
 )
 
 WAYPOINT_SQUARES = 3
-"""So many squares ahead on its way is the place that a robot steers for."""
+"""So many squares ahead on its way is the position that a robot steers for."""
 LONGEST = 40
-"""So many squares ahead on its way is, at most, the place that a robot says it is going to."""
+"""So many squares ahead on its way is, at most, the position that a robot says it is going to."""
 WALL_COST = 6.0
 """So many squares longer seems a step to a square with a wall beside it: there is just room for a robot."""
 NARROW_FRONTIER_COST = 20.0
@@ -45,11 +45,11 @@ TURN_COST = 3.0
 
 
 class PlannerSettings(NamedTuple):
-    """How the robots of a team think about where to go.
+    """How the robots of a team plan where to go.
 
     Attributes:
-        peers: Whose ways each robot minds: row itself, column the other (robots, robots).
-        flyers: Which fly over walls, to squares that they have not looked at (robots,).
+        peers: Whose paths each robot heeds: row itself, column the other (robots, robots).
+        flyers: Which fly over walls, to squares that they have not seen (robots,).
     """
 
     peers: np.ndarray
@@ -57,7 +57,7 @@ class PlannerSettings(NamedTuple):
 
 
 def default_settings(robots: int) -> PlannerSettings:
-    """Return how robots think that all drive and explore."""
+    """Return settings for robots that all drive and explore."""
     return PlannerSettings(peers=~np.eye(robots, dtype=bool), flyers=np.zeros(robots, bool))
 
 
@@ -68,13 +68,13 @@ def plan_paths(
     settings: PlannerSettings | None = None,
     wanted: Array | None = None,
 ) -> Belief:
-    """Return what robots know after they thought about where to go: to a frontier, by `frontier_costs`.
+    """Return the belief after robots planned where to go: to a frontier, by `frontier_costs`.
 
     Args:
         grid: The squares.
-        belief: What they knew.
+        belief: That before it.
         time: The time [s] ().
-        settings: How they think; None: see `default_settings`.
+        settings: How they plan; None: see `default_settings`.
         wanted: What the way to squares costs at its end, where they do not look for a frontier; NaN: they do
             (robots, i, j).
     """
@@ -112,8 +112,8 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
     Args:
         grid: The squares.
         pose: Of the robot (3,).
-        mates: What it heard of the others (robots, HEADER).
-        age: How long ago [s]; infinite: it does not mind that one (robots,).
+        mates: Headers that it received from the others (robots, HEADER_SIZE).
+        age: How long ago [s]; infinite: it does not heed that one (robots,).
         me: Its slot ().
     """
     middles = grid.centres
@@ -144,17 +144,17 @@ def path_to_nearest(
     *,
     blocked: Array | bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the next place on a robot's way to the nearest source, where it leads, and how long it is.
+    """Return the next position on a robot's path to the nearest source, where that leads, and its length.
 
     Args:
         grid: The squares.
-        squares: What it knows of them (i, j).
+        squares: What it believes of them (i, j).
         pose: Of the robot (3,).
-        sources: What a way that ends in a square costs at its end; `FAR`: none ends there (i, j).
+        sources: What a way that ends in a square costs at its end; `UNREACHABLE`: none ends there (i, j).
         blocked: Squares that it does not drive through, though they are free (i, j).
 
     Returns:
-        Two places [m] (2,), and the length in squares (); without a way both are where the robot is.
+        Two positions [m] (2,), and the length in squares (); without a path both are where the robot is.
     """
     gap = jnp.linalg.norm(grid.centres - pose[:2], axis=-1)
     open_ = (squares == FREE) & ~(blocked & (gap > grid.cell))

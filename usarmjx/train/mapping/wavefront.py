@@ -1,4 +1,4 @@
-"""Ways over maps: distances by waves, frontiers, the next place to drive to. Pure functions of one map."""
+"""Paths over maps: distances by waves, frontiers, the next square to drive to. Pure functions of one map."""
 
 import math
 from functools import reduce
@@ -41,13 +41,14 @@ def frontier(squares: Array) -> jax.Array:
 def distances(
     start: Array, open_: Array, toll: Array | float = 0.0, *, until: Array | None = None
 ) -> jax.Array:
-    """Return how far each square is from the nearest start, in squares (i, j); `UNREACHABLE` and more: no way leads.
+    """Return how far each square is from the nearest start, in squares (i, j); from `UNREACHABLE` on: no way.
 
     Steps go to all eight neighbours, slanting ones count sqrt(2). A wave spreads from the starts through the
     open squares until nothing changes.
 
     Args:
-        start: What a way that begins in a square costs at its beginning; `UNREACHABLE`: none begins there (i, j).
+        start: What a way that begins in a square costs at its beginning; `UNREACHABLE`: none begins there
+            (i, j).
         open_: Which squares ways lead through; those that ways begin in need not be (i, j).
         toll: What it costs to enter a square, beside the step (i, j).
         until: A square (2,) that is asked for: only for it, and for what lies on the way from it, the

@@ -40,13 +40,13 @@ def _dense(layer: ParamTree, x: Vector) -> Vector:
 
 
 def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
-    """Return what a policy's network says (..., outputs), and what is remembered after it (..., memory).
+    """Return what a policy's network says (..., outputs), and the carry after it (..., memory).
 
     Args:
         weights: Of the network, by layer.
         layers: Number of hidden layers.
         x: Normalised observations (..., n).
-        carry: What is remembered (..., memory).
+        carry: That before it (..., memory).
     """
     for i in range(layers):
         x = _elu(_dense(weights[f"layer_{i}"], x))
@@ -118,18 +118,18 @@ class NumpyPolicy:
         raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
 
     def initial_carry(self, group: int, *shape: int) -> Vector:
-        """Return what robots of a group remember at first (*shape, memory)."""
+        """Return the carry of a group's robots at first (*shape, memory)."""
         return np.zeros((*shape, self.memory), np.float32)
 
     def act(
         self, group: int, obs: Vector, carry: Vector, draw: np.random.Generator | None = None
     ) -> tuple[Vector, Vector]:
-        """Return actions of robots of a group, and what is remembered after them.
+        """Return actions of a group's robots, and the carry after them.
 
         Args:
             group: Number of the group.
-            obs: What they see (..., obs_size).
-            carry: What they remember (..., memory).
+            obs: What they observe (..., obs_size).
+            carry: That before them (..., memory).
             draw: Where random numbers come from; None: the most probable actions are taken.
 
         Raises:
@@ -139,8 +139,8 @@ class NumpyPolicy:
         if obs.shape[-1:] != mean.shape:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
         seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
-        told, carry = forward(self.weights[group], self.layers, seen, carry)
-        loc, scale = np.split(told, 2, axis=-1)
+        logits, carry = forward(self.weights[group], self.layers, seen, carry)
+        loc, scale = np.split(logits, 2, axis=-1)
         if draw is not None:
             deviation = np.logaddexp(scale, 0.0) + MIN_STD
             loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
@@ -153,10 +153,10 @@ def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
     for name, array in arrays.items():
         if name.startswith(start):
             *path, last = name.removeprefix(start).split("/")
-            place = found
+            branch = found
             for part in path:
-                place = place.setdefault(part, {})
-            place[last] = array
+                branch = branch.setdefault(part, {})
+            branch[last] = array
     return found
 
 

@@ -131,16 +131,16 @@ def load_exported(file: Path) -> PolicySource:
     Raises:
         UsageError: It is no policy, or broken.
     """
-    told = NumpyPolicy(file)
-    groups = tuple(AgentGroup(**{**one, "agents": tuple(one["agents"])}) for one in told.groups)
-    widths = tuple(told.weights[0][f"layer_{i}"]["kernel"].shape[1] for i in range(told.layers))
+    exported = NumpyPolicy(file)
+    groups = tuple(AgentGroup(**{**one, "agents": tuple(one["agents"])}) for one in exported.groups)
+    widths = tuple(exported.weights[0][f"layer_{i}"]["kernel"].shape[1] for i in range(exported.layers))
     params = PolicyParams(
-        weights=tuple({"params": weights} for weights in told.weights),
-        mean=tuple(map(jnp.asarray, told.mean)),
-        std=tuple(map(jnp.asarray, told.std)),
+        weights=tuple({"params": weights} for weights in exported.weights),
+        mean=tuple(map(jnp.asarray, exported.mean)),
+        std=tuple(map(jnp.asarray, exported.std)),
     )
-    learned = LearnedPolicy(groups, widths, told.memory), params
-    return PolicySource(name=str(file), task=told.task, overrides=told.overrides, learned=learned)
+    learned = LearnedPolicy(groups, widths, exported.memory), params
+    return PolicySource(name=str(file), task=exported.task, overrides=exported.overrides, learned=learned)
 
 
 def baseline(name: str, task: str | None = None) -> PolicySource:

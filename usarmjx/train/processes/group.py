@@ -29,20 +29,20 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
     Raises:
         UsageError: The environment variables contradict each other, or JAX runs already.
     """
-    place = process_info(os.environ if environment is None else environment)
-    if place is None:
+    info = process_info(os.environ if environment is None else environment)
+    if info is None:
         return ProcessInfo(1, 0, 0)
     if jax.distributed.is_initialized():
-        return place
+        return info
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
-    told: dict[str, Any] = {"num_processes": place.count, "process_id": place.index}
-    if place.coordinator:
-        told["coordinator_address"] = place.coordinator
+    arguments: dict[str, Any] = {"num_processes": info.count, "process_id": info.index}
+    if info.coordinator:
+        arguments["coordinator_address"] = info.coordinator
     try:
-        jax.distributed.initialize(**told, local_device_ids=None if _chosen() else [place.local_index])
+        jax.distributed.initialize(**arguments, local_device_ids=None if _chosen() else [info.local_index])
     except (RuntimeError, ValueError) as error:
-        raise UsageError(f"process {place.index} of {place.count} cannot join the others: {error}") from error
-    return place
+        raise UsageError(f"process {info.index} of {info.count} cannot join the others: {error}") from error
+    return info
 
 
 @contextmanager
@@ -55,11 +55,11 @@ def distributed_run() -> Iterator[ProcessInfo]:
     Raises:
         UsageError: See `initialize`.
     """
-    place = initialize()
+    info = initialize()
     try:
-        yield place
+        yield info
     except BaseException as error:
-        if place.count == 1:
+        if info.count == 1:
             raise
         ours = isinstance(error, UsarmjxError)
         if ours:
@@ -103,11 +103,11 @@ class ProcessGroup:
         )
 
     def to_global(self, tree: Any, axis: int | None) -> Any:  # noqa: ANN401
-        """Return arrays that all processes see, of which this one has the part `tree`.
+        """Return global arrays, of which this process has the local part `tree`.
 
         Args:
             tree: Arrays of this process.
-            axis: Which the parts are joined along; None: all processes have the same.
+            axis: Which the local parts are joined along; None: all processes have the same.
         """
         spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, PROCESS_AXIS)
         sharding = NamedSharding(self.mesh, spec)
@@ -122,7 +122,7 @@ class ProcessGroup:
 
     @staticmethod
     def to_local(tree: Any) -> Any:  # noqa: ANN401
-        """Return the part of arrays that this process has."""
+        """Return the local part of global arrays."""
         return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
     def barrier(self, name: str) -> None:

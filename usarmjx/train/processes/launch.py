@@ -1,7 +1,7 @@
 """Starting several processes that train together: one for each device, each with worlds of its own.
 
-`usarmjx train --processes 4` starts them on this host and tells them by environment variables which they
-are; a launcher may do the same (`LAUNCHERS`). This module needs no JAX.
+`usarmjx train --processes 4` starts them on this host and says by environment variables which is which; a
+launcher may do the same (`LAUNCHERS`). This module needs no JAX.
 """
 
 import os
@@ -49,7 +49,7 @@ class ProcessInfo:
 
 
 def process_info(environment: Mapping[str, str]) -> ProcessInfo | None:
-    """Return which of several processes this is, as the environment variables tell; None: the only one."""
+    """Return which of several processes this is, by the environment variables; None: the only one."""
     for name, count, index, local in LAUNCHERS:
         number = environment.get(count, "")
         if index in environment and number.isdecimal() and int(number) > 1:
@@ -81,8 +81,8 @@ def spawn(processes: int, command: Sequence[str]) -> int:
     running = []
     try:
         for i in range(processes):
-            told = {COORDINATOR: address, COUNT: str(processes), INDEX: str(i), PARENT: str(os.getpid())}
-            environment = {**os.environ, **told, "CUDA_VISIBLE_DEVICES": gpus[i]}
+            ours = {COORDINATOR: address, COUNT: str(processes), INDEX: str(i), PARENT: str(os.getpid())}
+            environment = {**os.environ, **ours, "CUDA_VISIBLE_DEVICES": gpus[i]}
             running.append(subprocess.Popen(command, env=environment))
         return _wait(running)
     finally:

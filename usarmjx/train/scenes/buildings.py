@@ -116,12 +116,13 @@ def _fingerprint(pos: Array, xp: ModuleType) -> Array:
     return (xp.where(inside, pos, 0.0) * weights).sum()
 
 
-def reachable_of(view: TaskView, ground: ArenaGrid) -> jax.Array:
+def reachable_of(view: TaskView, arena_grid: ArenaGrid) -> jax.Array:
     """Return which squares of a world's arena a robot gets to (i, j).
 
-    The arena is told by where its solids are, as libraries may be in any order (`Env.at_level`).
+    The arena is known by where its solids are, as libraries may be in any order (`Env.at_level`).
     """
-    tables = jnp.asarray(ground.reachable)
+    tables = jnp.asarray(arena_grid.reachable)
     if view.world.arena_state is None:
         return tables[0]
-    return tables[jnp.argmin(jnp.abs(_fingerprint(view.world.arena_state.pos, jnp) - ground.fingerprints))]
+    own = _fingerprint(view.world.arena_state.pos, jnp)
+    return tables[jnp.argmin(jnp.abs(own - arena_grid.fingerprints))]

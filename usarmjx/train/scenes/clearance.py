@@ -1,4 +1,4 @@
-"""How far robots truly are from what stands around them, in the plane: for judges, not for policies.
+"""How far robots truly are from what stands around them, in the plane: for evaluation, not for policies.
 
 A robot is the upright box around all its solids with its joints at 0. Obstacles are the arena's upright
 solids that reach into its height, less what its wheels drive over, and the other robots. Tilted solids,
@@ -53,15 +53,15 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     """Return the distance in the plane of a box from others (n,) [m] (n,); 0 where they overlap."""
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], np.float32)
     turn, turns = _turn(one.yaw), _turn(others.yaw)  # own axes to the world's
-    hull = one.centre + (signs * one.half) @ turn.T
+    outline = one.centre + (signs * one.half) @ turn.T
     corners = others.centre[:, None] + jnp.einsum("nij,ncj->nci", turns, signs * others.half[:, None])
     # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
-    seen = jnp.einsum("nji,ncj->nci", turns, hull - others.centre[:, None])
+    seen = jnp.einsum("nji,ncj->nci", turns, outline - others.centre[:, None])
     near = jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - others.half[:, None], 0.0), axis=-1).min(-1)
     seen = (corners - one.centre) @ turn
     near = jnp.minimum(near, jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - one.half, 0.0), axis=-1).min(-1))
     axes = jnp.concatenate([jnp.broadcast_to(turn.T, turns.shape), jnp.swapaxes(turns, -1, -2)], 1)
-    ours, theirs = jnp.einsum("nai,ci->nac", axes, hull), jnp.einsum("nai,nci->nac", axes, corners)
+    ours, theirs = jnp.einsum("nai,ci->nac", axes, outline), jnp.einsum("nai,nci->nac", axes, corners)
     split = (ours.max(-1) < theirs.min(-1)) | (theirs.max(-1) < ours.min(-1))
     return jnp.where(split.any(-1), near, 0.0)
 
@@ -126,12 +126,12 @@ def _standing(arena: ArenaSpec) -> tuple[np.ndarray, np.ndarray]:
 
 def obstacle_boxes(view: TaskView) -> Boxes:
     """Return the arena's solids as upright boxes; those that are tilted have no height."""
-    site, floor = view.world.arena_state, view.scene.arena.floor
-    if site is None:
+    state, floor = view.world.arena_state, view.scene.arena.floor
+    if state is None:
         rows, quat = _standing(view.scene.arena)
         pos, size, quat = jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:]), jnp.asarray(quat)
     else:
-        pos, size, quat = site.pos, site.size, site.quat
+        pos, size, quat = state.pos, state.size, state.quat
     mat = mat_from_quat(quat)
     upright = mat[:, 2, 2] >= UPRIGHT_COSINE
     height = jnp.where(upright, size[:, 2], -1.0)
@@ -145,7 +145,7 @@ def obstacle_boxes(view: TaskView) -> Boxes:
 
 
 def robot_boxes(view: TaskView, group: int) -> Boxes:
-    """Return a team's robots as upright boxes; those that are not in use have no height."""
+    """Return a group's robots as upright boxes; those that are not in use have no height."""
     robots, (low, high) = view.robots(group), bounding_box_of(view.scene.groups[group].robot)
     mat = mat_from_quat(robots.quat)
     yaw = jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0])
@@ -161,15 +161,16 @@ def robot_boxes(view: TaskView, group: int) -> Boxes:
 
 
 def clearance(view: TaskView) -> tuple[jax.Array, ...]:
-    """Return how far each robot is from the nearest obstacle, per team [m] (robots,); 0: they overlap."""
-    walls, teams = obstacle_boxes(view), [robot_boxes(view, team) for team in range(len(view.scene.groups))]
+    """Return how far each robot is from the nearest obstacle, per group [m] (robots,); 0: they overlap."""
+    walls = obstacle_boxes(view)
+    groups = [robot_boxes(view, group) for group in range(len(view.scene.groups))]
     # Another robot stands on the ground as this one does: all of it is in the way.
-    others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *teams)
+    others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
     rows, first = [], 0
-    for team in teams:
-        mine = jnp.arange(len(team.yaw)) + first
-        rows.append(jax.vmap(lambda one, me: _least(one, me, walls, others))(team, mine))
-        first += len(team.yaw)
+    for group in groups:
+        mine = jnp.arange(len(group.yaw)) + first
+        rows.append(jax.vmap(lambda one, me: _least(one, me, walls, others))(group, mine))
+        first += len(group.yaw)
     return tuple(rows)
 
 

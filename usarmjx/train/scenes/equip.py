@@ -57,21 +57,21 @@ def victim_search_robot(robot: str | RobotSpec) -> RobotSpec:
     spec = ROBOTS.get(robot) if isinstance(robot, str) else robot
     if flies(spec):
         down = (0.0, -math.pi / 2, 0.0)
-        eye = Mount(
+        sensor = Mount(
             kind="VictSensor",
             name="Seeker",
             at=DOWN_SENSOR_POSITION,
             direction=down,
             options=VICTIM_SENSOR_DOWN,
         )
-        return replace(spec, sensors=(GROUND_TRUTH, eye))
-    drawn = mapping_robot(spec)
-    eye = Mount(kind="VictSensor", name="Seeker", at=drawn.sensors[1].at, options=VICTIM_SENSOR)
-    return replace(drawn, sensors=(*drawn.sensors, eye))
+        return replace(spec, sensors=(GROUND_TRUTH, sensor))
+    mapper = mapping_robot(spec)
+    sensor = Mount(kind="VictSensor", name="Seeker", at=mapper.sensors[1].at, options=VICTIM_SENSOR)
+    return replace(mapper, sensors=(*mapper.sensors, sensor))
 
 
 def pose_sensor(robot: RobotSpec) -> str:
-    """Return the type of the sensor that tells a robot of these where it is."""
+    """Return the type of the sensor by which such a robot knows where it is."""
     return GROUND_TRUTH.kind if flies(robot) else INS.kind
 
 

@@ -40,7 +40,7 @@ class ConvoyMemory(struct.PyTreeNode, kw_only=True):
         target_speed: How fast to go [m/s] ().
         ahead: Which car each one follows; -1: none (cars,).
         arc_length: How far along the lane the cars are; it goes on after once round [m] (cars,).
-        poses: What their INS told in the last step (cars, 6).
+        poses: What their INS said in the last step (cars, 6).
         speeds: How fast they are by their INS [m/s] (cars,).
         score: So far ().
     """
@@ -55,20 +55,20 @@ class ConvoyMemory(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Convoy(Task):
-    """Follow the lane at the speed that is told, and the car ahead at a safe distance.
+    """Follow the lane at the target speed, and the car ahead at a safe distance.
 
     The cars start one behind the other in a lane that leads back to its beginning, in random order, `spacing`
-    apart from front to front. A speed is drawn from `speeds` for each episode.
+    apart from front to front. A target speed is drawn from `speeds` for each episode.
 
     Observation, of each car: how far its rear axle is to the left of the lane's middle (1: 2 m), sine and
     cosine of its heading against the lane's, both by its INS, which sits on the rear axle; its speed by that
-    and the speed that is told (1: 10 m/s); the lane's middle at 3, 5, 8, 12, 17 and 23 m along the lane from
+    and the target speed (1: 10 m/s); the lane's middle at 3, 5, 8, 12, 17 and 23 m along the lane from
     beside the rear axle, x forward and y left of that (1: 20 m); the 13 beams of a scanner on the front
     bumper, from the right to the left over 1.2 rad (1: 20 m or nothing).
 
     Action: speed (1: 10 m/s), FrontSteer (1: all that the car can do, to the left).
 
-    Of a step a car is worth from 0 to 1: its speed along the lane over the speed that was told, from 0 to 1;
+    Of a step a car is worth from 0 to 1: its speed along the lane over the target speed, from 0 to 1;
     but 0 unless its origin is within (width of the lane - width of the car) / 2 of the lane's middle; and for
     one that follows another times 1 - |gap - wanted| / wanted, at least 0. The gap is along the lane from its
     front to the rear end of the one ahead; wanted are `standstill` + `headway` times its speed along it.
@@ -86,7 +86,7 @@ class Convoy(Task):
         network: The route network of the arena.
         lane: Segment and lane.
         spacing: Between the cars at the start [m].
-        speeds: Lowest and highest speed that is told [m/s].
+        speeds: Lowest and highest target speed [m/s].
         standstill: Gap that is wanted at rest [m].
         headway: More of it per speed [s].
         price: Of ending the episode.
@@ -187,7 +187,7 @@ class Convoy(Task):
         seen = jax.vmap(self._seen, in_axes=(0, 0, 0, None))(poses, memory.speeds, scans, memory.target_speed)
         return (seen,)
 
-    def _seen(self, pose: jax.Array, speed: jax.Array, scan: jax.Array, told: jax.Array) -> jax.Array:
+    def _seen(self, pose: jax.Array, speed: jax.Array, scan: jax.Array, target_speed: jax.Array) -> jax.Array:
         along, left = self.path.nearest(pose[:2])
         off, yaw = pose[5] - self.path.heading(along), pose[5]
         way = self.path.position(along + np.array(AHEAD, np.float32)) - pose[:2]
@@ -201,7 +201,7 @@ class Convoy(Task):
                         jnp.sin(off),
                         jnp.cos(off),
                         speed / SPEED_SCALE,
-                        told / SPEED_SCALE,
+                        target_speed / SPEED_SCALE,
                     ]
                 ),
                 points.ravel() / RANGE_SCALE,

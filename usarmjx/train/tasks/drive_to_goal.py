@@ -1,4 +1,4 @@
-"""One robot drives to a place that it is told: the first task, for any class of robot that has a drive."""
+"""One robot drives to a goal: the first task, for any class of robot that has a drive."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -30,7 +30,7 @@ class GoalMemory(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class DriveToGoal(Task):
-    """Drive to a place in the plane that is drawn for each episode from the arena's start poses.
+    """Drive to a goal in the plane that is drawn for each episode from the arena's start poses.
 
     Observation: the goal as the pose sensor has it - cosine and sine of its bearing, its distance as a share
     of 10 m and of 1 m, both at most 1 - then the robot's range readings, see `ranges`.
@@ -44,7 +44,7 @@ class DriveToGoal(Task):
 
     Attributes:
         robot: Class of the robot, or its description.
-        pose: The sensor that tells it where it is: INS or GroundTruth.
+        pose: The sensor by which it knows where it is: INS or GroundTruth.
         ranges: Types of range sensors; the first of them that the robot has is read.
         radius: So near is there [m].
         nearest: Goals are at least so far from the start, if there are such [m].
@@ -78,10 +78,10 @@ class DriveToGoal(Task):
     def start(self, view: TaskView, key: jax.Array) -> GoalMemory:
         """Draw a goal."""
         here = view.robots(0).pos[0, :2]
-        places = view.starts[:, :2]
-        away = jnp.linalg.norm(places - here, axis=-1)
+        positions = view.starts[:, :2]
+        away = jnp.linalg.norm(positions - here, axis=-1)
         far = away >= jnp.minimum(self.nearest, away.max())
-        goal = places[jnp.argmax(jnp.where(far, jax.random.uniform(key, far.shape), -1.0))]
+        goal = positions[jnp.argmax(jnp.where(far, jax.random.uniform(key, far.shape), -1.0))]
         return GoalMemory(goal=goal, distance=jnp.linalg.norm(goal - here))
 
     def observe(self, view: TaskView, memory: GoalMemory) -> tuple[jax.Array, ...]:
@@ -111,7 +111,7 @@ class DriveToGoal(Task):
 
 
 def goal_observation(pose: jax.Array, goal: jax.Array) -> jax.Array:
-    """Return how a robot at a pose (6,) sees a place (2,): cosine and sine, far and near distance (4,)."""
+    """Return how a robot at a pose (6,) observes a goal (2,): cosine and sine, far and near distance (4,)."""
     way, yaw = goal - pose[:2], pose[5]
     distance = jnp.linalg.norm(way)
     ahead, left = way / jnp.maximum(distance, 1e-6)

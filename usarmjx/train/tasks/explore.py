@@ -25,9 +25,9 @@ class Explore(TeamTask):
     - 50 times the mean over all steps and robots of the share of it that is on a robot's map;
     - less `price` for every contact.
     The building is the squares of 0.3 m whose middles a robot of class `passing` gets to. Such a square is
-    explored once the scanner of any robot has truly seen it to be free (`maps.classify_scan`, drawn from where the
-    scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by what
-    others wrote. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
+    explored once the scanner of any robot has truly seen it to be free (`maps.classify_scan`, drawn from
+    where the scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by
+    what others sent. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
 
     Reward: what a step adds to the final score, shared out: a square explored in step k of n adds
     50 (n - k + 1) / n over the number of squares, of which `share` goes to all in equal parts and the rest to
@@ -68,8 +68,8 @@ class Explore(TeamTask):
             memory.replace(extra=memory.extra | (memory.reachable & (memory.belief.squares == FREE))),
         )
         found = 50.0 * left * ((1 - self.share) * credit + self.share * credit.mean())
-        told = 50.0 * left * (on_maps(memory) - before) / scene.num_robots
-        reward = found + told - self.price * begun
+        learned = 50.0 * left * (on_maps(memory) - before) / scene.num_robots
+        reward = found + learned - self.price * begun
         score = memory.score + jnp.where(memory.step == 1, first, 0.0) + reward.sum()
         memory = memory.replace(score=score)
         return StepResult(

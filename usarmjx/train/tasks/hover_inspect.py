@@ -1,4 +1,4 @@
-"""A robot with rotors flies through windows and looks at what it is told to."""
+"""A robot with rotors flies through windows and looks at points."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -93,8 +93,8 @@ class HoverInspect(Task):
     Reward: metres by which the origin came nearer to where it should go, which is the point or 0.9 m beyond
     the window's middle; `bonus` for each point; less `haste`; less `price` for touching.
 
-    The episode ends when all are looked at; when the robot's box is within `touch` of a wall (`wall_clearance`); when
-    its origin is higher than the walls.
+    The episode ends when all are looked at; when the robot's box is within `touch` of a wall
+    (`wall_clearance`); when its origin is higher than the walls.
 
     Attributes:
         robot: Class of the robot: one with rotors.
@@ -195,7 +195,7 @@ class HoverInspect(Task):
         )
 
     def next_window(self, pos: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the window (3,) to fly through from a place to a point, which way (), if there is one ().
+        """Return the window (3,) to fly through from a position to a point, which way (), if there is one ().
 
         The way is 1 along x, or -1; it is the nearest of the windows between them.
         """
@@ -222,8 +222,8 @@ class HoverInspect(Task):
         window, _, there = self.next_window(pose[:3], point)
         cos, sin = jnp.cos(pose[5]), jnp.sin(pose[5])
 
-        def seen(place: jax.Array) -> jax.Array:
-            x, y, z = place - pose[:3]
+        def seen(position: jax.Array) -> jax.Array:
+            x, y, z = position - pose[:3]
             return jnp.stack([x * cos + y * sin, y * cos - x * sin, z]) / POSITION_SCALE
 
         body = jnp.stack(
@@ -271,7 +271,7 @@ def wall_clearance(view: TaskView) -> jax.Array:
 
 
 def _wall_with_window(x: float, y: float, z: float) -> list[Shape]:
-    """Return the four pieces of a wall around a window whose middle is at that place."""
+    """Return the four pieces of a wall around a window whose middle is there."""
     low, high, half = y - WINDOW / 2, y + WINDOW / 2, WIDE / 2
     sides = [((-half, low), HIGH, 0.0), ((high, half), HIGH, 0.0)]
     sides += [((low, high), z - WINDOW / 2, 0.0), ((low, high), HIGH - z - WINDOW / 2, z + WINDOW / 2)]

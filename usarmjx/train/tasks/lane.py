@@ -1,4 +1,4 @@
-"""Lanes of a route network as closed ways in the plane, for tasks of cars."""
+"""Lanes of a route network as closed paths in the plane, for tasks of cars."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +15,7 @@ from usarmjx.models.roads.shapes import lane_path, lane_width
 
 @dataclass(frozen=True, eq=False)
 class LanePath:
-    """A closed way of straight pieces.
+    """A closed path of straight edges.
 
     Attributes:
         points: Its corners x, y [m] (points, 2); the last one leads to the first.
@@ -32,7 +32,7 @@ class LanePath:
 
     @cached_property
     def lengths(self) -> np.ndarray:
-        """Of the pieces [m] (points,)."""
+        """Of the edges [m] (points,)."""
         return np.linalg.norm(self.edges, axis=-1)
 
     @cached_property
@@ -46,24 +46,22 @@ class LanePath:
         return float(self.lengths.sum())
 
     def position(self, along: jax.Array) -> jax.Array:
-        """Return the places so far along (...,) [m] (..., 2)."""
+        """Return the positions so far along (...,) [m] (..., 2)."""
         along = jnp.mod(along, self.length)
-        piece = self._piece(along)
-        share = (along - jnp.asarray(self.edge_starts)[piece]) / jnp.asarray(self.lengths)[piece]
-        return (
-            jnp.asarray(self.points, jnp.float32)[piece] + share[..., None] * jnp.asarray(self.edges)[piece]
-        )
+        edge = self._edge(along)
+        share = (along - jnp.asarray(self.edge_starts)[edge]) / jnp.asarray(self.lengths)[edge]
+        return jnp.asarray(self.points, jnp.float32)[edge] + share[..., None] * jnp.asarray(self.edges)[edge]
 
     def heading(self, along: jax.Array) -> jax.Array:
-        """Return the directions of the way so far along (...,) [rad] (...,)."""
-        piece = jnp.asarray(self.edges)[self._piece(jnp.mod(along, self.length))]
-        return jnp.arctan2(piece[..., 1], piece[..., 0])
+        """Return the directions of the path so far along (...,) [rad] (...,)."""
+        edge = jnp.asarray(self.edges)[self._edge(jnp.mod(along, self.length))]
+        return jnp.arctan2(edge[..., 1], edge[..., 0])
 
-    def _piece(self, along: jax.Array) -> jax.Array:
+    def _edge(self, along: jax.Array) -> jax.Array:
         return jnp.searchsorted(jnp.asarray(self.edge_starts), along, side="right") - 1
 
     def nearest(self, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return how far along the nearest points to places (..., 2) are, and how far to their left these.
+        """Return how far along the nearest points to positions (..., 2) are, and how far to their left these.
 
         Returns:
             Both in metres (...,); the second is negative to the right.

@@ -23,10 +23,10 @@ def first_kind(robot: RobotSpec, kinds: tuple[str, ...]) -> str | None:
 
 
 def ranges(view: TaskView, group: int, kinds: tuple[str, ...]) -> jax.Array:
-    """Return what a team's range sensors see (robots, n): 0 touching, 1 free for `MAX_RANGE` or more.
+    """Return what a group's range sensors see (robots, n): 0 touching, 1 free for `MAX_RANGE` or more.
 
-    Of the given types the first that the robots have is read. Of more than `MAX_READINGS` readings the shortest of
-    each of equal sectors counts.
+    Of the given types the first that the robots have is read. Of more than `MAX_READINGS` readings the
+    shortest of each of equal sectors counts.
     """
     robots = len(view.scene.groups[group].slots)
     kind = first_kind(view.scene.groups[group].robot, kinds)

@@ -123,9 +123,9 @@ class RelayChain(TeamTask):
         chain, agents = memory.extra, self.agents(scene)
         linked = reachable(view.links.in_range, base_slot(scene))
         depths = jnp.zeros(scene.num_robots)
-        for team, members in enumerate(scene.groups):
-            there = grid.index(view.robots(team).pos[:, :2])
-            depths = depths.at[members.slots].set(chain.depth[there[:, 0], there[:, 1]])
+        for g, group in enumerate(scene.groups):
+            there = grid.index(view.robots(g).pos[:, :2])
+            depths = depths.at[group.slots].set(chain.depth[there[:, 0], there[:, 1]])
         reach = jnp.where(linked, depths, 0.0).max()
         gain, contacts = 100.0 * reach / self.episode_steps, self.price * begun
         score = memory.score + gain - contacts.sum()
@@ -145,9 +145,9 @@ class RelayChain(TeamTask):
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact, and the powers."""
-        mind, robots = memory.belief, view.scene.num_robots
-        home = to_robot_frame(mind.pose, mind.pose[base_slot(view.scene), :2]) / POSITION_SCALE
-        age = jnp.clip((view.time - mind.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
+        belief, robots = memory.belief, view.scene.num_robots
+        home = to_robot_frame(belief.pose, belief.pose[base_slot(view.scene), :2]) / POSITION_SCALE
+        age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
         others = other_slots(robots)
         rows = jnp.arange(robots)[:, None]
         cutoff = 0.0 if self.radio is None else self.radio.cutoff
@@ -163,7 +163,7 @@ def _outward(squares: jax.Array, gap: jax.Array) -> jax.Array:
     """Return what ways cost at their ends that lead outward: 0 at the outermost frontier (i, j).
 
     Args:
-        squares: What a robot knows of them (i, j).
+        squares: What a robot believes of them (i, j).
         gap: How far they are from the base, as the crow flies [squares] (i, j).
     """
     open_ = passable(squares)

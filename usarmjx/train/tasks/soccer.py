@@ -51,9 +51,9 @@ MATES = np.array([1, 0, 3, 2])
 SPEED_SCALE = 1.0
 """What an action of 1 is as a speed of the wheels [m/s]; they could do 1.8."""
 BALL_AGE_SCALE, MATE_AGE_SCALE = 3.0, 1.0
-"""Where the ball was, and what the mate wrote, are observed to be that old at most [s]."""
+"""Where the ball was, and what the mate sent, are observed to be that old at most [s]."""
 POSITION_SCALE = 3.0
-"""Places in a robot's axes are observed as shares of this [m]."""
+"""Positions in a robot's axes are observed as shares of this [m]."""
 GOAL = np.array([GOAL_LINE, 0.0], np.float32)
 """The middle of the goal line at which blue shoots [m]."""
 OPPONENTS = ("self", "baseline", "still")
@@ -63,8 +63,8 @@ class SoccerMemory(struct.PyTreeNode, kw_only=True):
     """What the task remembers of an episode.
 
     Attributes:
-        belief: What each robot knows (robots, ...).
-        potential: How good the game stands for blue, see `Soccer` ().
+        belief: What each robot believes (robots, ...).
+        potential: How well the game goes for blue, see `Soccer` ().
         score: Goals of blue less those of yellow ().
         step: Actions so far ().
     """
@@ -80,11 +80,11 @@ class Soccer(Task):
     """Get the ball into the other team's goal: two against two.
 
     Blue shoots at the goal at +x, yellow at the one at -x; everything is observed as blue would see it, for
-    yellow after half a turn of the field. The ball lies on the centre spot; the robots' places are drawn from
-    12 on both halves.
+    yellow after half a turn of the field. The ball lies on the centre spot; the robots' start poses are drawn
+    from 12 on both halves.
 
-    Observation, by the robot's own sensors and by what its mate writes ten times a second:
-    - its place (1: 2.7 m along, 2 m across the field), sine and cosine of its heading;
+    Observation, by the robot's own sensors and by what its mate sends ten times a second:
+    - its position (1: 2.7 m along, 2 m across the field), sine and cosine of its heading;
     - in its own axes, x ahead and y left (1: 3 m): the goal to shoot at, its own goal, the ball where it or
       its mate saw it last;
     - the velocity of the ball then, in its axes (1: 1 m/s), and how long ago that is (1: 3 s or never);
@@ -94,9 +94,9 @@ class Soccer(Task):
 
     Action: speeds of the left and right wheels (1: 1 m/s).
 
-    The game stands for blue as w = (a - b) / 2 + `approach` (d - c), all in metres: a is how far the ball is
-    from the middle of blue's goal line, b how far from that of yellow's, c how far from blue's nearest robot,
-    d how far from yellow's.
+    The potential of the game for blue is w = (a - b) / 2 + `approach` (d - c), all in metres: a is how far
+    the ball is from the middle of blue's goal line, b how far from that of yellow's, c how far from blue's
+    nearest robot, d how far from yellow's.
 
     Reward, the same for both robots of a team: of blue the gain of w in the step, and `bonus` for a goal of
     blue, -`bonus` for one of yellow; of yellow the negative of that. All rewards add up to 0.
@@ -150,36 +150,36 @@ class Soccer(Task):
         return (2,)
 
     def act(self, view: TaskView, memory: SoccerMemory, actions: tuple[jax.Array, ...]) -> Actions:
-        """Speeds of the wheels, and letters to the mates."""
-        told = {0: actions[0]}
+        """Speeds of the wheels, and messages to the mates."""
+        commanded = {0: actions[0]}
         if self.opponent == "baseline":
-            told[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
+            commanded[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
         elif self.opponent == "still":
-            told[1] = jnp.zeros((2, 2))
+            commanded[1] = jnp.zeros((2, 2))
         drive = {}
-        for team, speeds in told.items():
-            spins = SPEED_SCALE * speeds / view.scene.groups[team].robot.wheel_radius
-            drive[team] = {"Left": spins[:, 0], "Right": spins[:, 1]}
+        for group, speeds in commanded.items():
+            spins = SPEED_SCALE * speeds / view.scene.groups[group].robot.wheel_radius
+            drive[group] = {"Left": spins[:, 0], "Right": spins[:, 1]}
         to = jnp.asarray(np.arange(4) == MATES[:, None])
         return Actions(
             drive=drive, messages=None if view.world.mail is None else compose_messages(memory.belief, to)
         )
 
     def update_belief(self, view: TaskView, belief: SoccerBelief) -> SoccerBelief:
-        """Return what the robots know after they looked at their sensors and mail."""
+        """Return the belief after the robots read their mail and sensors."""
         if view.world.mail is not None:
             belief = update_from_mail(belief, view.mail)
-        teams = range(len(view.scene.groups))
+        groups = range(len(view.scene.groups))
 
-        def told(kind: str) -> jax.Array:
-            return jnp.concatenate([view.sensor(team, kind) for team in teams])
+        def read(kind: str) -> jax.Array:
+            return jnp.concatenate([view.sensor(group, kind) for group in groups])
 
-        fresh = jnp.concatenate([view.is_fresh(team, LOWER) & view.is_fresh(team, UPPER) for team in teams])
-        seen = SoccerReadings(pose=told("GroundTruth"), low=told(LOWER), high=told(UPPER), fresh=fresh)
-        return update_from_sensors(belief, seen, view.time)
+        fresh = jnp.concatenate([view.is_fresh(g, LOWER) & view.is_fresh(g, UPPER) for g in groups])
+        readings = SoccerReadings(pose=read("GroundTruth"), low=read(LOWER), high=read(UPPER), fresh=fresh)
+        return update_from_sensors(belief, readings, view.time)
 
     def start(self, view: TaskView, key: jax.Array) -> SoccerMemory:
-        """Robots know what their first scans show."""
+        """Robots believe what their first scans show."""
         del key
         return SoccerMemory(
             belief=self.update_belief(view, initial_belief(len(SIDES))),
@@ -194,63 +194,66 @@ class Soccer(Task):
 
     def observations(self, view: TaskView, memory: SoccerMemory) -> jax.Array:
         """Return what each robot sees, agent or not, by slot (robots, n)."""
-        sight, sides = memory.belief, SIDES[:, None]
+        belief, sides = memory.belief, SIDES[:, None]
         goal = jnp.asarray(sides * GOAL)
-        pose, robots = sight.pose, len(SIDES)
+        pose, robots = belief.pose, len(SIDES)
         heading = sides * jnp.stack([jnp.sin(pose[:, 2]), jnp.cos(pose[:, 2])], -1)
-        # A velocity turns as a place does that is seen from the origin.
-        turned = to_robot_frame(pose.at[:, :2].set(0.0), sight.velocity)
-        ball, mate = (view.time - when for when in (sight.ball_time, sight.mate_time))
-        known, met = sight.ball_time >= 0, sight.mate_time >= 0
+        # A velocity turns as a position does that is seen from the origin.
+        turned = to_robot_frame(pose.at[:, :2].set(0.0), belief.velocity)
+        ball, mate = (view.time - when for when in (belief.ball_time, belief.mate_time))
+        known, met = belief.ball_time >= 0, belief.mate_time >= 0
         left = jnp.full((robots, 1), 1.0 - memory.step / self.episode_steps)
         rows = [
             sides * pose[:, :2] / np.array([GOAL_LINE, SIDE_BOARD], np.float32),
             heading,
             to_robot_frame(pose, goal) / POSITION_SCALE,
             to_robot_frame(pose, -goal) / POSITION_SCALE,
-            jnp.where(known[:, None], to_robot_frame(pose, sight.ball) / POSITION_SCALE, 0.0),
+            jnp.where(known[:, None], to_robot_frame(pose, belief.ball) / POSITION_SCALE, 0.0),
             turned,
             jnp.minimum(ball / BALL_AGE_SCALE, 1.0)[:, None],
-            jnp.where(met[:, None], to_robot_frame(pose, sight.mate_pose[:, :2]) / POSITION_SCALE, 0.0),
+            jnp.where(met[:, None], to_robot_frame(pose, belief.mate_pose[:, :2]) / POSITION_SCALE, 0.0),
             jnp.minimum(mate / MATE_AGE_SCALE, 1.0)[:, None],
             np.arange(robots)[:, None] % 2.0,
             left,
-            reduce_to_sectors(sight.others) / SCANNER_RANGE,
+            reduce_to_sectors(belief.others) / SCANNER_RANGE,
         ]
         return jnp.concatenate(rows, -1)
 
     def privileged(self, view: TaskView, memory: SoccerMemory) -> jax.Array:
         """Where the ball and the robots truly are, as shares of the field, and how fast [m/s]; time left."""
-        ball, places = self.true_positions(view)
+        ball, positions = self.true_positions(view)
         size = np.array([GOAL_LINE, SIDE_BOARD], np.float32)
         speed = jnp.concatenate([view.robots(t).linear[:, :2] for t in range(len(view.scene.groups))])
         left = 1.0 - memory.step / self.episode_steps
         rolls = view.physics.qvel[view.scene.loose_geoms.root_dof[0, :2]]
-        parts = [ball / size, rolls, (places / size).ravel(), speed.ravel(), left[None]]
+        parts = [ball / size, rolls, (positions / size).ravel(), speed.ravel(), left[None]]
         return jnp.concatenate(parts)
 
     def true_positions(self, view: TaskView) -> tuple[jax.Array, jax.Array]:
         """Return where the ball (2,) and the robots (robots, 2) truly are [m]."""
         ball = view.physics.qpos[view.scene.loose_geoms.root_qposadr[0, :2]]
-        teams = range(len(view.scene.groups))
-        return ball, jnp.concatenate([view.robots(t).pos[:, :2] for t in teams])
+        groups = range(len(view.scene.groups))
+        return ball, jnp.concatenate([view.robots(g).pos[:, :2] for g in groups])
 
     def potential(self, view: TaskView) -> jax.Array:
-        """Return how good the game stands for blue, see `Soccer` [m] ()."""
-        ball, places = self.true_positions(view)
+        """Return how well the game goes for blue, see `Soccer` [m] ()."""
+        ball, positions = self.true_positions(view)
         to_goals = jnp.linalg.norm(ball + GOAL), jnp.linalg.norm(ball - GOAL)
-        away = jnp.linalg.norm(places - ball, axis=-1)
+        away = jnp.linalg.norm(positions - ball, axis=-1)
         nearest = away[2:].min() - away[:2].min()
         return (to_goals[0] - to_goals[1]) / 2 + self.approach * nearest
 
     def evaluate(self, view: TaskView, memory: SoccerMemory) -> StepResult:
-        """Goals, and how the game stands."""
+        """Goals, and the gain of the potential."""
         ball, _ = self.true_positions(view)
-        goal, worth = goal_scored(ball), self.potential(view)
-        gain = worth - memory.potential + self.bonus * goal
+        goal, potential = goal_scored(ball), self.potential(view)
+        gain = potential - memory.potential + self.bonus * goal
         score = memory.score + goal
         memory = SoccerMemory(
-            belief=self.update_belief(view, memory.belief), potential=worth, score=score, step=memory.step + 1
+            belief=self.update_belief(view, memory.belief),
+            potential=potential,
+            score=score,
+            step=memory.step + 1,
         )
         agents = len(view.scene.groups[0].slots)
         return StepResult(

@@ -1,4 +1,4 @@
-"""What soccer robots know of the game: from their scanners, and from what their mates write."""
+"""What soccer robots believe of the game: from their scanners, and from what their mates send."""
 
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ BOARD_MARGIN = 0.1
 VELOCITY_SMOOTHING = 0.4
 """Share of a new velocity of the ball in what is known of it."""
 MAX_VELOCITY_GAP = 0.35
-"""Velocities are told from two looks that are no farther apart [s]."""
+"""Velocities are estimated from two scans that are no farther apart [s]."""
 MAX_BALL_SPEED = 2.0
 """Balls are no faster than this in each direction [m/s]."""
 NEVER = -1e3
@@ -42,11 +42,12 @@ NUMBERS = 8
 
 
 class SoccerBelief(struct.PyTreeNode, kw_only=True):
-    """What each robot knows, in the world's axes; leading axis over robots.
+    """What each robot believes, in the world's axes.
 
     Attributes:
         pose: Where it is: x, y [m] and yaw [rad] (robots, 3).
-        others: How far away another robot is along each upper beam, `REACH` for none [m] (robots, beams).
+        others: How far away another robot is along each upper beam, `SCANNER_RANGE` for none [m] (robots,
+            beams).
         ball: Where the ball was seen last, by the robot or its mate [m] (robots, 2).
         velocity: How fast it was then [m/s] (robots, 2).
         ball_time: When that was [s] (robots,).
@@ -64,7 +65,7 @@ class SoccerBelief(struct.PyTreeNode, kw_only=True):
 
 
 def initial_belief(robots: int) -> SoccerBelief:
-    """Return what robots know that have just woken up."""
+    """Return the belief of robots that have sensed nothing yet."""
     none, never = jnp.zeros((robots, 2)), jnp.full(robots, NEVER)
     pose = jnp.zeros((robots, 3))
     return SoccerBelief(
@@ -105,7 +106,7 @@ def find_ball(pose: Array, low: Array, high: Array) -> tuple[jax.Array, jax.Arra
 
 
 def find_others(pose: Array, high: Array) -> jax.Array:
-    """Return how far away robots are along the upper beams, `REACH` for none [m] (beams,).
+    """Return how far away robots are along the upper beams, `SCANNER_RANGE` for none [m] (beams,).
 
     They are what is neither board nor goal.
     """
@@ -122,7 +123,7 @@ def _directions(pose: Array) -> jax.Array:
 
 
 class SoccerReadings(NamedTuple):
-    """What the robots' sensors tell (robots, ...).
+    """What the robots' sensors say.
 
     Attributes:
         pose: Where they are: x, y, z [m], roll, pitch, yaw [rad] (robots, 6).
@@ -137,18 +138,18 @@ class SoccerReadings(NamedTuple):
     fresh: Array
 
 
-def update_from_sensors(belief: SoccerBelief, told: SoccerReadings, time: Array) -> SoccerBelief:
-    """Return what robots know after they looked, at a time [s] ()."""
-    ball, there = jax.vmap(find_ball)(told.pose, told.low, told.high)
-    others = jax.vmap(find_others)(told.pose, told.high)
-    there = there & told.fresh
+def update_from_sensors(belief: SoccerBelief, readings: SoccerReadings, time: Array) -> SoccerBelief:
+    """Return the belief after the sensors' readings at a time [s] ()."""
+    ball, there = jax.vmap(find_ball)(readings.pose, readings.low, readings.high)
+    others = jax.vmap(find_others)(readings.pose, readings.high)
+    there = there & readings.fresh
     gap = time - belief.ball_time
     moved = jnp.clip((ball - belief.ball) / jnp.maximum(gap, 1e-3)[:, None], -MAX_BALL_SPEED, MAX_BALL_SPEED)
     moved = (1 - VELOCITY_SMOOTHING) * belief.velocity + VELOCITY_SMOOTHING * moved
     moved = jnp.where((gap < MAX_VELOCITY_GAP)[:, None], moved, 0.0)
     return belief.replace(
-        pose=told.pose[:, (0, 1, 5)],
-        others=jnp.where(told.fresh[:, None], others, belief.others),
+        pose=readings.pose[:, (0, 1, 5)],
+        others=jnp.where(readings.fresh[:, None], others, belief.others),
         ball=jnp.where(there[:, None], ball, belief.ball),
         velocity=jnp.where(there[:, None], moved, belief.velocity),
         ball_time=jnp.where(there, time, belief.ball_time),
@@ -156,21 +157,21 @@ def update_from_sensors(belief: SoccerBelief, told: SoccerReadings, time: Array)
 
 
 def update_from_mail(belief: SoccerBelief, mail: Inboxes) -> SoccerBelief:
-    """Return what robots know after they read their mail: whoever saw the ball later is believed."""
+    """Return the belief after robots read their mail: whoever saw the ball later is believed."""
     last, rows = jnp.maximum(mail.count - 1, 0), jnp.arange(len(belief.ball_time))
-    told, got = mail.payload[rows, last], mail.count > 0
-    newer = got & (told[:, 7] > belief.ball_time)
+    payload, got = mail.payload[rows, last], mail.count > 0
+    newer = got & (payload[:, 7] > belief.ball_time)
     return belief.replace(
-        ball=jnp.where(newer[:, None], told[:, 3:5], belief.ball),
-        velocity=jnp.where(newer[:, None], told[:, 5:7], belief.velocity),
-        ball_time=jnp.where(newer, told[:, 7], belief.ball_time),
-        mate_pose=jnp.where(got[:, None], told[:, :3], belief.mate_pose),
+        ball=jnp.where(newer[:, None], payload[:, 3:5], belief.ball),
+        velocity=jnp.where(newer[:, None], payload[:, 5:7], belief.velocity),
+        ball_time=jnp.where(newer, payload[:, 7], belief.ball_time),
+        mate_pose=jnp.where(got[:, None], payload[:, :3], belief.mate_pose),
         mate_time=jnp.where(got, mail.time[rows, last], belief.mate_time),
     )
 
 
 def compose_messages(belief: SoccerBelief, to: Array) -> OutgoingMessages:
-    """Return what robots write to others (robots, robots)."""
+    """Return the messages of robots to others (robots, robots)."""
     payload = jnp.concatenate([belief.pose, belief.ball, belief.velocity, belief.ball_time[:, None]], -1)
     length = jnp.full(len(payload), BYTES_PER_NUMBER * NUMBERS, jnp.int32)
     return OutgoingMessages(receivers=to, payload=payload, size_bytes=length)

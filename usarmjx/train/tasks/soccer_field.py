@@ -117,7 +117,7 @@ SOCCER_FIELD = ArenaSpec(
 
 
 def depth_inside(position: Array) -> Array:
-    """Return how far places (..., 2) are from the boards and goals, negative outside [m] (...,)."""
+    """Return how far positions (..., 2) are from the boards and goals, negative outside [m] (...,)."""
     x, y = jnp.abs(position[..., 0]), jnp.abs(position[..., 1])
     field = jnp.minimum(jnp.minimum(GOAL_LINE - x, SIDE_BOARD - y), (CORNER - x - y) / np.sqrt(2.0))
     goal = jnp.minimum(GOAL_LINE + GOAL_DEPTH - x, GOAL_WIDTH / 2 - y)
@@ -131,7 +131,7 @@ def goal_scored(ball: Array) -> Array:
 
 
 def soccer_robot(rgba: Colour) -> RobotSpec:
-    """Return a P2DX with a cover of that colour, two scanners and what tells it where it is.
+    """Return a P2DX with a cover of that colour, two scanners and what knows where it is.
 
     The pan-tilt head, the camera and the other sensors are left off. A second caster is at the front; most of
     the chassis' weight lies at the casters, low and a little behind the axle.
@@ -162,7 +162,7 @@ def soccer_robot(rgba: Colour) -> RobotSpec:
 
 
 def _above(robot: RobotSpec, height: float) -> Vec3:
-    """Return the place over a robot's origin at a height above the ground, in USARSim's axes [m]."""
+    """Return the position over a robot's origin at a height above the ground, in USARSim's axes [m]."""
     return (0.0, 0.0, robot.origin_height - height)
 
 

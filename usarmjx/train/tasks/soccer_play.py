@@ -20,7 +20,7 @@ from usarmjx.train.tasks.soccer_field import (
 )
 
 POSITION_SCALE = 3.0
-"""What places in a robot's axes are shares of [m], see `soccer.Soccer`."""
+"""What positions in a robot's axes are shares of [m], see `soccer.Soccer`."""
 LEAD = (0.2, 1.2)
 """The ball is met where it will be so much later, at least and at most [s]."""
 PUSH_START_DISTANCE = BALL_RADIUS + LENGTH_WIDTH[0] / 2 + 0.15
@@ -70,28 +70,28 @@ SECTOR_LINES = np.stack([np.cos(SECTOR_ANGLES), np.sin(SECTOR_ANGLES)], -1)
 
 def soccer_action(seen: Array) -> jax.Array:
     """Return the action (2,) for one robot's observation of `Soccer` (n,)."""
-    place, number = seen[:2] * np.array([GOAL_LINE, SIDE_BOARD], np.float32), seen[16]
+    position, number = seen[:2] * np.array([GOAL_LINE, SIDE_BOARD], np.float32), seen[16]
     sin, cos = seen[2], seen[3]
     turn = jnp.stack([jnp.stack([cos, -sin]), jnp.stack([sin, cos])])
     near = SCANNER_RANGE * seen[18:, None] * SECTOR_LINES
-    others = jnp.where(seen[18:, None] < FORGOTTEN, place + near @ turn.T, FAR_OFF)
+    others = jnp.where(seen[18:, None] < FORGOTTEN, position + near @ turn.T, FAR_OFF)
     away = POSITION_SCALE * seen[8:10]
     soon = jnp.clip(jnp.linalg.norm(away) - TOUCH, LEAD[0], LEAD[1])
-    ball = _inside(place + turn @ (away + soon * seen[10:12]), BALL_RADIUS)
-    mate = place + turn @ (POSITION_SCALE * seen[13:15])
+    ball = _inside(position + turn @ (away + soon * seen[10:12]), BALL_RADIUS)
+    mate = position + turn @ (POSITION_SCALE * seen[13:15])
     known, heard = seen[12] < FORGOTTEN, seen[15] < FORGOTTEN
 
     push = _push(ball, others)
     behind = ball - PUSH_START_DISTANCE * push
-    mine, its = jnp.linalg.norm(behind - place), jnp.linalg.norm(behind - mate)
+    mine, its = jnp.linalg.norm(behind - position), jnp.linalg.norm(behind - mate)
     first = known & (~heard | (mine < its) | ((mine == its) & (number < 0.5)))
-    attack, pushes = _shot(turn.T @ push, place - ball, push)
-    # Who does not know where the ball is goes to his place, the middle or the own goal, and looks around.
+    attack, pushes = _shot(turn.T @ push, position - ball, push)
+    # Who does not know where the ball is goes to the middle or its own goal, and looks around.
     post = jnp.where(known, _between(ball), jnp.where(number < 0.5, 0.0 * KEEPER_POSITION, KEEPER_POSITION))
-    way = jnp.where(first, _round_ball(place, ball, push), post) - place
+    way = jnp.where(first, _round_ball(position, ball, push), post) - position
     there = ~first & (jnp.linalg.norm(way) < ARRIVED_DISTANCE)
-    looks = jnp.where(known, _turn_to(turn.T @ (ball - place)), jnp.array([-0.4, 0.4]))
-    action = jnp.where(there, looks, _go(turn.T @ _round_others(way, others - place)))
+    looks = jnp.where(known, _turn_to(turn.T @ (ball - position)), jnp.array([-0.4, 0.4]))
+    action = jnp.where(there, looks, _go(turn.T @ _round_others(way, others - position)))
     jammed = (SCANNER_RANGE * seen[18:].min() < BLOCKED_DISTANCE) & (
         jnp.mod(TURNS * seen[17], 1.0) < BACK_UP_SHARE
     )
@@ -127,7 +127,7 @@ def _push(ball: Array, others: Array) -> jax.Array:
 
 
 def _inside(position: Array, room: float = BOARDS) -> jax.Array:
-    """Return the place nearest to another one (2,) at which there is room between the boards (2,)."""
+    """Return the position nearest to another one (2,) at which there is room between the boards (2,)."""
     limit = np.array([GOAL_LINE - room, SIDE_BOARD - room], np.float32)
     position = jnp.clip(position, -limit, limit)
     over = jnp.maximum(jnp.abs(position).sum() - (CORNER - np.sqrt(2.0) * room), 0.0)
@@ -180,7 +180,7 @@ def _turn_to(ahead: Array) -> jax.Array:
 
 
 def _go(ahead: Array) -> jax.Array:
-    """Return the action (2,) that drives a robot to a place in its axes (2,)."""
+    """Return the action (2,) that drives a robot to a position in its axes (2,)."""
     off = jnp.arctan2(ahead[1], ahead[0])
     speed = jnp.clip(jnp.linalg.norm(ahead) / SLOW_DISTANCE, 0.2, 1.0)
     return _wheels(speed * jnp.clip(1.0 - jnp.abs(off) / TURN_FIRST, 0.0, 1.0), off)

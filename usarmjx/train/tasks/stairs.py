@@ -64,9 +64,10 @@ class Stairs(Task):
     The stairs begin at x = 0 and lead along x to a platform. The robot starts 0.6 to 1.0 m before them on
     the ground, up to 0.1 m and 0.15 rad askew.
 
-    Observation, all by the INS, encoders and a scanner: the goal in the plane, see `drive_to_goal.goal_observation`;
-    how much higher it is (1: 1 m); roll, and how far the nose is up [rad]; how far front and rear flippers
-    are up (1: 1.2 rad; not of robots without them); 8 ranges of a fan from 40 degrees down to 40 up (1: 2 m).
+    Observation, all by the INS, encoders and a scanner: the goal in the plane, see
+    `drive_to_goal.goal_observation`; how much higher it is (1: 1 m); roll, and how far the nose is up [rad];
+    how far front and rear flippers are up (1: 1.2 rad; not of robots without them); 8 ranges of a fan from 40
+    degrees down to 40 up (1: 2 m).
 
     Action: the left and the right track, as shares of what they can do; front and rear flippers, from 1.2 rad
     down to 1.2 up (not of robots without them).
@@ -182,11 +183,11 @@ class Stairs(Task):
 
     def act(self, view: TaskView, memory: StairsMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Tracks and flippers: up is a negative angle in front, a positive one behind (manual 12.23)."""
-        robot, told = view.scene.groups[0].robot, actions[0]
-        drive = {0: drive_all(robot, told[:, :2])}
+        robot, action = view.scene.groups[0].robot, actions[0]
+        drive = {0: drive_all(robot, action[:, :2])}
         if not self._flippers(robot):
             return Actions(drive=drive)
-        front, rear = -MAX_FLIPPER_ANGLE * told[:, 2], MAX_FLIPPER_ANGLE * told[:, 3]
+        front, rear = -MAX_FLIPPER_ANGLE * action[:, 2], MAX_FLIPPER_ANGLE * action[:, 3]
         targets = {**dict.fromkeys(FRONT, front), **dict.fromkeys(REAR, rear)}
         return Actions(drive=drive, joint_actions=(JointAction(group=0, targets=targets),))
 
@@ -196,13 +197,13 @@ class Stairs(Task):
         pos = view.robots(0).pos[0]
         return StairsMemory(start_height=pos[2], distance=self._distance(pos, pos[2]), best=jnp.zeros(()))
 
-    def _distance(self, pos: jax.Array, ground: jax.Array) -> jax.Array:
-        return jnp.linalg.norm(self.goal + ground * np.array([0, 0, 1], np.float32) - pos)
+    def _distance(self, pos: jax.Array, start_height: jax.Array) -> jax.Array:
+        return jnp.linalg.norm(self.goal + start_height * np.array([0, 0, 1], np.float32) - pos)
 
     def observe(self, view: TaskView, memory: StairsMemory) -> tuple[jax.Array, ...]:
         """Goal, attitude, flippers and ranges."""
         pose = view.sensor(0, "INS")[0]
-        # The INS is told where it starts: it knows the height of the ground there.
+        # The INS knows where it starts, and so the height of the ground there.
         rise = self.height + memory.start_height - pose[2]
         seen = [goal_observation(pose, jnp.asarray(self.goal[:2])), jnp.stack([rise, pose[3], -pose[4]])]
         if self._flippers(view.scene.groups[0].robot):

@@ -56,19 +56,19 @@ Talk = Literal["all", "base", "none"]
 class TeamTask(Task):
     """A team of robots with scanners and radios in generated buildings.
 
-    Each robot draws a map of what its scanner shows, at the place where its INS says it is. With every action
-    it writes to the others: where it is, where it is going, and its map; what they get they draw into theirs.
+    Each robot draws a map of what its scanner shows, where its INS says it is. With every action it sends
+    the others where it is, where it is going, and its map; what they receive they draw into theirs.
     The messages are mail and go over links that hold; from robot to robot news travels by one link a step.
 
     Observation, in the robot's axes (x ahead, y to the left):
-    - the way to the nearest frontier of its map, see `planning.plan_paths`: the next place on it (x, y; 1 is
-      1.2 m), where it leads (x, y; 1 is 6 m), its length (1: 60 squares or none), how far the robot has come
-      lately (1: 0.5 m);
+    - the way to the nearest frontier of its map, see `planning.plan_paths`: the next position on it (x, y; 1
+      is 1.2 m), where it leads (x, y; 1 is 6 m), its length (1: 60 squares or none), how far the robot has
+      come lately (1: 0.5 m);
     - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
-    - the share of the time that is left, and its place among the robots;
+    - the share of the time that is left, and its index among the robots;
     - for each other robot, the base too: where it said to be (x, y; 1 is 6 m), the age of that (1: 20 s or
       never), whether there is a link now;
-    - its map around it, 11 x 11 places 0.6 m apart: walls (1, else 0), then what is unknown.
+    - its map around it, 11 x 11 points 0.6 m apart: walls (1, else 0), then what is unknown.
 
     Action: speed and turn to the left, as shares of the wheels' highest speed: the left wheels get their
     difference, the right ones their sum.
@@ -76,13 +76,13 @@ class TeamTask(Task):
     Attributes:
         cell: Side of a map's squares [m].
         passing: Class of the robot that decides which squares are reached.
-        talk: Who is written to: all others, the base station only, or nobody.
+        talk: Whom robots send messages to: all others, the base station only, or nobody.
         touch: What is so near is touched [m].
         price: Of a contact, in points of the score.
     """
 
     reports: ClassVar[bool] = False
-    """Whether robots that do not write to each other still write to the base."""
+    """Whether robots that send each other nothing still send to the base."""
 
     arena: Arenas = field(default_factory=Buildings)
     repeat: int = 10
@@ -116,59 +116,57 @@ class TeamTask(Task):
 
     def agents(self, scene: Scene) -> np.ndarray:
         """Return the slots of the robots that are agents, group by group."""
-        return np.concatenate([scene.groups[team].slots for team in self.agent_groups(scene)])
+        return np.concatenate([scene.groups[group].slots for group in self.agent_groups(scene)])
 
     def per_group(self, scene: Scene, values: jax.Array) -> tuple[jax.Array, ...]:
         """Return values of all slots (robots, ...) per group."""
-        return tuple(values[scene.groups[team].slots] for team in self.agent_groups(scene))
+        return tuple(values[scene.groups[group].slots] for group in self.agent_groups(scene))
 
-    # What the robots learn.
+    # What the robots believe.
 
     def poses(self, view: TaskView) -> jax.Array:
         """Return where the robots believe to be: x, y [m], yaw [rad], by slot (robots, 3)."""
-        told = jnp.zeros((view.scene.num_robots, 3))
-        for team, members in enumerate(view.scene.groups):
-            pose = view.sensor(team, pose_sensor(members.robot))
-            told = told.at[members.slots].set(pose[:, (0, 1, 5)])
-        return told
+        poses = jnp.zeros((view.scene.num_robots, 3))
+        for g, group in enumerate(view.scene.groups):
+            pose = view.sensor(g, pose_sensor(group.robot))
+            poses = poses.at[group.slots].set(pose[:, (0, 1, 5)])
+        return poses
 
     def update_belief(self, view: TaskView, belief: Belief) -> Belief:
-        """Return what the robots know after they looked at their sensors and mail, and thought."""
+        """Return the belief after the robots read their sensors and mail, and planned."""
         grid = self.arena_grid(view.scene).grid
         belief = update_pose(grid, belief, self.poses(view))
         if view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
             belief = update_from_mail(grid, belief, view.mail, period)
-        for team, members in enumerate(view.scene.groups):
-            if has_scanner(members):
-                belief = update_from_scan(
-                    grid, belief, scan_of(view, team, belief.pose[members.slots]), view.time
-                )
+        for g, group in enumerate(view.scene.groups):
+            if has_scanner(group):
+                belief = update_from_scan(grid, belief, scan_of(view, g, belief.pose[group.slots]), view.time)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
-        """Return what the robots know after they looked for what the task is about; by default nothing."""
+        """Return the belief after the robots sensed what the task is about; by default nothing."""
         del view
         return belief
 
     def plan(self, view: TaskView, belief: Belief) -> Belief:
-        """Return what the robots know after they thought about where to go: to a frontier."""
+        """Return the belief after the robots planned where to go: to a frontier."""
         return planning.plan_paths(
             self.arena_grid(view.scene).grid, belief, view.time, self.planner_settings(view.scene)
         )
 
     def planner_settings(self, scene: Scene) -> PlannerSettings:
-        """Return how the robots think; nobody minds what does not move."""
+        """Return how the robots plan; nobody heeds what does not move."""
         flyers, agents = np.zeros(scene.num_robots, bool), np.zeros(scene.num_robots, bool)
-        for team in scene.groups:
-            flyers[team.slots] = flies(team.robot)
+        for group in scene.groups:
+            flyers[group.slots] = flies(group.robot)
         agents[self.agents(scene)] = True
         peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.num_robots, dtype=bool)
         return PlannerSettings(peers=peers, flyers=flyers)
 
     def recipients(self, scene: Scene) -> np.ndarray:
-        """Return who writes to whom (robots, robots)."""
+        """Return who sends messages to whom (robots, robots)."""
         to = ~np.eye(scene.num_robots, dtype=bool)
         if self.talk == "all":
             return to
@@ -178,50 +176,51 @@ class TeamTask(Task):
         return to & (np.arange(scene.num_robots) == base)
 
     def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
-        """Return what the robots are told."""
+        """Return drive values from the actions, and the messages."""
         groups = zip(self.agent_groups(view.scene), actions, strict=True)
         drive = {
-            team: self.drive_values(view, memory, view.scene.groups[team], told) for team, told in groups
+            group: self.drive_values(view, memory, view.scene.groups[group], action)
+            for group, action in groups
         }
         to = jnp.asarray(self.recipients(view.scene))
         flyers = self.planner_settings(view.scene).flyers
-        letters = None if view.world.mail is None else compose_messages(memory.belief, to, flyers)
-        return Actions(drive=drive, messages=letters)
+        messages = None if view.world.mail is None else compose_messages(memory.belief, to, flyers)
+        return Actions(drive=drive, messages=messages)
 
     def drive_values(
-        self, view: TaskView, memory: TeamMemory, group: RobotGroup, told: jax.Array
+        self, view: TaskView, memory: TeamMemory, group: RobotGroup, action: jax.Array
     ) -> dict[str, jax.Array]:
-        """Return numbers for the keys of DRIVE of a team's robots from their actions (robots, 2)."""
+        """Return numbers for the keys of DRIVE of a group's robots from their actions (robots, 2)."""
         del view, memory
         full = group.robot.drive.full_scale
-        sides = {"Left": told[:, 0] - told[:, 1], "Right": told[:, 0] + told[:, 1]}
+        sides = {"Left": action[:, 0] - action[:, 1], "Right": action[:, 0] + action[:, 1]}
         return {key: jnp.clip(value, -1.0, 1.0) * full[key] for key, value in sides.items()}
 
-    # What is judged.
+    # What is evaluated.
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is known but what the first scans show."""
         del key
-        ground = self.arena_grid(view.scene)
+        squares = self.arena_grid(view.scene)
         zero = jnp.zeros(())
         memory = TeamMemory(
-            belief=self.update_belief(view, initial_belief(ground.grid, self.poses(view))),
+            belief=self.update_belief(view, initial_belief(squares.grid, self.poses(view))),
             step=jnp.zeros((), jnp.int32),
-            reachable=reachable_of(view, ground),
-            explored=jnp.zeros(ground.grid.shape, bool),
+            reachable=reachable_of(view, squares),
+            explored=jnp.zeros(squares.grid.shape, bool),
             touching=jnp.zeros(view.scene.num_robots, bool),
             contacts=zero,
             unlinked=zero,
             score=zero,
         )
-        shown, _ = newly_explored(view, memory, ground.grid)
+        shown, _ = newly_explored(view, memory, squares.grid)
         return memory.replace(explored=shown)
 
     def touched(self, view: TaskView) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
         near = jnp.full(view.scene.num_robots, jnp.inf, jnp.float32)
-        for members, gap in zip(view.scene.groups, clearance(view), strict=True):
-            near = near.at[members.slots].set(gap)
+        for group, gap in zip(view.scene.groups, clearance(view), strict=True):
+            near = near.at[group.slots].set(gap)
         return near <= self.touch
 
     def advance(self, view: TaskView, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:
@@ -253,7 +252,7 @@ class TeamTask(Task):
             "unlinked": memory.unlinked / steps,
         }
 
-    # What the robots see.
+    # What the agents observe.
 
     def observe(self, view: TaskView, memory: TeamMemory) -> tuple[jax.Array, ...]:
         """See `TeamTask`."""
@@ -261,24 +260,26 @@ class TeamTask(Task):
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return what each robot sees, by slot (robots, n)."""
-        mind, robots = memory.belief, view.scene.num_robots
+        belief, robots = memory.belief, view.scene.num_robots
         grid = self.arena_grid(view.scene).grid
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
         number = jnp.arange(robots) / robots
-        moved = jnp.linalg.norm(mind.pose[:, :2] - mind.lagged_position, axis=-1)
+        moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)
         rows = [
-            to_robot_frame(mind.pose, mind.waypoint) / WAYPOINT_SCALE,
-            to_robot_frame(mind.pose, mind.goal) / POSITION_SCALE,
-            jnp.minimum(mind.path_length / PATH_SCALE, 1.0)[:, None],
+            to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
+            to_robot_frame(belief.pose, belief.goal) / POSITION_SCALE,
+            jnp.minimum(belief.path_length / PATH_SCALE, 1.0)[:, None],
             jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
-            jnp.minimum(mind.sector_ranges / SCANNER_RANGE, 1.0),
+            jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0),
             jnp.stack([left, number], -1),
-            mate_observations(view, mind),
+            mate_observations(view, belief),
         ]
         flyers = self.planner_settings(view.scene).flyers[:, None, None]
-        swept = jnp.where(mind.squares == MARK, MARK, jnp.where(mind.evidence < 0, FREE, UNKNOWN))
-        squares = jnp.where(flyers, swept, mind.squares)
-        near = jax.vmap(lambda m, p: egocentric_map(grid, m, p, LOCAL_MAP_WIDTH, SPACING))(squares, mind.pose)
+        swept = jnp.where(belief.squares == MARK, MARK, jnp.where(belief.evidence < 0, FREE, UNKNOWN))
+        squares = jnp.where(flyers, swept, belief.squares)
+        near = jax.vmap(lambda m, p: egocentric_map(grid, m, p, LOCAL_MAP_WIDTH, SPACING))(
+            squares, belief.pose
+        )
         near = near.reshape(robots, -1)
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 

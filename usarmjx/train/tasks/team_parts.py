@@ -22,10 +22,10 @@ that counts twice."""
 PERFECT_RADIO = RadioSettings(cutoff=-1e6)
 """A radio that is always heard."""
 LOCAL_MAP_WIDTH, SPACING = 11, 0.6
-"""Places along a side of the map that a robot sees around itself, and the distance between two [m]."""
+"""Points along a side of the map that a robot observes around itself, and the distance between two [m]."""
 WAYPOINT_SCALE, POSITION_SCALE, PATH_SCALE = 1.2, 6.0, 60.0
-"""What is seen as 1: the distance of the next place on the way [m], that of robots and goals [m], the length
-of a way [squares]."""
+"""What is observed as 1: the distance of the next position on the path [m], that of robots and goals [m], the
+length of a path [squares]."""
 PROGRESS_SCALE = 0.5
 """So far a robot has come lately, if it drives [m]."""
 
@@ -34,7 +34,7 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
     """What team tasks remember of an episode.
 
     Attributes:
-        belief: What each robot knows (robots, ...).
+        belief: What each robot believes (robots, ...).
         step: Actions so far ().
         reachable: Which squares a robot gets to (i, j).
         explored: Which of them the team's scanners have truly seen to be free (i, j).
@@ -57,14 +57,14 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
 
 
 def to_robot_frame(pose: jax.Array, position: jax.Array) -> jax.Array:
-    """Return places [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
+    """Return positions [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
     away = position - pose[..., :2]
     cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
     return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
 
 
 def has_scanner(group: RobotGroup) -> bool:
-    """Return whether a team's robots have a range scanner."""
+    """Return whether a group's robots have a range scanner."""
     return any(sensor.kind == "RangeScanner" for sensor in group.suite.sensors)
 
 
@@ -73,13 +73,13 @@ def scanner_poses(group: RobotGroup, poses: jax.Array) -> jax.Array:
     mount = group.suite.sensors[group.suite.index("RangeScanner")].mounts[0]
     x, y, _ = flip_vector(mount.at)
     cos, sin = jnp.cos(poses[:, 2]), jnp.sin(poses[:, 2])
-    place = poses[:, :2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    position = poses[:, :2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
     yaw = wrap_angle(poses[:, 2] + flip_angles(mount.direction)[2])
-    return jnp.concatenate([place, yaw[:, None]], -1)
+    return jnp.concatenate([position, yaw[:, None]], -1)
 
 
 def scan_of(view: TaskView, group: int, poses: jax.Array) -> GroupScan:
-    """Return the scans of a team's robots at poses (robots, 3)."""
+    """Return the scans of a group's robots at poses (robots, 3)."""
     members = view.scene.groups[group]
     sensor = members.suite.sensors[members.suite.index("RangeScanner")]
     return GroupScan(
@@ -92,7 +92,7 @@ def scan_of(view: TaskView, group: int, poses: jax.Array) -> GroupScan:
 
 
 def true_poses(view: TaskView, group: int) -> jax.Array:
-    """Return where a team's robots truly are: x, y [m], yaw [rad] (robots, 3)."""
+    """Return where a group's robots truly are: x, y [m], yaw [rad] (robots, 3)."""
     robots = view.robots(group)
     w, x, y, z = jnp.moveaxis(robots.quat, -1, 0)
     yaw = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -106,14 +106,14 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
     """
     scene = view.scene
     new = jnp.zeros((scene.num_robots, *grid.shape), bool)
-    for team, members in enumerate(scene.groups):
-        if not has_scanner(members):
+    for g, group in enumerate(scene.groups):
+        if not has_scanner(group):
             continue
-        scan = scan_of(view, team, true_poses(view, team))
+        scan = scan_of(view, g, true_poses(view, g))
         free, _ = jax.vmap(lambda pose, ranges, s=scan.settings: classify_scan(grid, s, pose, ranges))(
             scan.poses, scan.ranges
         )
-        new = new.at[members.slots].set(free & scan.fresh[:, None, None])
+        new = new.at[group.slots].set(free & scan.fresh[:, None, None])
     new = new & memory.reachable & ~memory.explored
     seers = new.sum(0)
     credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
@@ -121,7 +121,7 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
 
 
 def mate_observations(view: TaskView, belief: Belief) -> jax.Array:
-    """Return what each robot knows of the others, as it observes that (robots, 4 others)."""
+    """Return what each robot believes of the others, as it observes that (robots, 4 others)."""
     robots = view.scene.num_robots
     others = other_slots(robots)
     rows = np.arange(robots)[:, None]
@@ -138,22 +138,22 @@ def mate_observations(view: TaskView, belief: Belief) -> jax.Array:
 def true_pose_features(view: TaskView) -> jax.Array:
     """Return where all robots truly are, for critics (numbers,).
 
-    Team by team: x and y as shares of the arena, then cosine and sine of the yaw.
+    Group by group: x and y as shares of the arena, then cosine and sine of the yaw.
     """
     extent, rows = np.array(view.scene.arena.extent, np.float32), []
-    for team in range(len(view.scene.groups)):
-        robots = view.robots(team)
+    for group in range(len(view.scene.groups)):
+        robots = view.robots(group)
         w, z = robots.quat[:, 0], robots.quat[:, 3]
-        place = (robots.pos[:, :2] - extent[:, 0]) / (extent[:, 1] - extent[:, 0])
-        rows += [place.ravel(), jnp.stack([w * w - z * z, 2 * w * z], -1).ravel()]
+        position = (robots.pos[:, :2] - extent[:, 0]) / (extent[:, 1] - extent[:, 0])
+        rows += [position.ravel(), jnp.stack([w * w - z * z, 2 * w * z], -1).ravel()]
     return jnp.concatenate(rows)
 
 
 def base_slot(scene: Scene) -> int | None:
     """Return the slot of the base station; None: there is none."""
-    for team in scene.groups:
-        if team.robot.name == BASE_STATION:
-            return int(team.slots[0])
+    for group in scene.groups:
+        if group.robot.name == BASE_STATION:
+            return int(group.slots[0])
     return None
 
 

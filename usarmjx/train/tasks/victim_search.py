@@ -33,7 +33,7 @@ MAX_HEIGHT_ERROR = 0.4
 CLIMB_GAIN, FLIGHT_SPEED, TURN_RATE = 1.0, 1.2, 1.0
 """Of flying robots: upward speed over error of height [1/s], forward speed [m/s], turning rate [rad/s]."""
 SWEEP_RADIUS = 1.0
-"""What a flying robot has looked at: so far around it [m]."""
+"""What a flying robot has seen: so far around it [m]."""
 RETURN_SPEED = 0.3
 """A robot that has to be home in time reckons with this speed, as the crow flies [m/s]."""
 RETURN_MARGIN = 5.0
@@ -64,8 +64,8 @@ class VictimSearchState(struct.PyTreeNode, kw_only=True):
 class VictimSearch(TeamTask):
     """Find victims and tell the base where they are.
 
-    A base station stands at the first start pose. It takes part in the mail: it tells all what it knows, and
-    it knows what it was told. Robots that meet a part of a victim with their victim sensor put a mark on the
+    A base station stands at the first start pose. It takes part in the mail: it sends all its map, and draws
+    into it what it receives. Robots that meet a part of a victim with their victim sensor put a mark on the
     square in which the middle of that part is. A victim is reported as soon as the base has a mark on a
     square whose middle is within `near` of the victim's pelvis, in the plane; nothing else counts. So a
     report reaches the base over a link of its finder, or over links of others that pass it on, or its finder
@@ -80,7 +80,7 @@ class VictimSearch(TeamTask):
 
     Observation: as `TeamTask`; then the way home to the base (x, y; 1 is 6 m), how long ago it had contact
     with the base (1: 60 s), whether it knows of marks that the base may not know, and marks on the map around
-    it are walls. Robots that fly have no scanner; for them all is free that they have looked at.
+    it are walls. Robots that fly have no scanner; for them all is free that they have flown over.
 
     Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height.
 
@@ -117,20 +117,20 @@ class VictimSearch(TeamTask):
             *(victim_search_robot(name) for name in (*self.wheeled, *self.tracked, *self.flying)),
         )
 
-    # What the robots learn.
+    # What the robots believe.
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
-        """Mark what victim sensors met, sweep what robots looked at from above, and look at the radio."""
+        """Mark what victim sensors met and what flying robots have swept, and look at the radio."""
         grid, scene = self.arena_grid(view.scene).grid, view.scene
         before = (belief.squares == MARK).sum((1, 2))
-        for team, members in enumerate(scene.groups):
-            if members.robot.name == BASE_STATION:
+        for g, group in enumerate(scene.groups):
+            if group.robot.name == BASE_STATION:
                 continue
             marked = jax.vmap(lambda pose, met: mark_squares(grid, pose, met))(
-                belief.pose[members.slots], detected_positions(view, team)
+                belief.pose[group.slots], detected_positions(view, g)
             )
-            marked &= view.is_fresh(team, "VictSensor")[:, None, None]
-            belief = belief.replace(marks=belief.marks.at[members.slots].max(marked))
+            marked &= view.is_fresh(g, "VictSensor")[:, None, None]
+            belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
         gap = jnp.linalg.norm(grid.centres - belief.pose[:, None, None, :2], axis=-1)
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
         belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
@@ -148,7 +148,7 @@ class VictimSearch(TeamTask):
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """To a frontier, or home with news or when the time runs out.
 
-        With `talk` at none nobody goes home: there is nothing to tell.
+        With `talk` at none nobody goes home: there is nothing to send.
         """
         grid, scene = self.arena_grid(view.scene).grid, view.scene
         base = self.base_slot(scene)
@@ -163,35 +163,35 @@ class VictimSearch(TeamTask):
         wanted = jnp.where(home[:, None, None], doorstep, jnp.nan)
         return planning.plan_paths(grid, belief, view.time, self.planner_settings(scene), wanted)
 
-    # What they are told.
+    # What they are commanded.
 
     def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """As `TeamTask`; flippers are held up."""
-        orders = super().act(view, memory, actions)
-        folded = [t for t, team in enumerate(view.scene.groups) if "FRFlipper" in team.plan.parts]
+        commands = super().act(view, memory, actions)
+        folded = [g for g, group in enumerate(view.scene.groups) if "FRFlipper" in group.plan.parts]
         targets = {key: jnp.float32(angle) for key, angle in FLIPPERS.items()}
         return replace(
-            orders, joint_actions=tuple(JointAction(group=team, targets=targets) for team in folded)
+            commands, joint_actions=tuple(JointAction(group=group, targets=targets) for group in folded)
         )
 
     def drive_values(
-        self, view: TaskView, memory: TeamMemory, group: RobotGroup, told: jax.Array
+        self, view: TaskView, memory: TeamMemory, group: RobotGroup, action: jax.Array
     ) -> dict[str, jax.Array]:
         """As `TeamTask`; robots that fly climb to their height by their INS."""
         if not flies(group.robot):
-            return super().drive_values(view, memory, group, told)
-        number = next(t for t, other in enumerate(view.scene.groups) if other is group)
+            return super().drive_values(view, memory, group, action)
+        index = next(g for g, other in enumerate(view.scene.groups) if other is group)
         height = HEIGHT + FLIGHT_SPACING * np.arange(len(group.slots)) + view.scene.arena.floor
-        error = height - view.sensor(number, pose_sensor(group.robot))[:, 2]
+        error = height - view.sensor(index, pose_sensor(group.robot))[:, 2]
         low = error > MAX_HEIGHT_ERROR  # not yet above the walls
         return {
             "AltitudeVelocity": jnp.clip(CLIMB_GAIN * error, -1.0, 1.0),
-            "LinearVelocity": jnp.where(low, 0.0, FLIGHT_SPEED * told[:, 0]),
-            "LateralVelocity": jnp.zeros(len(told)),
-            "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * told[:, 1]),
+            "LinearVelocity": jnp.where(low, 0.0, FLIGHT_SPEED * action[:, 0]),
+            "LateralVelocity": jnp.zeros(len(action)),
+            "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * action[:, 1]),
         }
 
-    # What is judged.
+    # What is evaluated.
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is reported."""
@@ -254,14 +254,14 @@ class VictimSearch(TeamTask):
             linked=linked,
         )
 
-    # What the robots see.
+    # What the agents observe.
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact with it, and whether there is news for it."""
-        mind = memory.belief
-        home = to_robot_frame(mind.pose, mind.pose[self.base_slot(view.scene), :2]) / POSITION_SCALE
-        age = jnp.clip((view.time - mind.base_contact_time) / 60.0, 0.0, 1.0)
-        news = (mind.mark_time > mind.base_contact_time).astype(jnp.float32)
+        belief = memory.belief
+        home = to_robot_frame(belief.pose, belief.pose[self.base_slot(view.scene), :2]) / POSITION_SCALE
+        age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)
+        news = (belief.mark_time > belief.base_contact_time).astype(jnp.float32)
         return jnp.concatenate([super().observations(view, memory), home, jnp.stack([age, news], -1)], -1)
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
@@ -278,23 +278,23 @@ ABSENT_VICTIM_DISTANCE = 1e5
 
 
 def detected_positions(view: TaskView, group: int) -> jax.Array:
-    """Return what a team's victim sensors met: whether, then x ahead and y to the left [m].
+    """Return what a group's victim sensors met: whether, then x ahead and y to the left [m].
 
     The robot is taken to stand level. Shape (robots, boxes, 3).
     """
     members = view.scene.groups[group]
     mount = members.suite.sensors[members.suite.index("VictSensor")].mounts[0]
-    told = view.sensor(group, "VictSensor")
+    boxes = view.sensor(group, "VictSensor")
     mat = mat_from_angles(*flip_angles(mount.direction)).astype(np.float32)
     at = np.array(flip_vector(mount.at), np.float32)
-    place = (mat * told[..., None, 2:]).sum(-1) + at
-    return jnp.concatenate([told[..., :1], place[..., :2]], -1)
+    position = (mat * boxes[..., None, 2:]).sum(-1) + at
+    return jnp.concatenate([boxes[..., :1], position[..., :2]], -1)
 
 
 def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
     """Return the squares in which a robot at a pose (3,) met something (boxes, 3) (i, j)."""
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     x, y = met[:, 1], met[:, 2]
-    place = pose[:2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
-    there = grid.index(place)
+    position = pose[:2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    there = grid.index(position)
     return jnp.zeros(grid.shape, bool).at[there[:, 0], there[:, 1]].max(met[:, 0] > 0)

@@ -79,9 +79,9 @@ class Wander(Task):
     def _visit(self, view: TaskView, visited: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the squares with the present one visited, and whether it was new ()."""
         low = np.array(view.scene.arena.extent, np.float32)[:, 0]
-        place = jnp.floor((view.robots(0).pos[0, :2] - low) / self.square).astype(jnp.int32)
-        inside = (place >= 0).all() & (place < np.array(visited.shape)).all()
-        i, j = place
+        square = jnp.floor((view.robots(0).pos[0, :2] - low) / self.square).astype(jnp.int32)
+        inside = (square >= 0).all() & (square < np.array(visited.shape)).all()
+        i, j = square
         new = inside & ~visited[i, j]
         return visited.at[i, j].set(visited[i, j] | new), new
 
