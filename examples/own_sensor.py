@@ -62,21 +62,21 @@ class LightMeter(Sensor):
     """A plate that looks along its x axis; value: light [lx], and where it comes from on the robot (4,)."""
 
     kind = "LightMeter"
-    defaults = LightSettings
-    passes = frozenset({SKY, GLASS})
-    tells = (Quantity("Lux"), Quantity("Direction", "vector"))
+    settings_class = LightSettings
+    transparent = frozenset({SKY, GLASS})
+    quantities = (Quantity("Lux"), Quantity("Direction", "vector"))
 
     def rays(self, bodies):
         pos, mat = self.mount_poses(bodies)
         along = (mat[0] * dome()[:, None, :]).sum(-1)  # from the mount's axes to the world's
         return jnp.broadcast_to(pos[0], along.shape), along
 
-    def read(self, sight, memory, key):
-        bright = jnp.isinf(sight.hits.distance)  # the sky is where a ray meets nothing
+    def read(self, inputs, memory, key):
+        bright = jnp.isinf(inputs.hits.distance)  # the sky is where a ray meets nothing
         light = self.settings[0].daylight * bright.mean()
         told = apply_output_curve(noisy(key, light[None], self.settings), self.settings[0].output_curve)
-        _, along = self.rays(sight.bodies)
-        way = (sight.bodies.mat[0] * (along * bright[:, None]).sum(0)[:, None]).sum(0)  # on the chassis
+        _, along = self.rays(inputs.bodies)
+        way = (inputs.bodies.mat[0] * (along * bright[:, None]).sum(0)[:, None]).sum(0)  # on the chassis
         way = way / jnp.maximum(jnp.linalg.norm(way), 1e-6)  # no light comes from nowhere
         return memory, jnp.concatenate([told, way])
 

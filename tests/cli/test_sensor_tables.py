@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 import dev
 from usarmjx.cli.app import app
-from usarmjx.cli.sensor_tables import SAMPLES, SECTIONS, ini_key, ini_value, sensors_table
+from usarmjx.cli.sensor_tables import SAMPLES, SECTIONS, ini_value, sensors_table
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.settings import field_name
+from usarmjx.models.spec.settings import field_name, field_names, manual_keys
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.configure import settings_by_kind
 
@@ -72,8 +72,10 @@ def test_robots_are_those_that_carry_it():
 @pytest.mark.parametrize("kind", SENSORS.names())
 def test_keys_are_those_of_ini_files(kind):
     """Written as the manual does, they are read as the settings that they stand for."""
-    for field in dataclasses.fields(SENSORS.get(kind).settings_class):
-        assert field_name(ini_key(field.name, field.default_fov)) == field.name
+    settings = SENSORS.get(kind).settings_class
+    keys, names = manual_keys(settings), field_names(settings)
+    for field in dataclasses.fields(settings):
+        assert names[field_name(keys[field.name])] == field.name
 
 
 def test_options_written_as_the_table_has_them_are_read(tmp_path):
@@ -84,9 +86,10 @@ def test_options_written_as_the_table_has_them_are_read(tmp_path):
     for kind in SENSORS.names():
         section = "CO2Sensor" if kind == "CO2Sensor" else classes.get(kind, kind)
         text.append(f"[USARBot.{section}]")
-        for field in dataclasses.fields(SENSORS.get(kind).settings_class):
-            if field.default_fov != ():
-                text.append(f"{ini_key(field.name, field.default)}={ini_value(field.default)}")
+        settings = SENSORS.get(kind).settings_class
+        for field in dataclasses.fields(settings):
+            if field.default != ():
+                text.append(f"{manual_keys(settings)[field.name]}={ini_value(field.default)}")
     path = tmp_path / "USARBot.ini"
     path.write_text("\n".join(text))
     loaded = load_robots([path], ROBOTS, settings=settings_by_kind())

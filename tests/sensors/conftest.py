@@ -122,7 +122,7 @@ class Bench:
         self._cast = quick_jit(self.suite.cast_rays)
         self.open = arena()
 
-    def sight(
+    def inputs(
         self, time=0.0, at=(0.0, 0.0, 0.26), angles=(0.0, 0.0, 0.0), wheels=(), geoms=None
     ) -> SensorInput:
         """What the robot senses at a pose, with its joints in `wheels`' positions and then zero."""
@@ -140,16 +140,16 @@ class Bench:
         hits = self._cast(self.open if geoms is None else geoms, bodies, jnp.int32(0))
         return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits)
 
-    def start(self, sight: SensorInput, seed: int = 0) -> SensorMemory:
-        return self._start(sight, jax.random.key(seed))
+    def start(self, inputs: SensorInput, seed: int = 0) -> SensorMemory:
+        return self._start(inputs, jax.random.key(seed))
 
-    def read(self, sight: SensorInput, memory: SensorMemory, seed: int = 0) -> tuple[SensorMemory, tuple]:
-        return self._read(sight, memory, jax.random.key(seed))
+    def read(self, inputs: SensorInput, memory: SensorMemory, seed: int = 0) -> tuple[SensorMemory, tuple]:
+        return self._read(inputs, memory, jax.random.key(seed))
 
     def once(self, kind: str, name: str, seed: int = 0, **where: Any) -> np.ndarray:
         """One sensor's value at one place, just after the start; for groups that of one mount."""
-        sight = self.sight(**where)
-        _, readings = self.read(sight, self.start(sight, seed), seed)
+        inputs = self.inputs(**where)
+        _, readings = self.read(inputs, self.start(inputs, seed), seed)
         return self.value(readings, kind, name)
 
     def value(self, readings: tuple, kind: str, name: str) -> np.ndarray:

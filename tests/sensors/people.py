@@ -103,7 +103,7 @@ class Watch:
         self._bodies = quick_jit(partial(forward_kinematics, kinematic_tree_of(self.robot)))
         self._cast = quick_jit(self.suite.cast_rays)
 
-    def sight(
+    def inputs(
         self, room: Room, at: Any = (0, 0, 0.26), angles: Any = (0, 0, 0), time: float = 0.0
     ) -> SensorInput:
         """What the robot senses in a room."""
@@ -117,29 +117,29 @@ class Watch:
             joint_vel=zeros,
         )
         bodies, around = self._bodies(state), room.around(time)
-        hits = self._cast(room.geoms(around), bodies, jnp.int32(0), around=around)
+        hits = self._cast(room.geoms(around), bodies, jnp.int32(0), surroundings=around)
         return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits, surroundings=around)
 
-    def start(self, sight: SensorInput) -> SensorMemory:
-        return self._start(sight, jax.random.key(0))
+    def start(self, inputs: SensorInput) -> SensorMemory:
+        return self._start(inputs, jax.random.key(0))
 
     def read(
-        self, sight: SensorInput, memory: SensorMemory, seed: int = 0
+        self, inputs: SensorInput, memory: SensorMemory, seed: int = 0
     ) -> tuple[SensorMemory, dict[str, np.ndarray]]:
         """The new memory, and the values of the sensors by name."""
-        memory, readings = self._read(sight, memory, jax.random.key(seed))
+        memory, readings = self._read(inputs, memory, jax.random.key(seed))
         names = [sensor.mounts[0].name for sensor in self.suite.sensors]
         return memory, {n: np.asarray(r.value) for n, r in zip(names, readings, strict=True)}
 
-    def sketch(self, name: str, room: Room, seed: int = 0, **where: Any) -> Any:
+    def overlay(self, name: str, room: Room, seed: int = 0, **where: Any) -> Any:
         """What a sensor draws after a reading at one place."""
-        sight = self.sight(room, **where)
-        memory, _ = self.read(sight, self.start(sight), seed)
+        inputs = self.inputs(room, **where)
+        memory, _ = self.read(inputs, self.start(inputs), seed)
         place = [sensor.mounts[0].name for sensor in self.suite.sensors].index(name)
         assert self.suite.sensors[place].has_overlay
         return jax.device_get(self.suite.sensors[place].overlay(memory.own[place]))
 
     def once(self, room: Room, seed: int = 0, **where: Any) -> dict[str, np.ndarray]:
         """The values of the sensors at one place, just after the start."""
-        sight = self.sight(room, **where)
-        return self.read(sight, self.start(sight), seed)[1]
+        inputs = self.inputs(room, **where)
+        return self.read(inputs, self.start(inputs), seed)[1]

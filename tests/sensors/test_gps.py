@@ -118,10 +118,10 @@ def test_errors_grow_with_fewer_satellites_and_never_exceed_the_largest(bench, m
     walls = [over(side * 1.5, 0.0, (0.5, 20.0, 1.0), 0.0) for side in (1, -1)]
 
     def draw(geoms) -> tuple[np.ndarray, float]:
-        sight = bench.sight(geoms=geoms)
-        memory = bench.start(sight)
+        inputs = bench.inputs(geoms=geoms)
+        memory = bench.start(inputs)
         values = np.array(
-            [bench.value(bench.read(sight, memory, seed)[1], "GPS", "Noisy") for seed in range(DRAWS)]
+            [bench.value(bench.read(inputs, memory, seed)[1], "GPS", "Noisy") for seed in range(DRAWS)]
         )
         assert len(set(values[:, 2])) == 1
         return values[:, :2] - (MOUNT[0], -MOUNT[1]), values[0, 2]

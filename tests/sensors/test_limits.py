@@ -120,7 +120,7 @@ def test_so_they_are_in_an_ini_file_and_nothing_changes(kind, keys, says, own_ro
 @pytest.mark.parametrize("kind", SENSOR_KINDS)
 def test_no_number_of_any_sensor_may_be_infinite_or_none(kind, bad):
     settings = SENSORS.get(kind).settings_class
-    numbers = [f for f in fields(settings) if isinstance(f.default_fov, float)]
+    numbers = [f for f in fields(settings) if isinstance(f.default, float)]
     assert numbers
     for field in numbers:
         with pytest.raises(SpecError, match=f"{kind} X: setting {field.name} is {bad!r}, expected"):
@@ -130,7 +130,7 @@ def test_no_number_of_any_sensor_may_be_infinite_or_none(kind, bad):
 @pytest.mark.parametrize("kind", SENSOR_KINDS)
 def test_the_defaults_of_every_sensor_are_allowed(kind):
     settings = SENSORS.get(kind).settings_class
-    given = tuple((f.name, f.default_fov) for f in fields(settings))
+    given = tuple((f.name, f.default) for f in fields(settings))
     assert resolve_settings(settings, given, kind) == settings()
     assert {"weight", "scan_interval"} <= set(limits_of(settings)), "limits are inherited"
 

@@ -62,14 +62,16 @@ def wander(steps: int, seed: int) -> np.ndarray:
 @pytest.mark.oracle
 def test_odometry_follows_the_manuals_algorithm(bench):
     path = wander(150, 1)
-    sight = bench.sight(wheels=path[0])
-    memory = bench.start(sight)
+    inputs = bench.inputs(wheels=path[0])
+    memory = bench.start(inputs)
     front = Reckoner(path[0, LEFT_F], path[0, RIGHT_F])
     rear = Reckoner(path[0, LEFT_R], path[0, RIGHT_R])
     turned = farthest = 0.0
     for i, wheels in enumerate(path):
-        sight = sight.replace(time=np.float32(0.02 * i), state=sight.state.replace(joint_pos=joints(wheels)))
-        memory, readings = bench.read(sight, memory)
+        inputs = inputs.replace(
+            time=np.float32(0.02 * i), state=inputs.state.replace(joint_pos=joints(wheels))
+        )
+        memory, readings = bench.read(inputs, memory)
         expected = front.move(wheels[LEFT_F], wheels[RIGHT_F])
         ours = bench.value(readings, "Odometry", "Odometry")
         np.testing.assert_allclose(ours, expected, atol=DEAD_RECKONING_ATOL)
@@ -97,34 +99,34 @@ def joints(wheels, pan=0.0, tilt=0.0) -> np.ndarray:
     ],
 )
 def test_odometry_of_plain_moves(bench, left, right, pose):
-    sight = bench.sight()
-    memory = bench.start(sight)
+    inputs = bench.inputs()
+    memory = bench.start(inputs)
     half = 0.005  # rad, half a tick towards the turn, so that truncation cannot lose one
     wheels = [w + math.copysign(half, w) for w in (left, right, 0.0, 0.0)]
-    _, readings = bench.read(sight.replace(state=sight.state.replace(joint_pos=joints(wheels))), memory)
+    _, readings = bench.read(inputs.replace(state=inputs.state.replace(joint_pos=joints(wheels))), memory)
     np.testing.assert_allclose(bench.value(readings, "Odometry", "Odometry"), pose, atol=DEAD_RECKONING_ATOL)
 
 
 def test_odometry_counts_whole_ticks_and_loses_none(bench):
     """Sixty turns of a third of a tick are twenty ticks, not none."""
-    sight = bench.sight(wheels=[0.005] * 4)
-    memory = bench.start(sight)
+    inputs = bench.inputs(wheels=[0.005] * 4)
+    memory = bench.start(inputs)
     for i in range(1, 61):
-        state = sight.state.replace(joint_pos=joints([0.005 + i * 0.01 / 3] * 4))
-        memory, readings = bench.read(sight.replace(state=state), memory)
+        state = inputs.state.replace(joint_pos=joints([0.005 + i * 0.01 / 3] * 4))
+        memory, readings = bench.read(inputs.replace(state=state), memory)
     pose = bench.value(readings, "Odometry", "Odometry")
     np.testing.assert_allclose(pose, [20 * 0.01 * 0.13, 0, 0], atol=DEAD_RECKONING_ATOL)
 
 
 def test_odometry_reset_makes_the_present_pose_the_reference(bench):
-    sight = bench.sight(wheels=[3, 5, 3, 5])
-    memory = bench.start(bench.sight())
-    memory, readings = bench.read(sight, memory)
+    inputs = bench.inputs(wheels=[3, 5, 3, 5])
+    memory = bench.start(bench.inputs())
+    memory, readings = bench.read(inputs, memory)
     assert abs(bench.value(readings, "Odometry", "Odometry")).max() > 0.3
     place = bench.suite.find("odometry", "ODOMETRY")
-    assert bench.suite.handle_set(place, "SCAN", (), sight, memory) is None
-    memory = bench.suite.handle_set(place, "reset", (), sight, memory)
-    memory, readings = bench.read(sight, memory)
+    assert bench.suite.handle_set(place, "SCAN", (), inputs, memory) is None
+    memory = bench.suite.handle_set(place, "reset", (), inputs, memory)
+    memory, readings = bench.read(inputs, memory)
     assert bench.value(readings, "Odometry", "Odometry").tolist() == [0, 0, 0]
     assert abs(bench.value(readings, "Odometry", "Widest")).max() > 0.3  # the others go on
 
@@ -134,7 +136,7 @@ def test_odometry_refuses_an_unknown_wheel_by_name(bench, make_bench, tire):
     mount = Mount(kind="Odometry", name="Odo", options=options(**{tire: "SpareWheel"}))
     robot = replace(P2AT, name="Spare", sensors=(mount,))
     with pytest.raises(SpecError, match=r"Odometry Odo: no wheel 'SpareWheel'; wheels: LeftFWheel, "):
-        make_bench(robot).start(bench.sight())
+        make_bench(robot).start(bench.inputs())
 
 
 # --- INS --------------------------------------------------------------------------------------
@@ -157,13 +159,13 @@ def test_ins_takes_the_manuals_seven_steps(bench):
     mean, sigma = 0.05, 0.3
     time, at, angles = hilly_path(60)
     place = bench.suite.find("INS", "Loud")
-    sight = bench.sight(0.0, at[0], angles[0])
-    memory = bench.start(sight)
+    inputs = bench.inputs(0.0, at[0], angles[0])
+    memory = bench.start(inputs)
     true, where = Rotation.from_euler("ZYX", angles[0][::-1]), at[0]
     estimate, position = true, at[0].copy()
     for i in range(len(time)):
-        sight = bench.sight(time[i], at[i], angles[i])
-        memory, readings = bench.read(sight, memory, seed=i)
+        inputs = bench.inputs(time[i], at[i], angles[i])
+        memory, readings = bench.read(inputs, memory, seed=i)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(i), place))
         turn_noise = np.asarray(jax.random.normal(keys[0], (3,)), float)
         path_noise = float(jax.random.normal(keys[1], ()))
@@ -195,9 +197,9 @@ def test_ins_without_noise_follows_the_truth(bench):
     for i in range(steps + 1):
         angle = turn * i
         at = (radius * math.cos(angle), radius * math.sin(angle), 0.26)
-        sight = bench.sight(0.1 * i, at, (0, 0, angle + math.pi / 2))
-        memory = bench.start(sight) if memory is None else memory
-        memory, readings = bench.read(sight, memory, seed=i)
+        inputs = bench.inputs(0.1 * i, at, (0, 0, angle + math.pi / 2))
+        memory = bench.start(inputs) if memory is None else memory
+        memory, readings = bench.read(inputs, memory, seed=i)
         ours = bench.value(readings, "INS", "Quiet")
         error = np.linalg.norm(ours[:3] - at)
         way = np.linalg.norm(np.array(at) - start)
@@ -211,35 +213,35 @@ def test_ins_without_noise_follows_the_truth(bench):
 def test_ins_follows_straight_drives_both_ways_exactly(bench):
     memory = None
     for i, x in enumerate([0.0, 0.4, 0.9, 0.5, -0.3]):
-        sight = bench.sight(0.2 * i, (x, 1.0, 0.26))
-        memory = bench.start(sight) if memory is None else memory
-        memory, readings = bench.read(sight, memory, seed=i)
+        inputs = bench.inputs(0.2 * i, (x, 1.0, 0.26))
+        memory = bench.start(inputs) if memory is None else memory
+        memory, readings = bench.read(inputs, memory, seed=i)
         ours = bench.value(readings, "INS", "Quiet")
         np.testing.assert_allclose(ours, [x, 1.0, 0.26, 0, 0, 0], atol=POSE_ATOL)
 
 
 def test_ins_at_rest_has_no_noise(bench):
-    sight = bench.sight(at=(1, 2, 0.26), angles=(0.1, -0.2, 3.0))
-    memory = bench.start(sight)
+    inputs = bench.inputs(at=(1, 2, 0.26), angles=(0.1, -0.2, 3.0))
+    memory = bench.start(inputs)
     for i in range(5):
-        memory, readings = bench.read(sight.replace(time=np.float32(i)), memory, seed=i)
+        memory, readings = bench.read(inputs.replace(time=np.float32(i)), memory, seed=i)
     ours = bench.value(readings, "INS", "Loud")
     np.testing.assert_allclose(ours, [1, 2, 0.26, 0.1, -0.2, 3.0], atol=POSE_ATOL)
 
 
 def test_ins_pose_sets_the_estimate(bench):
-    sight = bench.sight(at=(1, 2, 0.26))
-    memory = bench.start(sight)
+    inputs = bench.inputs(at=(1, 2, 0.26))
+    memory = bench.start(inputs)
     place = bench.suite.find("INS", "Quiet")
     for opcode, params in (("RESET", ()), ("POSE", (1.0, 2.0)), ("POSE", (0.0,) * 7)):
-        assert bench.suite.handle_set(place, opcode, params, sight, memory) is None
+        assert bench.suite.handle_set(place, opcode, params, inputs, memory) is None
     pose = (5.0, -3.0, 0.5, 0.1, -0.2, 1.5)
-    memory = bench.suite.handle_set(place, "pose", pose, sight, memory)
-    memory, readings = bench.read(sight, memory)
+    memory = bench.suite.handle_set(place, "pose", pose, inputs, memory)
+    memory, readings = bench.read(inputs, memory)
     np.testing.assert_allclose(bench.value(readings, "INS", "Quiet"), pose, atol=POSE_ATOL)
     # From there on it goes on with what really moves: half a metre along its own idea of ahead.
-    sight = bench.sight(0.2, at=(1.5, 2, 0.26))
-    _, readings = bench.read(sight, memory)
+    inputs = bench.inputs(0.2, at=(1.5, 2, 0.26))
+    _, readings = bench.read(inputs, memory)
     ahead = np.array([math.cos(-0.2) * math.cos(1.5), math.cos(-0.2) * math.sin(1.5), math.sin(0.2)])
     ours = bench.value(readings, "INS", "Quiet")
     np.testing.assert_allclose(ours[:3], np.array(pose[:3]) + 0.5 * ahead, atol=POSE_ATOL)
@@ -247,12 +249,12 @@ def test_ins_pose_sets_the_estimate(bench):
 
 def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
     """Precision 10: at most 0.1 m/s and 0.1 rad/s in each component (ours; the manual has no formula)."""
-    sight = bench.sight()
+    inputs = bench.inputs()
 
     def drift(seed: int, until: float) -> np.ndarray:
-        memory = bench.start(sight, seed)
+        memory = bench.start(inputs, seed)
         for time in (0.0, until / 2, until):
-            memory, readings = bench.read(sight.replace(time=np.float32(time)), memory)
+            memory, readings = bench.read(inputs.replace(time=np.float32(time)), memory)
         value = bench.value(readings, "INS", "Drifter")
         turned = Rotation.from_euler("ZYX", value[:2:-1]).as_rotvec()
         return np.array([*(value[:3] - (0, 0, 0.26)), *turned])
@@ -264,10 +266,10 @@ def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
     assert np.abs(many).max() <= 4.0 / 10.0 + 1e-5
     assert np.abs(many).max() > 0.9 * 4.0 / 10.0
     # POSE ends it.
-    memory = bench.start(sight, 3)
+    memory = bench.start(inputs, 3)
     place = bench.suite.find("INS", "Drifter")
-    memory = bench.suite.handle_set(place, "POSE", (0.0,) * 6, sight, memory)
-    _, readings = bench.read(sight.replace(time=np.float32(4.0)), memory)
+    memory = bench.suite.handle_set(place, "POSE", (0.0,) * 6, inputs, memory)
+    _, readings = bench.read(inputs.replace(time=np.float32(4.0)), memory)
     assert np.abs(bench.value(readings, "INS", "Drifter")).max() < POSE_ATOL
 
 
@@ -275,11 +277,11 @@ def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
 
 
 def test_encoder_counts_ticks_with_the_sign_of_its_mounting(bench):
-    memory = bench.start(bench.sight(wheels=[2.0, 2.0, 2.0, 2.0]))  # counts start here
+    memory = bench.start(bench.inputs(wheels=[2.0, 2.0, 2.0, 2.0]))  # counts start here
     for ticks in (0, 1, 57, -57, 4000):
         angle = 2.0 + (ticks + math.copysign(0.5, ticks)) * TICK
-        sight = bench.sight(wheels=[angle, 0, 0, 0])
-        _, readings = bench.read(sight, memory)
+        inputs = bench.inputs(wheels=[angle, 0, 0, 0])
+        _, readings = bench.read(inputs, memory)
         # Looking left, along the axis about which a wheel rolls forward; looking right, against it.
         assert bench.value(readings, "Encoder", "Left") == ticks
         assert bench.value(readings, "Encoder", "Right") == -ticks
@@ -287,32 +289,32 @@ def test_encoder_counts_ticks_with_the_sign_of_its_mounting(bench):
 
 def test_encoder_measures_a_camera_joint(bench):
     """Mounted looking up, along the pan axis; the wire's pitch lifts the nose."""
-    memory = bench.start(bench.sight())
-    sight = bench.sight(wheels=[0, 0, 0, 0, 0.5005, 0])
-    _, readings = bench.read(sight, memory)
+    memory = bench.start(bench.inputs())
+    inputs = bench.inputs(wheels=[0, 0, 0, 0, 0.5005, 0])
+    _, readings = bench.read(inputs, memory)
     assert bench.value(readings, "Encoder", "Pan") == 500
 
 
 def test_encoder_reset_starts_again_from_zero(bench):
-    sight = bench.sight(wheels=[10 * TICK + 0.001, 0, 0, 0])
-    memory = bench.start(bench.sight())
-    memory, readings = bench.read(sight, memory)
+    inputs = bench.inputs(wheels=[10 * TICK + 0.001, 0, 0, 0])
+    memory = bench.start(bench.inputs())
+    memory, readings = bench.read(inputs, memory)
     assert bench.value(readings, "Encoder", "Left") == 10
     place = bench.suite.find("Encoder", "Left")
-    assert bench.suite.handle_set(place, "SCAN", (), sight, memory) is None
-    memory = bench.suite.handle_set(place, "RESET", (), sight, memory)
-    _, readings = bench.read(sight, memory)
+    assert bench.suite.handle_set(place, "SCAN", (), inputs, memory) is None
+    memory = bench.suite.handle_set(place, "RESET", (), inputs, memory)
+    _, readings = bench.read(inputs, memory)
     assert bench.value(readings, "Encoder", "Left") == 0
-    sight = bench.sight(wheels=[13 * TICK + 0.005, 0, 0, 0])
-    _, readings = bench.read(sight, memory)
+    inputs = bench.inputs(wheels=[13 * TICK + 0.005, 0, 0, 0])
+    _, readings = bench.read(inputs, memory)
     assert bench.value(readings, "Encoder", "Left") == 3
 
 
 def test_encoder_noise_is_relative_and_falls_on_the_angle(bench):
-    memory = bench.start(bench.sight())
-    sight = bench.sight(wheels=[0, 0, 0, 5.0])
+    memory = bench.start(bench.inputs())
+    inputs = bench.inputs(wheels=[0, 0, 0, 5.0])
     ticks = np.array(
-        [bench.value(bench.read(sight, memory, seed)[1], "Encoder", "Noisy") for seed in range(60)]
+        [bench.value(bench.read(inputs, memory, seed)[1], "Encoder", "Noisy") for seed in range(60)]
     )
     assert (ticks == np.trunc(ticks)).all()
     assert np.abs(ticks / 5000 - 1).max() <= 0.1 + 1 / 5000
@@ -323,7 +325,7 @@ def test_encoder_noise_is_relative_and_falls_on_the_angle(bench):
 def test_encoder_on_the_chassis_is_refused(bench, make_bench):
     robot = replace(P2AT, name="Still", sensors=(Mount(kind="Encoder", name="E"),))
     with pytest.raises(SpecError, match="a part that turns"):
-        make_bench(robot).start(bench.sight())
+        make_bench(robot).start(bench.inputs())
 
 
 # --- ground truth -----------------------------------------------------------------------------

@@ -63,9 +63,9 @@ def bench(make_bench):
 def before_a_wall(bench, make_arena):
     """What the sensors read 1.9 m from a wall, by seed: functions of type and name."""
     geoms = make_arena(boxes=[((AT[0] + FAR + 0.5, 0.0, 0.5), (0.5, 30.0, 5.0), 0.0)])
-    sight = bench.sight(geoms=geoms)
-    memory = bench.start(sight)
-    seen = [bench.read(sight, memory, seed)[1] for seed in range(DRAWS)]
+    inputs = bench.inputs(geoms=geoms)
+    memory = bench.start(inputs)
+    seen = [bench.read(inputs, memory, seed)[1] for seed in range(DRAWS)]
     return lambda kind, name: np.array([bench.value(readings, kind, name) for readings in seen])
 
 
@@ -117,18 +117,18 @@ def test_an_infrared_scanner_tilts(bench, before_a_wall):
 
 def test_an_infrared_scanner_scans_at_its_interval(bench):
     place = bench.suite.find("IRScanner", "Slow")
-    memory, fresh = bench.start(bench.sight()), []
+    memory, fresh = bench.start(bench.inputs()), []
     for tick in range(11):
-        memory, readings = bench.read(bench.sight(time=0.1 * tick), memory)
+        memory, readings = bench.read(bench.inputs(time=0.1 * tick), memory)
         fresh.append(bool(readings[place].fresh))
     assert np.flatnonzero(fresh).tolist() == [0, 5, 10]
 
 
 def driven(bench, left, right, seed=0):
-    sight = bench.sight()
-    memory = bench.start(sight)
-    state = sight.state.replace(joint_pos=sight.state.joint_pos.at[:4].set(np.array([left, right] * 2)))
-    _, readings = bench.read(sight.replace(state=state), memory, seed)
+    inputs = bench.inputs()
+    memory = bench.start(inputs)
+    state = inputs.state.replace(joint_pos=inputs.state.joint_pos.at[:4].set(np.array([left, right] * 2)))
+    _, readings = bench.read(inputs.replace(state=state), memory, seed)
     return lambda kind, name: bench.value(readings, kind, name)
 
 

@@ -171,9 +171,9 @@ def test_lists_show_it(example):
 # The wire form of sensors that have none of their own.
 
 
-def of_type(kind, tells=(), grouped=False, settings=SensorSettings, names=("A",)):
+def of_type(kind, quantities=(), grouped=False, settings=SensorSettings, names=("A",)):
     """A sensor of a new type that reads nothing."""
-    bases = {"kind": kind, "tells": tells, "grouped": grouped, "read": None}
+    bases = {"kind": kind, "quantities": quantities, "grouped": grouped, "read": None}
     made = type(kind, (Sensor,), bases)
     made.__abstractmethods__ = frozenset()
     mounts = tuple(Mount(kind=kind, name=name) for name in names)
@@ -247,7 +247,7 @@ def test_a_derived_sensor_speaks_as_its_ancestor_under_its_own_type():
 
     class Talker(RangeScanner):
         kind = "Talker"
-        tells = (Quantity("Nearest"),)
+        quantities = (Quantity("Nearest"),)
 
     short = ScannerSettings(resolution=1.5707, scan_fov=3.1415)
     laser, talker, plain = (
@@ -279,12 +279,12 @@ def test_a_value_of_another_shape_is_refused_when_the_world_starts(make_bench, m
 
     class Wrong(Sensor):
         kind = "Wrong"
-        tells = (Quantity("At", "vector"),)
+        quantities = (Quantity("At", "vector"),)
 
-        def read(self, sight, memory, key):
+        def read(self, inputs, memory, key):
             return memory, jnp.zeros(2)
 
     SENSORS.add(Wrong.kind, Wrong)
     bench = make_bench(replace(P2AT, name="Bad", sensors=(Mount(kind="Wrong", name="W"),)))
     with pytest.raises(SpecError, match=r"Wrong: a value of shape \(2,\) was read, expected 3 numbers"):
-        bench.start(bench.sight())
+        bench.start(bench.inputs())

@@ -59,8 +59,8 @@ def test_beam_lines_fill_the_cone_and_no_more():
 
 
 def test_sonars_of_a_level_robot_in_the_open_hear_nothing(bench):
-    sight = bench.sight()
-    _, readings = bench.read(sight, bench.start(sight))
+    inputs = bench.inputs()
+    _, readings = bench.read(inputs, bench.start(inputs))
     rings = [f"{ring}{i}" for ring in "FR" for i in range(1, 9)]
     values = [bench.value(readings, "Sonar", name) for name in rings]
     assert values == [5.0] * 16  # MaxRange exactly, though these are noisy
@@ -101,9 +101,9 @@ def test_noise_is_on_hits_only_and_stays_in_range(bench, make_arena, kind, pick)
     noise = 0.3 if kind == "Sonar" else 0.1
 
     def draws(distance: float) -> np.ndarray:
-        sight = bench.sight(geoms=make_arena(boxes=[wall(start_x + distance)]))
-        memory = bench.start(sight)
-        readings = (bench.read(sight, memory, seed)[1] for seed in range(DRAWS))
+        inputs = bench.inputs(geoms=make_arena(boxes=[wall(start_x + distance)]))
+        memory = bench.start(inputs)
+        readings = (bench.read(inputs, memory, seed)[1] for seed in range(DRAWS))
         return np.array([pick(bench.value(r, kind, "Noisy")) for r in readings])
 
     middle = draws(2.0)
@@ -188,4 +188,4 @@ def test_both_ends_of_the_field_of_view_have_a_beam(resolution, fov, beams):
 def test_a_scanner_has_exactly_one_plane(bench, make_bench, both):
     mount = Mount(kind="RangeScanner", name="Flat", options=options(bYaw=both, bPitch=both))
     with pytest.raises(SpecError, match="exactly one of bYaw and bPitch"):
-        make_bench(replace(P2AT, name="Wrong", sensors=(mount,))).start(bench.sight())
+        make_bench(replace(P2AT, name="Wrong", sensors=(mount,))).start(bench.inputs())

@@ -142,37 +142,37 @@ def test_places_are_seen_from_the_sensor_and_in_its_axes(watch):
 
 def test_a_single_shot_answers_once(watch):
     tags = (at(1.0, id=1001, single_shot=True), at(1.5, id=1002))
-    sight = watch.sight(Room(tags=tags), at=(0, 0, HEIGHT))
-    memory = watch.start(sight)
-    memory, first = watch.read(sight, memory)
-    memory, second = watch.read(sight, memory)
-    away = watch.sight(Room(tags=tags), at=(50, 0, HEIGHT))
+    inputs = watch.inputs(Room(tags=tags), at=(0, 0, HEIGHT))
+    memory = watch.start(inputs)
+    memory, first = watch.read(inputs, memory)
+    memory, second = watch.read(inputs, memory)
+    away = watch.inputs(Room(tags=tags), at=(50, 0, HEIGHT))
     memory, none = watch.read(away, memory)
-    memory, back = watch.read(sight, memory)
+    memory, back = watch.read(inputs, memory)
     for name in ("Attenuation", "Radius"):
         assert [ids(v[name]) for v in (first, second, none, back)] == [[1001, 1002], [1002], [], [1002]]
 
 
 def test_only_tags_in_range_can_be_read_and_written(watch):
     room = Room(tags=(at(1.0, id=1001), at(4.0, id=1002)))
-    sight = watch.sight(room, at=(0, 0, HEIGHT))
-    memory = watch.start(sight)
+    inputs = watch.inputs(room, at=(0, 0, HEIGHT))
+    memory = watch.start(inputs)
     place = watch.suite.find("RFID", "Attenuation")
-    assert watch.suite.handle_set(place, "Read", (1001.0,), sight, memory) is None  # nothing was read yet
-    memory, _ = watch.read(sight, memory)
+    assert watch.suite.handle_set(place, "Read", (1001.0,), inputs, memory) is None  # nothing was read yet
+    memory, _ = watch.read(inputs, memory)
     for opcode in ("Read", "Write", "READ", "write"):
-        assert watch.suite.handle_set(place, opcode, (1001.0,), sight, memory) is not None
-        assert watch.suite.handle_set(place, opcode, (1002.0,), sight, memory) is None
-        assert watch.suite.handle_set(place, opcode, (-1.0,), sight, memory) is None
-        assert watch.suite.handle_set(place, opcode, (), sight, memory) is None
-    assert watch.suite.handle_set(place, "Burn", (1001.0,), sight, memory) is None
+        assert watch.suite.handle_set(place, opcode, (1001.0,), inputs, memory) is not None
+        assert watch.suite.handle_set(place, opcode, (1002.0,), inputs, memory) is None
+        assert watch.suite.handle_set(place, opcode, (-1.0,), inputs, memory) is None
+        assert watch.suite.handle_set(place, opcode, (), inputs, memory) is None
+    assert watch.suite.handle_set(place, "Burn", (1001.0,), inputs, memory) is None
 
 
 def test_without_tags_nothing_is_read(watch):
     assert not watch.once(Room())["Attenuation"].any()
-    sight = watch.sight(Room()).replace(surroundings=None)
-    memory = watch.suite.init_memory(sight, jax.random.key(0))
-    _, readings = watch.suite.read(sight, memory, jax.random.key(0))
+    inputs = watch.inputs(Room()).replace(surroundings=None)
+    memory = watch.suite.init_memory(inputs, jax.random.key(0))
+    _, readings = watch.suite.read(inputs, memory, jax.random.key(0))
     assert not np.asarray(readings[0].value).any()
 
 
@@ -193,10 +193,10 @@ TO_BE_TRACED = Room(
 
 def lines(watch, mode):
     """Colours of the lines to the tags, by the tags' IDs; they start at the sensor."""
-    sketch = watch.sketch(f"{mode}Lines", TO_BE_TRACED, at=(0, 0, HEIGHT))
+    overlay = watch.overlay(f"{mode}Lines", TO_BE_TRACED, at=(0, 0, HEIGHT))
     found = {}
     for start, end, rgb in zip(
-        *(rows[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb)), strict=True
+        *(rows[overlay.shown] for rows in (overlay.start, overlay.end, overlay.rgb)), strict=True
     ):
         np.testing.assert_allclose(start, (0, 0, HEIGHT), atol=1e-6)
         (tag,) = [tag for tag in TO_BE_TRACED.tags if np.allclose(tag.at, end, atol=1e-6)]
@@ -228,7 +228,7 @@ def test_nothing_is_drawn_unless_wanted(watch):
     drawn = {sensor.mounts[0].name for sensor in watch.suite.sensors if sensor.has_overlay}
     assert drawn == {"AttenuationLines", "RadiusLines", "ObstacleLines"}
     quiet = watch.suite.sensors[0]
-    assert watch.start(watch.sight(Room())).own[0].lines is None
+    assert watch.start(watch.inputs(Room())).own[0].overlay is None
     with pytest.raises(NotImplementedError, match="RFID"):
         Sensor.overlay(quiet, ())
 

@@ -145,15 +145,15 @@ def test_defaults_are_ardabots():
 @pytest.mark.parametrize(("kind", "name"), [("IRScanner", "Told"), ("RangeScanner3D", "Told3D")])
 def test_in_manual_mode_they_scan_once_for_each_command(bench, make_arena, kind, name):
     place = bench.suite.find(kind, name)
-    sight = bench.sight(geoms=make_arena(boxes=[wall(2.0)]))
-    memory, readings = bench.read(sight, bench.start(sight))
+    inputs = bench.inputs(geoms=make_arena(boxes=[wall(2.0)]))
+    memory, readings = bench.read(inputs, bench.start(inputs))
     assert not readings[place].fresh
-    assert bench.suite.handle_set(place, "RESET", (), sight, memory) is None
-    memory = bench.suite.handle_set(place, "SCAN", (), sight, memory)
-    memory, readings = bench.read(sight, memory)
+    assert bench.suite.handle_set(place, "RESET", (), inputs, memory) is None
+    memory = bench.suite.handle_set(place, "SCAN", (), inputs, memory)
+    memory, readings = bench.read(inputs, memory)
     assert readings[place].fresh
     assert (np.asarray(readings[place].value) < 20).mean() > 0.5
-    _, readings = bench.read(sight, memory)
+    _, readings = bench.read(inputs, memory)
     assert not readings[place].fresh
 
 

@@ -79,18 +79,18 @@ def test_between_cries_there_is_silence(watch, time, heard):
 
 
 def test_noise_is_relative_and_within_its_amplitude(watch):
-    sight = watch.sight(Room(victims=(crying("v", 2.0, 0.0, 5.0),)))
-    memory = watch.start(sight)
-    draws = [watch.read(sight, memory, seed)[1] for seed in range(200)]
+    inputs = watch.inputs(Room(victims=(crying("v", 2.0, 0.0, 5.0),)))
+    memory = watch.start(inputs)
+    draws = [watch.read(inputs, memory, seed)[1] for seed in range(200)]
     error = np.array([draw["Noisy"][0] for draw in draws]) / draws[0]["Sound"][0] - 1
     assert 0.28 < np.abs(error).max() <= 0.3 + 1e-6
     assert abs(error.mean()) < 0.05  # 0.17 / sqrt(200), four times
 
 
 def test_in_an_empty_world_it_is_silent_still_and_fresh(watch):
-    for sight in (watch.sight(Room()), watch.sight(Room()).replace(surroundings=None)):
-        memory = watch.suite.start(sight, jax.random.key(0))
-        _, readings = watch.suite.read(sight, memory, jax.random.key(0))
+    for inputs in (watch.inputs(Room()), watch.inputs(Room()).replace(surroundings=None)):
+        memory = watch.suite.init_memory(inputs, jax.random.key(0))
+        _, readings = watch.suite.read(inputs, memory, jax.random.key(0))
         assert not any(np.asarray(reading.value).any() for reading in readings)
 
 
@@ -168,9 +168,9 @@ def test_motion_outside_of_the_cone_beyond_the_range_or_behind_a_wall_is_not_see
 
 
 def test_a_probability_stays_one_with_noise(watch):
-    sight = watch.sight(Room(victims=(waving("v", 2.0, 0.0, rate=20.0, swing=2.0),)), at=(0, 0, 1.6))
-    memory = watch.start(sight)
-    draws = np.array([watch.read(sight, memory, seed)[1]["Trembling"] for seed in range(100)])
+    inputs = watch.inputs(Room(victims=(waving("v", 2.0, 0.0, rate=20.0, swing=2.0),)), at=(0, 0, 1.6))
+    memory = watch.start(inputs)
+    draws = np.array([watch.read(inputs, memory, seed)[1]["Trembling"] for seed in range(100)])
     assert draws.max() == 1.0
     assert draws.min() >= 0.0
     assert draws.std() > 0.1
@@ -203,9 +203,9 @@ def test_noise_of_a_density_is_relative_and_within_its_amplitude(watch):
     """A uniform one: 100 draws tell its deviation, 0.2 / sqrt(3), to 5 %; three times that."""
     victim = Victim(name="v", at=(0.0, 0.0, 0.12))
     mouth = head(victim)
-    sight = watch.sight(Room(victims=(victim,)), at=(mouth[0] + 1.0, mouth[1], mouth[2]))
-    memory = watch.start(sight)
-    draws = np.array([watch.read(sight, memory, seed)[1]["Rough"] for seed in range(100)]) / 0.04 - 1
+    inputs = watch.inputs(Room(victims=(victim,)), at=(mouth[0] + 1.0, mouth[1], mouth[2]))
+    memory = watch.start(inputs)
+    draws = np.array([watch.read(inputs, memory, seed)[1]["Rough"] for seed in range(100)]) / 0.04 - 1
     assert np.abs(draws).max() <= 0.2001
     assert draws.std() == pytest.approx(0.2 / math.sqrt(3), rel=0.15)
 

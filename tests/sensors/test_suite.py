@@ -23,9 +23,9 @@ def drive_along(bench, seconds: float):
     memory = None
     for i in range(round(seconds / PERIOD) + 1):
         time = np.float32(np.float32(i) * np.float32(PERIOD))  # as a world's clock counts
-        sight = bench.sight(time, at=(0.5 * float(time), 0.0, 0.26))
-        memory = bench.start(sight) if memory is None else memory
-        memory, readings = bench.read(sight, memory, seed=i)
+        inputs = bench.inputs(time, at=(0.5 * float(time), 0.0, 0.26))
+        memory = bench.start(inputs) if memory is None else memory
+        memory, readings = bench.read(inputs, memory, seed=i)
         yield float(time), 0.5 * float(time), readings
 
 
@@ -48,19 +48,19 @@ def test_sensors_measure_at_their_interval_and_hold_the_value_in_between(bench):
 
 
 def test_a_late_scan_is_not_made_up_for(bench):
-    sight = bench.sight()
-    memory = bench.start(sight)
+    inputs = bench.inputs()
+    memory = bench.start(inputs)
     place = bench.suite.find("Odometry", "Timed")
     fresh = []
     for time in (0.0, 5.0, 5.1, 5.2, 5.3, 5.4):  # nobody read for five seconds
-        memory, readings = bench.read(sight.replace(time=np.float32(time)), memory)
+        memory, readings = bench.read(inputs.replace(time=np.float32(time)), memory)
         fresh.append(bool(readings[place].fresh))
     assert fresh == [True, True, False, True, False, True]
 
 
 def test_an_episode_that_starts_late_measures_at_once(bench):
-    sight = bench.sight(7.0)
-    _, readings = bench.read(sight, bench.start(sight))
+    inputs = bench.inputs(7.0)
+    _, readings = bench.read(inputs, bench.start(inputs))
     manual = bench.suite.find("RangeScanner", "Manual")
     assert [bool(r.fresh) for r in readings] == [i != manual for i in range(len(readings))]
 
@@ -69,19 +69,19 @@ def test_a_manual_scanner_scans_once_for_each_command(bench, make_arena):
     place = bench.suite.find("RangeScanner", "manual")
     clean = bench.suite.find("RangeScanner", "Clean")
     near = make_arena(boxes=[((3.0, 0, 1), (0.5, 5, 1), 0.0)])
-    sight = bench.sight(geoms=near)
-    memory = bench.start(sight)
-    memory, readings = bench.read(sight, memory)
+    inputs = bench.inputs(geoms=near)
+    memory = bench.start(inputs)
+    memory, readings = bench.read(inputs, memory)
     assert not readings[place].fresh
-    assert bench.suite.handle_set(place, "RESET", (), sight, memory) is None
-    memory = bench.suite.handle_set(place, "scan", (), sight, memory)
-    memory, readings = bench.read(sight, memory)
+    assert bench.suite.handle_set(place, "RESET", (), inputs, memory) is None
+    memory = bench.suite.handle_set(place, "scan", (), inputs, memory)
+    memory, readings = bench.read(inputs, memory)
     assert readings[place].fresh
     scan = np.asarray(readings[place].value)
     np.testing.assert_array_equal(scan, readings[clean].value)
     assert (scan < 20).sum() > 50
     # Afterwards it holds that scan, whatever stands there.
-    away = bench.sight(1.0)
+    away = bench.inputs(1.0)
     memory, readings = bench.read(away, memory)
     assert not readings[place].fresh
     np.testing.assert_array_equal(readings[place].value, scan)
@@ -94,13 +94,13 @@ def test_a_manual_scanner_scans_once_for_each_command(bench, make_arena):
 def test_scan_in_automatic_mode_scans_out_of_turn(bench):
     """The command is valid in both modes (manual, Table 3)."""
     place = bench.suite.find("RangeScanner", "Clean")
-    sight = bench.sight()
-    memory, _ = bench.read(sight, bench.start(sight))
-    sight = sight.replace(time=np.float32(0.1))
-    memory, readings = bench.read(sight, memory)
+    inputs = bench.inputs()
+    memory, _ = bench.read(inputs, bench.start(inputs))
+    inputs = inputs.replace(time=np.float32(0.1))
+    memory, readings = bench.read(inputs, memory)
     assert not readings[place].fresh
-    memory = bench.suite.handle_set(place, "SCAN", (), sight, memory)
-    _, readings = bench.read(sight, memory)
+    memory = bench.suite.handle_set(place, "SCAN", (), inputs, memory)
+    _, readings = bench.read(inputs, memory)
     assert readings[place].fresh
 
 
@@ -110,11 +110,11 @@ def kinds_of(tree):
 
 
 def test_nothing_that_happens_to_a_suite_needs_another_compilation(bench):
-    sight = bench.sight()
-    memory = bench.start(sight)
+    inputs = bench.inputs()
+    memory = bench.start(inputs)
     before = bench._read._cache_size()
     for i in range(3):
-        memory, _ = bench.read(bench.sight(0.1 * i, at=(i, 0, 0.26), wheels=[i] * 4), memory, seed=i)
+        memory, _ = bench.read(bench.inputs(0.1 * i, at=(i, 0, 0.26), wheels=[i] * 4), memory, seed=i)
     assert bench._read._cache_size() <= before + 1
     for kind, name, opcode, params in (
         ("RangeScanner", "Manual", "SCAN", ()),
@@ -122,7 +122,7 @@ def test_nothing_that_happens_to_a_suite_needs_another_compilation(bench):
         ("Encoder", "Left", "RESET", ()),
         ("INS", "Loud", "POSE", (0.0,) * 6),
     ):
-        told = bench.suite.handle_set(bench.suite.find(kind, name), opcode, params, sight, memory)
+        told = bench.suite.handle_set(bench.suite.find(kind, name), opcode, params, inputs, memory)
         assert kinds_of(told) == kinds_of(memory), kind
 
 
@@ -151,8 +151,8 @@ MORE = (
 @pytest.fixture(scope="module")
 def noise(bench):
     """Readings of the robot with few sensors and with more, twice each with different keys."""
-    geoms, here = bench.open, bench.sight()
-    there = bench.sight(0.2, at=(0.5, 0.1, 0.26), angles=(0, 0, 0.3), wheels=[500.0] * 4)
+    geoms, here = bench.open, bench.inputs()
+    there = bench.inputs(0.2, at=(0.5, 0.1, 0.26), angles=(0, 0, 0.3), wheels=[500.0] * 4)
 
     def draw(sensors):
         suite = suite_of(replace(P2AT, name=f"With{len(sensors)}", sensors=sensors))
@@ -160,8 +160,8 @@ def noise(bench):
         @quick_jit
         def read(seed):
             key = jax.random.key(seed)
-            sight = there.replace(hits=suite.cast_rays(geoms, there.bodies, jnp.int32(0)))
-            return suite.read(sight, suite.init_memory(here, jax.random.key(0)), key)[1]
+            inputs = there.replace(hits=suite.cast_rays(geoms, there.bodies, jnp.int32(0)))
+            return suite.read(inputs, suite.init_memory(here, jax.random.key(0)), key)[1]
 
         def named(seed):
             readings, values = read(seed), {}

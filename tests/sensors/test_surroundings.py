@@ -82,13 +82,13 @@ def test_worlds_side_by_side_are_what_each_is_alone():
         alone = Room(**{**vars(room), "dropped": ()}).around(0.4)
         for one, other in zip(jax.tree.leaves(around), jax.tree.leaves(alone), strict=True):
             np.testing.assert_allclose(one[i], other, atol=1e-4)  # speeds: differences over 0.02 s
-    sights = [watch.sight(room, at=(0.0, 0.0, -1.0), time=0.4) for room in ROOMS]
+    sights = [watch.inputs(room, at=(0.0, 0.0, -1.0), time=0.4) for room in ROOMS]
     stacked = jax.tree.map(lambda *rows: jnp.stack([jnp.asarray(row) for row in rows]), *sights)
     key = jax.random.key(3)
-    memory = quick_jit(jax.vmap(watch.suite.start, in_axes=(0, None)))(stacked, jax.random.key(0))
+    memory = quick_jit(jax.vmap(watch.suite.init_memory, in_axes=(0, None)))(stacked, jax.random.key(0))
     _, readings = quick_jit(jax.vmap(watch.suite.read, in_axes=(0, 0, None)))(stacked, memory, key)
     assert np.asarray(readings[0].value)[:, :, 0].any(1).tolist() == [True, True, False]
-    for i, sight in enumerate(sights):
-        _, alone = watch.read(sight, watch.start(sight), 3)
+    for i, inputs in enumerate(sights):
+        _, alone = watch.read(inputs, watch.start(inputs), 3)
         for one, other in zip(readings, alone.values(), strict=True):
             np.testing.assert_allclose(one.value[i], other, atol=1e-5)

@@ -95,19 +95,19 @@ def test_it_sees_what_c_mujocos_rays_meet_and_where(watch, seed):
 def test_with_show_results_it_draws_where_c_mujocos_rays_end_and_what_they_meet(watch, seed):
     """Manual 10.10.2; victims, false alarms, anything else and misses have a colour each."""
     room, origin = random_room(seed), np.array([0.0, 0.0, 0.5])
-    sketch = watch.sketch("Drawing", room, at=tuple(origin))
+    overlay = watch.overlay("Drawing", room, at=tuple(origin))
     lines = np.concatenate(shifted_grids(VictSensorSettings())).astype(float)
     far, which = room.met(origin, lines)
-    np.testing.assert_array_equal(sketch.start, sketch.end)
-    assert sketch.shown.all()
+    np.testing.assert_array_equal(overlay.start, overlay.end)
+    assert overlay.shown.all()
     people, alarms = room.people.boxes - 1, which == room.people.boxes - 1
     missed = far > 6.0
     colors = np.where(which[:, None] >= 0, (0, 1, 0), (1, 0, 0))
     colors[alarms] = (1, 1, 0)
     colors[missed] = (1, 1, 1)
-    same = np.isclose(sketch.end, origin + np.minimum(far, 6.0)[:, None] * lines, atol=1e-3).all(1)
+    same = np.isclose(overlay.end, origin + np.minimum(far, 6.0)[:, None] * lines, atol=1e-3).all(1)
     assert same.mean() > 0.99, "but for rays that graze an edge"
-    assert (sketch.rgb == colors)[same].all(1).mean() > 0.99, "and those that end where two boxes meet"
+    assert (overlay.rgb == colors)[same].all(1).mean() > 0.99, "and those that end where two boxes meet"
     assert len(np.unique(colors, axis=0)) >= 3
     assert people > 0
 
@@ -175,9 +175,9 @@ def test_the_four_grids_interleave():
 
 def test_errors_grow_with_the_distance(watch):
     """Each coordinate is off by distance * N(Mean, Sigma)."""
-    sight = watch.sight(Room(victims=(STANDING,)), at=(0.0, 0.0, CHEST))
-    memory = watch.start(sight)
-    draws = [watch.read(sight, memory, seed)[1] for seed in range(DRAWS)]
+    inputs = watch.inputs(Room(victims=(STANDING,)), at=(0.0, 0.0, CHEST))
+    memory = watch.start(inputs)
+    draws = [watch.read(inputs, memory, seed)[1] for seed in range(DRAWS)]
     chest = 1
     true = draws[0]["Exact"][chest, 2:]
     distance = float(np.linalg.norm(true))
@@ -193,9 +193,9 @@ def test_errors_grow_with_the_distance(watch):
 def test_false_alarms_come_and_go(watch, distance):
     """VictSensor.uc: each of four grids that meets one drops it if |N| < Distance / 3 / distance."""
     alarm = FalseAlarm(part="Chest", at=(distance, 0.0, 1.0), scale=2.0)  # as large as to be met by all four
-    sight = watch.sight(Room(alarms=(alarm,)), at=(0.0, 0.0, 1.0))
-    memory = watch.start(sight)
-    seen = np.array([watch.read(sight, memory, seed)[1]["Exact"][0] for seed in range(DRAWS)])
+    inputs = watch.inputs(Room(alarms=(alarm,)), at=(0.0, 0.0, 1.0))
+    memory = watch.start(inputs)
+    seen = np.array([watch.read(inputs, memory, seed)[1]["Exact"][0] for seed in range(DRAWS)])
     dropped = math.erf(6.0 / 3 / distance / math.sqrt(2))
     expected = 1 - dropped**4
     slack = 4 * math.sqrt(expected * (1 - expected) / DRAWS) + 1e-3
@@ -205,15 +205,15 @@ def test_false_alarms_come_and_go(watch, distance):
 
 
 def test_real_victims_are_never_dropped(watch):
-    sight = watch.sight(Room(victims=(STANDING,)), at=(0.0, 0.0, 1.0))
-    memory = watch.start(sight)
-    assert len({frozenset(parts_of(watch.read(sight, memory, seed)[1]["Exact"])) for seed in range(50)}) == 1
+    inputs = watch.inputs(Room(victims=(STANDING,)), at=(0.0, 0.0, 1.0))
+    memory = watch.start(inputs)
+    assert len({frozenset(parts_of(watch.read(inputs, memory, seed)[1]["Exact"])) for seed in range(50)}) == 1
 
 
 def test_in_an_empty_world_nothing_is_seen(watch):
-    sight = watch.sight(Room()).replace(surroundings=None)
-    memory = watch.suite.start(sight, jax.random.key(0))
-    _, readings = watch.suite.read(sight, memory, jax.random.key(0))
+    inputs = watch.inputs(Room()).replace(surroundings=None)
+    memory = watch.suite.init_memory(inputs, jax.random.key(0))
+    _, readings = watch.suite.read(inputs, memory, jax.random.key(0))
     assert readings[0].value.shape == (0, 5)
 
 
@@ -242,10 +242,10 @@ def test_defaults_are_the_manuals():
 
 def test_it_reports_every_fourth_tick(watch):
     room, fresh = Room(victims=(STANDING,)), []
-    memory = watch.start(watch.sight(room))
+    memory = watch.start(watch.inputs(room))
     for tick in range(9):
-        sight = watch.sight(room, at=(0.0, 0.0, 1.0), time=0.2 * tick)
-        memory, readings = watch._read(sight, memory, jax.random.key(tick))
+        inputs = watch.inputs(room, at=(0.0, 0.0, 1.0), time=0.2 * tick)
+        memory, readings = watch._read(inputs, memory, jax.random.key(tick))
         fresh.append(bool(readings[0].fresh))
     assert fresh == [True, False, False, False, True, False, False, False, True]
 

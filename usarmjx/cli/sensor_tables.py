@@ -9,11 +9,10 @@ import numpy as np
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, Options, options
-from usarmjx.models.spec.settings import field_name
+from usarmjx.models.spec.settings import manual_keys
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings
 from usarmjx.sensors.quantities import total_size
 from usarmjx.sensors.suite import Suite, suite_of
-from usarmjx.server.messages.generic import key_of
 from usarmjx.server.messages.sensors import sensor_report
 from usarmjx.server.protocol.grammar import format_message as line_of
 
@@ -75,24 +74,6 @@ SHORT_OPTIONS = {
     ),
 }
 """Options with which the messages shown are short."""
-KEY_SPELLINGS = {
-    field_name(key): key
-    for key in (
-        "dBmTXPower",
-        "dBmRXSensibility",
-        "dBObstacleAttenuation",
-        "bTraceRFIDs",
-        "bAlwaysReadRFIDmem",
-        "HorizontalFOV",
-        "VerticalFOV",
-        "FOV",
-        "maxNoise",
-        "minNoise",
-    )
-}
-"""Keys with capitals of their own, by field."""
-FLAGS_WITHOUT_B = ("hidden_sensor", "drifting")
-"""Flags that the manual writes without a b."""
 
 
 def suite_with(kind: str, given: Options = ()) -> Suite:
@@ -110,12 +91,6 @@ def describe(sensor: type[Sensor]) -> tuple[str, str]:
     return what, value
 
 
-def ini_key(field: str, value: object) -> str:
-    """Return the ini key of a setting: `max_range` -> `MaxRange`, `with_time_stamp` -> `bWithTimeStamp`."""
-    flag = "b" if isinstance(value, bool) and field not in FLAGS_WITHOUT_B else ""
-    return KEY_SPELLINGS.get(field, flag + key_of(field))
-
-
 def ini_value(value: object) -> str:
     """Return a value as an ini file has it; angles and lengths are radians and metres."""
     if isinstance(value, tuple):
@@ -126,18 +101,19 @@ def ini_value(value: object) -> str:
 def own_options(settings: type) -> str:
     """Return the options of a type with their defaults, without those that it has as others do."""
     usual = defaults_of(NoisySensorSettings if issubclass(settings, NoisySensorSettings) else SensorSettings)
-    own = {name: value for name, value in defaults_of(settings).items() if usual.get(name, ...) != value}
+    own = {key: value for key, value in defaults_of(settings).items() if usual.get(key, ...) != value}
     return ini_text(own) or "-"
 
 
 def defaults_of(settings: type) -> dict[str, object]:
-    """Return the defaults of settings by field."""
-    return {field.name: field.default for field in dataclasses.fields(settings)}
+    """Return the defaults of settings by the manual's keys."""
+    keys = manual_keys(settings)
+    return {keys[field.name]: field.default for field in dataclasses.fields(settings)}
 
 
 def ini_text(values: dict[str, object]) -> str:
-    """Return settings by field as an ini file has them."""
-    return ", ".join(f"{ini_key(name, value)}={ini_value(value)}" for name, value in values.items())
+    """Return settings by key as an ini file has them."""
+    return ", ".join(f"{key}={ini_value(value)}" for key, value in values.items())
 
 
 def sample_message(kind: str) -> str:

@@ -21,7 +21,7 @@ from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import SKY, Mount
-from usarmjx.models.spec.settings import NOT_NEGATIVE
+from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.sensors.quantities import Quantity, total_size
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
@@ -80,7 +80,7 @@ class SensorSettings:
         scan_interval: Time between two measurements [s]; 0 measures whenever asked.
     """
 
-    hidden_sensor: bool = True
+    hidden_sensor: Annotated[bool, ManualKey("HiddenSensor")] = True
     with_time_stamp: bool = False
     weight: Annotated[float, NOT_NEGATIVE] = 0.4
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0

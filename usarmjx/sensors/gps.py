@@ -23,7 +23,7 @@ from usarmjx.models.roads.geodesy import (
     to_lat_lon,
 )
 from usarmjx.models.spec.robot import Options, options
-from usarmjx.models.spec.settings import NOT_NEGATIVE
+from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 
 MAX_SATELLITES, MIN_FIX_SATELLITES = 12, 4
@@ -53,8 +53,8 @@ class GpsSettings(SensorSettings):
     """
 
     scan_interval: float = 0.2
-    max_noise: Annotated[float, NOT_NEGATIVE] = 2.5
-    min_noise: Annotated[float, NOT_NEGATIVE] = 0.75
+    max_noise: Annotated[float, NOT_NEGATIVE, ManualKey("maxNoise")] = 2.5
+    min_noise: Annotated[float, NOT_NEGATIVE, ManualKey("minNoise")] = 0.75
     zero_zero_location: Options = DEFAULT_LOCATION
     latitude_scale: float = METRES_PER_LATITUDE_DEGREE
     longitude_scale: float = METRES_PER_LONGITUDE_DEGREE

@@ -12,7 +12,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import GLASS, SKY
-from usarmjx.models.spec.settings import POSITIVE, NumberLimits
+from usarmjx.models.spec.settings import POSITIVE, ManualKey, NumberLimits
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.surroundings import Surroundings
@@ -37,7 +37,7 @@ class HumanMotionSettings(NoisySensorSettings):
     """
 
     max_range: Annotated[float, POSITIVE] = 1000.0
-    fov: Annotated[float, NumberLimits(low=0.0, high=65535.0, low_exclusive=True)] = 60.0
+    fov: Annotated[float, NumberLimits(low=0.0, high=65535.0, low_exclusive=True), ManualKey("FOV")] = 60.0
     noise: float = 0.1
     output_curve: OutputCurve = ()
 

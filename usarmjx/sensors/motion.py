@@ -15,7 +15,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, NumberLimits
+from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.noise import noisy, relative_normal
 
@@ -130,7 +130,7 @@ class InsSettings(SensorSettings):
     scan_interval: float = 0.2
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.1
-    drifting: bool = False
+    drifting: Annotated[bool, ManualKey("Drifting")] = False
     precision: Annotated[float, POSITIVE] = 1000.0
 
 

@@ -12,7 +12,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.robot import GLASS, SKY
-from usarmjx.models.spec.settings import NOT_NEGATIVE, OneOf
+from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey, OneOf
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.sketch import OverlayLines, no_overlay
 from usarmjx.sensors.surroundings import Surroundings
@@ -47,11 +47,11 @@ class RfidSettings(SensorSettings):
     sensing_mode: Annotated[str, SENSING_MODES] = ATTENUATION_MODE
     max_range: Annotated[float, NOT_NEGATIVE] = 3.0
     max_single_shot_range: Annotated[float, NOT_NEGATIVE] = 6.0
-    tx_power_dbm: float = 36.0
-    rx_sensitivity_dbm: float = -88.0
-    obstacle_attenuation_db: Annotated[float, NOT_NEGATIVE] = 3.5
-    trace_rfids: bool = False
-    always_read_rfid_mem: bool = False
+    tx_power_dbm: Annotated[float, ManualKey("dBmTXPower")] = 36.0
+    rx_sensitivity_dbm: Annotated[float, ManualKey("dBmRXSensibility")] = -88.0
+    obstacle_attenuation_db: Annotated[float, NOT_NEGATIVE, ManualKey("dBObstacleAttenuation")] = 3.5
+    trace_rfids: Annotated[bool, ManualKey("bTraceRFIDs")] = False
+    always_read_rfid_mem: Annotated[bool, ManualKey("bAlwaysReadRFIDmem")] = False
 
     @property
     def mode(self) -> str:

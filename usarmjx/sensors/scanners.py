@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 
-from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, TURN
+from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, TURN, ManualKey
 from usarmjx.sensors.base import SENSORS, SensorInput
 from usarmjx.sensors.ranging import (
     Ir,
@@ -54,9 +54,9 @@ class Scanner3DSettings(RangeSettings):
     with_time_stamp: bool = True  # as the range scanner
     scan_interval: float = 0.4
     max_range: float = 1000.0
-    vertical_fov: Annotated[float, HALF_TURN] = 0.4363
+    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = 0.4363
     vertical_resolution: Annotated[float, ANGLE_STEP] = 0.0145
-    horizontal_fov: Annotated[float, TURN] = 1.0472
+    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = 1.0472
     horizontal_resolution: Annotated[float, ANGLE_STEP] = 0.0209
 
     def problem(self) -> str:

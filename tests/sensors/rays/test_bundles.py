@@ -39,22 +39,24 @@ def rays():
 ORIGIN, DIRECTION = rays()
 
 
-def on_a_gpu(seen, origin, direction, viewer, gaze=DEFAULT_QUERY, **how):
-    return gpu_hits(seen, (origin, direction), viewer, gaze, interpret=True, **how)
+def on_a_gpu(seen, origin, direction, exclude_owner, query=DEFAULT_QUERY, **how):
+    return gpu_hits(seen, (origin, direction), exclude_owner, query, interpret=True, **how)
 
 
 HOW = {"culled": culled_hits, "gpu": on_a_gpu}
 
 
 @pytest.mark.parametrize("compact", [False, True])
-@pytest.mark.parametrize("viewer", [NOBODY, jnp.int32(0)])
+@pytest.mark.parametrize("exclude_owner", [NOBODY, jnp.int32(0)])
 @pytest.mark.parametrize("how", HOW)
-def test_what_is_left_out_is_not_met(how, viewer, compact):
+def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
     kinds = ROOM.geoms.kinds
     seen = indexed_blocks(ROOM.geoms.replace(compact=tuple(compact and kind != 0 for kind in kinds)))
-    plain = brute_force_hits(seen, ORIGIN, DIRECTION, viewer)
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION, exclude_owner)
     for bundle in (32, 9, 1):
-        found = jax.jit(partial(HOW[how], seen, gaze=RayQuery(bundle_size=bundle)))(ORIGIN, DIRECTION, viewer)
+        found = jax.jit(partial(HOW[how], seen, query=RayQuery(bundle_size=bundle)))(
+            ORIGIN, DIRECTION, exclude_owner
+        )
         np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
         np.testing.assert_array_equal(found.geom_index, plain.geom_index)
 
@@ -80,7 +82,7 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
 def test_what_is_out_of_reach_is_not_met(how):
     seen, reach = indexed_blocks(ROOM.geoms), 2.5
     plain = brute_force_hits(seen, ORIGIN, DIRECTION, NOBODY)
-    found = jax.jit(partial(HOW[how], seen, gaze=RayQuery(max_distance=reach)))(ORIGIN, DIRECTION, NOBODY)
+    found = jax.jit(partial(HOW[how], seen, query=RayQuery(max_distance=reach)))(ORIGIN, DIRECTION, NOBODY)
     near = np.asarray(plain.distance) < reach
     assert 0.1 < near.mean() < 0.9
     np.testing.assert_array_equal(found.geom_index, np.where(near, plain.geom_index, -1))
@@ -98,16 +100,16 @@ def test_each_world_and_robot_of_a_batch_is_as_alone():
     """The GPU's kernel under two maps, with geoms of their own for each world."""
     near, far = indexed_blocks(ROOM.geoms), indexed_blocks(make_room(8).geoms)
     blocks = jax.tree.map(lambda *x: jnp.stack(x), *([p.block for p in some] for some in (near, far)))
-    viewers = jnp.array([-2, 0, 5])
+    excluded = jnp.array([-2, 0, 5])
 
     def world(blocks):
         seen = [part._replace(block=block) for part, block in zip(near, blocks, strict=True)]
-        return jax.vmap(lambda v: on_a_gpu(seen, ORIGIN, DIRECTION, v))(viewers)
+        return jax.vmap(lambda v: on_a_gpu(seen, ORIGIN, DIRECTION, v))(excluded)
 
     found = jax.jit(jax.vmap(world))(blocks)
     for w, seen in enumerate((near, far)):
-        for r, viewer in enumerate(viewers):
-            alone = brute_force_hits(seen, ORIGIN, DIRECTION, viewer)
+        for r, exclude_owner in enumerate(excluded):
+            alone = brute_force_hits(seen, ORIGIN, DIRECTION, exclude_owner)
             np.testing.assert_array_equal(found.geom_index[w, r], alone.geom_index)
 
 

@@ -129,8 +129,8 @@ see_angle = quick_jit(partial(cast_rays, query=RayQuery(incidence=True)))
 NOBODY = jnp.int32(-2)
 
 
-def ours(function, room, rays, viewer=NOBODY):
-    return function(room.geoms, *(jnp.asarray(a, jnp.float32) for a in rays), viewer)
+def ours(function, room, rays, exclude_owner=NOBODY):
+    return function(room.geoms, *(jnp.asarray(a, jnp.float32) for a in rays), exclude_owner)
 
 
 @pytest.mark.oracle

@@ -109,13 +109,13 @@ class Effecter(ABC):
 
     Attributes:
         kind: Type as on the wire.
-        defaults: Its settings, a dataclass with the manual's ini keys.
+        settings_class: The class of its settings, a dataclass with the manual's ini keys.
         mount: Where it sits.
         settings: Its settings with the mount's overrides.
     """
 
     kind: ClassVar[str]
-    defaults: ClassVar[type] = EffecterSettings
+    settings_class: ClassVar[type] = EffecterSettings
 
     mount: Mount
     settings: Any

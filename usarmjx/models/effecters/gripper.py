@@ -47,7 +47,7 @@ class Gripper(Effecter):
     """
 
     kind = "Gripper"
-    defaults = GripperSettings
+    settings_class = GripperSettings
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:

@@ -34,7 +34,7 @@ class RollerTable(Effecter):
     """Turns all rollers at one speed; its mount is the middle of the plane that things lie on."""
 
     kind = "RollerTable"
-    defaults = RollerTableSettings
+    settings_class = RollerTableSettings
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:

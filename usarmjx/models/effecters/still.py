@@ -27,7 +27,7 @@ class RfidReleaser(Effecter):
     """Drops one RFID tag after the other on the ground below it."""
 
     kind = "RFIDReleaser"
-    defaults = ReleaserSettings
+    settings_class = ReleaserSettings
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:

@@ -1,14 +1,18 @@
 """Settings of mounted items: fields named after the manual's ini keys, and how a mount overrides them.
 
-Which values a setting takes stands in its annotation, as `Annotated[float, POSITIVE]`; what two settings must
-be to each other, in the method `wrong` of the settings.
+Which values a setting takes stands in its annotation, as `Annotated[float, POSITIVE]`; so does the manual's
+key where the field's name does not follow from it: `Annotated[float, ManualKey("dBmTXPower")]`. What two
+settings must be to each other, in the method `problem` of the settings.
 """
 
 import dataclasses
 import math
 import re
+from collections.abc import Iterator
 from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.spec.robot import Options
@@ -55,6 +59,16 @@ class OneOf(tuple[str, ...]):
         return f"one of {', '.join(self)}"
 
 
+SMALLEST_NUMBER = float(np.finfo(np.float32).tiny)
+"""Numbers nearer to zero are subnormal in single precision: some devices take them for zero, others do not."""
+
+
+class ManualKey(str):
+    """The manual's key of a setting whose field is not called as `field_name` says, or is spelt otherwise."""
+
+    __slots__ = ()
+
+
 NOT_NEGATIVE = NumberLimits(low=0.0)
 POSITIVE = NumberLimits(low=0.0, low_exclusive=True)
 ANGLE_STEP = NumberLimits(low=1e-5)
@@ -71,20 +85,44 @@ def field_name(key: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", bare).lower()
 
 
-@cache
-def limits_of(kind: type) -> dict[str, NumberLimits | OneOf]:
-    """Return what the fields of settings take, by name, where there is anything to say.
+def camel_case(field: str) -> str:
+    """Return the key of a field, that of a flag without its b: `max_range` -> `MaxRange`."""
+    return "".join(part[:1].upper() + part[1:] for part in field.split("_"))
 
-    A class that gives a field another default keeps the limits of the one that it is derived from.
+
+def _notes(kind: type) -> Iterator[tuple[str, object]]:
+    """Yield the fields of settings with what their annotations say besides the type.
+
+    A class that gives a field another default keeps the notes of the one that it is derived from.
     """
-    found: dict[str, NumberLimits | OneOf] = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_type_hints(base, include_extras=True).items():
-            notes = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-            for note in notes:
-                if isinstance(note, NumberLimits | OneOf):
-                    found[name] = note
-    return found
+            for note in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
+                yield name, note
+
+
+@cache
+def limits_of(kind: type) -> dict[str, NumberLimits | OneOf]:
+    """Return what the fields of settings take, by name, where there is anything to say."""
+    return {name: note for name, note in _notes(kind) if isinstance(note, NumberLimits | OneOf)}
+
+
+@cache
+def manual_keys(kind: type[Any]) -> dict[str, str]:
+    """Return the manual's keys of settings by field: those of the fields' `ManualKey`, or `camel_case` of them.
+
+    Without a `ManualKey` those of flags begin with a b: `with_time_stamp` -> `bWithTimeStamp`.
+    """
+    told = {name: str(note) for name, note in _notes(kind) if isinstance(note, ManualKey)}
+    flags = {field.name: "b" if isinstance(field.default, bool) else "" for field in dataclasses.fields(kind)}
+    return {name: told.get(name, flag + camel_case(name)) for name, flag in flags.items()}
+
+
+@cache
+def field_names(kind: type[Any]) -> dict[str, str]:
+    """Return the fields of settings by what `field_name` makes of their keys."""
+    told = {name: field_name(note) for name, note in _notes(kind) if isinstance(note, ManualKey)}
+    return {told.get(field.name, field.name): field.name for field in dataclasses.fields(kind)}
 
 
 def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
@@ -93,12 +131,13 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
     Raises:
         UnknownNameError: A key that this item does not have; lists those it has.
         UsageError: A value of another kind than the setting's: text for a number, a number for true or false.
-        SpecError: A number that is not finite, or a value beyond the setting's limits.
+        SpecError: A number that is not finite or is subnormal, or a value beyond the setting's limits.
     """
-    fields = {f.name: f for f in dataclasses.fields(kind)}
+    fields, names = {f.name: f for f in dataclasses.fields(kind)}, field_names(kind)
     values: dict[str, Any] = {}
     for key, value in overrides:
         name = field_name(key)
+        name = names.get(name, name)
         if name not in fields:
             raise UnknownNameError(f"{owner} has no setting {key!r}; known: {', '.join(sorted(fields))}")
         wanted = fields[name].default
@@ -110,6 +149,10 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
         limits = limits_of(kind).get(name)
         if number and not math.isfinite(value):  # type: ignore[arg-type]
             raise SpecError(f"{owner}: setting {key} is {value!r}, expected {limits or 'a finite number'}")
+        if number and 0 < abs(value) < SMALLEST_NUMBER:
+            raise SpecError(
+                f"{owner}: setting {key} is {value!r}, expected 0 or at least {SMALLEST_NUMBER:.2g}"
+            )
         if limits is not None and value not in limits:
             raise SpecError(f"{owner}: setting {key} is {value!r}, expected {limits}")
         values[name] = value
@@ -122,10 +165,10 @@ def resolve_settings(kind: type[T], overrides: Options, owner: str) -> T:
     Raises:
         UnknownNameError: See `checked`.
         UsageError: See `checked`.
-        SpecError: See `checked`; or settings that do not go together, as `wrong` says.
+        SpecError: See `checked`; or settings that do not go together, as `problem` says.
     """
     settings = kind(**checked(kind, overrides, owner))
-    wrong = getattr(settings, "wrong", None)
-    if wrong is not None and (problem := wrong()):
-        raise SpecError(f"{owner}: {problem}")
+    problem = getattr(settings, "problem", None)  # settings of effecters have none
+    if problem is not None and (found := problem()):
+        raise SpecError(f"{owner}: {found}")
     return settings

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from usarmjx.models.spec.settings import camel_case, field_names
 from usarmjx.sensors.base import NoisySensorSettings, Sensor
 from usarmjx.sensors.quantities import Quantity
 from usarmjx.server.protocol.descriptions import ConfField
@@ -34,7 +35,7 @@ def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
     """
     for base in type(sensor).__mro__:
         own = vars(base)
-        if own.get("tells"):
+        if own.get("quantities"):
             return None
         if own.get("kind") in table:
             return table[own["kind"]]
@@ -85,12 +86,6 @@ def _pairs(quantities: Sequence[Quantity], numbers: Sequence[float]) -> list[Seg
 
 def fields(settings: object) -> list[ConfField]:
     """Return what CONF says of a sensor: those of its settings that are its own, and one number or word."""
-    assert dataclasses.is_dataclass(settings)
-    own = [field.name for field in dataclasses.fields(settings) if field.name not in _COMMON]
-    pairs = [(key_of(name), getattr(settings, name)) for name in own]
+    names = field_names(type(settings)).items()
+    pairs = [(camel_case(name), getattr(settings, field)) for name, field in names if field not in _COMMON]
     return [(key, value) for key, value in pairs if isinstance(value, bool | int | float | str)]
-
-
-def key_of(field: str) -> str:
-    """Return the wire's key of a setting: `max_range` -> `MaxRange`."""
-    return "".join(part[:1].upper() + part[1:] for part in field.split("_"))
