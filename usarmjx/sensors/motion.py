@@ -49,7 +49,12 @@ class OdometrySettings(SensorSettings):
 
 
 class OdometryMemory(struct.PyTreeNode, kw_only=True):
-    """Pose estimate x, y [m] and heading [rad] (3,), and the wheel ticks it accounts for (2,)."""
+    """What odometry has counted.
+
+    Attributes:
+        pose: Estimate of x, y [m] and heading [rad] (3,).
+        ticks: Wheel ticks that it accounts for, left and right (2,).
+    """
 
     pose: jax.Array
     ticks: jax.Array

@@ -82,8 +82,8 @@ class RfidMemory(struct.PyTreeNode, kw_only=True):
     """What an RFID sensor remembers.
 
     Attributes:
-        answered: Which of the single-shot tags have answered it (tags + MOST,).
-        last_read_ids: IDs of the tags that it read last, -1 for none (MOST,).
+        answered: Which of the single-shot tags have answered it, the dropped ones last (all_tags,).
+        last_read_ids: IDs of the tags that it read last, -1 for none (max_tags,).
         overlay: Lines to the tags; None unless they are wanted.
     """
 
@@ -93,7 +93,16 @@ class RfidMemory(struct.PyTreeNode, kw_only=True):
 
 
 class _Tags(struct.PyTreeNode, kw_only=True):
-    """The nearest tags, nearest first: places among all, positions, distances, and what they are."""
+    """The nearest tags, nearest first.
+
+    Attributes:
+        index: Places among all tags, the dropped ones last (n,).
+        pos: Positions [m] (n, 3).
+        distance: Distances [m] (n,).
+        id: IDs (n,).
+        single: Whether they answer once only (n,).
+        there: Whether there is such a tag (n,).
+    """
 
     index: jax.Array
     pos: jax.Array

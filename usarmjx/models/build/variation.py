@@ -130,7 +130,18 @@ def _check_range(name: str, span: object, rule: QuantityRule) -> None:
 class RandomizedValues(struct.PyTreeNode, kw_only=True):
     """The numbers of one world in one episode, as `DomainRandomization` explains them; None: not varied.
 
-    Those of robots are by roster slot (robots,), the others ().
+    Attributes:
+        friction: Factor ().
+        mass: Factor, by roster slot (robots,).
+        wheel: Factor, by roster slot (robots,).
+        torque: Factor, by roster slot (robots,).
+        speed: Factor, by roster slot (robots,).
+        noise: Factor, by roster slot (robots,).
+        latency: Control steps, by roster slot (robots,).
+        radio_pdo: Power [dBm] ().
+        radio_n: Exponent ().
+        radio_cutoff: Power [dBm] ().
+        radio_atten_fac: Loss [dB] ().
     """
 
     friction: Array | None = None
