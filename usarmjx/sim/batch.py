@@ -47,8 +47,8 @@ class BatchState(struct.PyTreeNode, kw_only=True):
     Attributes:
         physics: The engine's own state.
         worlds: Everything else (worlds, ...).
-        arenas: The arenas that resets draw from (arenas, ...), which may be replaced by others of the same
-            shapes; None where all worlds have the same arena.
+        arenas: The arenas that resets draw from, which may be replaced by others of the same shapes
+            (arenas, ...); None where all worlds have the same arena.
     """
 
     physics: Any

@@ -39,7 +39,13 @@ counted as a fault of the physics [m/s]."""
 
 
 class CommandHistory(struct.PyTreeNode, kw_only=True):
-    """What a group's robots were told in the control steps before, the last one first (n, steps, ...)."""
+    """What a robot was told in the control steps before, the last one first.
+
+    Attributes:
+        target: `RobotCommand.target` (steps, joints).
+        mode: `RobotCommand.mode` (steps, joints).
+        setpoint: `RobotCommand.setpoint` (steps, keys).
+    """
 
     target: jax.Array
     mode: jax.Array
@@ -50,14 +56,14 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     """The robots of one class in one world; leading axis over them.
 
     Attributes:
-        command: What they are told to do.
+        command: What they are told to do (n, ...).
         active: Whether the robot is in use; the others are parked (n,).
         battery_start: When its battery was full [s] (n,).
         drowned: Whether water has killed its battery (n,).
         releases: What each of their effecters has left to release (n, effecters).
-        memory: What their sensors remember.
+        memory: What their sensors remember (n, ...).
         fov: Horizontal field of view of each of their cameras [rad] (n, cameras).
-        command_history: What they were told and may not have heard yet; None: they hear at once.
+        command_history: What they were told and may not have heard yet (n, ...); None: they hear at once.
     """
 
     command: RobotCommand
