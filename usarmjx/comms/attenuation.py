@@ -74,7 +74,18 @@ class RadioSettings:
 
 
 class WorldRadioSettings(struct.PyTreeNode, kw_only=True):
-    """Constants of one world's radios where they differ between worlds: see `RadioSettings`."""
+    """Constants of one world's radios where they differ between worlds: see `RadioSettings`.
+
+    Attributes:
+        pdo: Power received at the reference distance [dBm] ().
+        do: Reference distance [m].
+        n: How fast power falls with distance ().
+        cutoff: A link holds from this power on [dBm] ().
+        max_obs: So many solids count.
+        atten_fac: What each solid takes [dB] ().
+        shadowing: As in `RadioSettings`.
+        loss_band: As in `RadioSettings`.
+    """
 
     pdo: Array
     do: float = struct.field(pytree_node=False)

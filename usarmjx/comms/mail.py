@@ -94,7 +94,7 @@ class OutgoingMessages(struct.PyTreeNode, kw_only=True):
     """What the robots of one world want to say: each one message, to any number of the others.
 
     Attributes:
-        receivers: Receivers (robots, robots): row sender, column receiver.
+        receivers: Receivers, row sender, column receiver (robots, robots).
         payload: The messages (robots, numbers).
         size_bytes: What each stands for; not below 0 [bytes] (robots,).
     """

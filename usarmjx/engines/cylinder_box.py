@@ -49,7 +49,15 @@ class GeomInfo(Protocol):
 
 
 class _Pair(NamedTuple):
-    """A cylinder seen from a box: centre (3,), axis (3,), radius, half-length, box halves (3,)."""
+    """A cylinder seen from a box.
+
+    Attributes:
+        center: Its centre [m] (3,).
+        axis: Its axis (3,).
+        radius: Its radius [m] ().
+        half: Half its length [m] ().
+        box: Half lengths of the box [m] (3,).
+    """
 
     center: jax.Array
     axis: jax.Array

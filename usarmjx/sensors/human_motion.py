@@ -68,7 +68,16 @@ def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: Mo
 
 
 class _Movers(struct.PyTreeNode, kw_only=True):
-    """The nearest moving body parts, nearest first: positions, distances (infinite: none) and rest."""
+    """The nearest moving body parts, nearest first.
+
+    Attributes:
+        pos: Positions [m] (n, 3).
+        distance: Distances, infinite where there is none [m] (n,).
+        owner: Numbers of their victims (n,).
+        speed: How fast they move; see `Surroundings` (n,).
+        swing: How far they move; see `Surroundings` (n,).
+        half_diagonal: Half the diagonals of their boxes [m] (n,).
+    """
 
     pos: jax.Array
     distance: jax.Array

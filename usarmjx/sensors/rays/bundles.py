@@ -46,8 +46,8 @@ class Cone(NamedTuple):
     Attributes:
         tip: Middle of the rays' starts [m].
         axis: Unit vector.
-        tip_radius: How far from the tip rays start [m].
-        slope: Tangent of the half angle; negative: it is too wide to leave anything out.
+        tip_radius: How far from the tip rays start [m] (...,).
+        slope: Tangent of the half angle (...,); negative: it is too wide to leave anything out.
     """
 
     tip: XYZ
