@@ -24,10 +24,10 @@ from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, four_decimals, to_vector
+from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import RobotSession
-from usarmjx.server.protocol.traces import RobotTrace
-from usarmjx.server.protocol.viewports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.worlds.host import Robot, ServedWorld
+from usarmjx.server.worlds.traces import RobotTrace
 from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode, update_command
 from usarmjx.sim.scene import start_height
 
@@ -67,7 +67,7 @@ class Client:
             wire.MisPkg: self._move_package,
             wire.Set: self._set,
             wire.SetFov: self._zoom,
-            wire.SetViewports: self._arrange,
+            wire.SetViewports: self._set_viewports,
             wire.SetView: self._set_view,
             wire.Trace: self._trace,
             wire.GetGeo: self._geometry,
@@ -75,7 +75,7 @@ class Client:
         }
 
     def handle(self, command: wire.Command) -> None:
-        """Carry out any command but INIT; nothing if the robot is lost: its place may be another's."""
+        """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
         if not self.lost:
             self._handlers[type(command)](command)
 
@@ -87,7 +87,7 @@ class Client:
         for fault in self.session.take_faults():
             log.warning("%s: %s", self._peer, fault)
 
-    # INIT comes in two halves, so that the server can prepare the class beside the loop.
+    # INIT comes in two halves, so that the server can prepare the class in a thread.
 
     def class_of(self, init: wire.Init) -> RobotSpec | None:
         """Return the robot class that an INIT asks for; None, logged, when there is no such class."""
@@ -100,13 +100,13 @@ class Client:
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
         try:
-            pos, turn = self._start_pose(init, spec)
-            view = self._world.free_tile(spec)
-            robot = self._world.spawn(spec, init.name or self._free_name(spec), pos, turn)
+            pos, angles = self._start_pose(init, spec)
+            tile = self._world.free_tile(spec)
+            robot = self._world.spawn(spec, init.name or self._free_name(spec), pos, angles)
         except UsageError as error:
             log.warning("%s: INIT refused: %s", self._peer, error)
             return False
-        robot.tile, self.robot = view, robot
+        robot.tile, self.robot = tile, robot
         self.next_report = robot.spawn_time + spec.msg_timer
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
@@ -117,14 +117,14 @@ class Client:
             raise UsageError(
                 f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}"
             )
-        turn = flip_wire_angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
+        angles = flip_wire_angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
         if init.location is not None and not init.start:
-            return flip_wire_vector(init.location), turn
+            return flip_wire_vector(init.location), angles
         if not starts:
             raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
         start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
-        place = (*start.at[:2], start_height(self._world.arena, start, spec))
-        return place, turn if init.rotation else (0.0, 0.0, start.yaw)
+        pos = (*start.at[:2], start_height(self._world.arena, start, spec))
+        return pos, angles if init.rotation else (0.0, 0.0, start.yaw)
 
     def _free_name(self, spec: RobotSpec) -> str:
         taken = {robot.name.lower() for robot in self._world.robots.values()}
@@ -140,7 +140,7 @@ class Client:
 
     @property
     def lost(self) -> bool:
-        """Whether the robot has vanished under the client (its world started again)."""
+        """Whether the robot has vanished under the client (its world was reset)."""
         return self.robot is not None and self._world.robots.get(self.robot.slot) is not self.robot
 
     @property
@@ -192,9 +192,9 @@ class Client:
             log.warning("%s: %s has no DRIVE {%s}", self._peer, robot.spec.name, "} {".join(unknown))
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         flip_until = self._world.time + FLIP_TIME if command.flip else None
-        self._tell(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
+        self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
 
-    def _tell(self, update: CommandUpdate) -> None:
+    def _update_command(self, update: CommandUpdate) -> None:
         robot = self._present
         self._world.set_command(robot, update_command(robot.plan, robot.command, update, xp=np))
 
@@ -212,10 +212,10 @@ class Client:
             mode = ControlMode(order)
         else:
             return False
-        self._tell(CommandUpdate(joints={robot.plan.parts[1 + joint]: value}, mode=mode))
+        self._update_command(CommandUpdate(joints={robot.plan.parts[1 + joint]: value}, mode=mode))
         return True
 
-    def _order_named(self, name: str, order: int, value: float) -> None:
+    def _set_named_joint(self, name: str, order: int, value: float) -> None:
         joint = self._present.plan.joint_index(name)
         if joint is None:
             log.warning("%s: %s has no joint %r", self._peer, self._present.spec.name, name)
@@ -224,9 +224,9 @@ class Client:
 
     def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
         if command.value is not None:
-            self._order_named(command.name, command.order, command.value)
+            self._set_named_joint(command.name, command.order, command.value)
         if command.steer is not None:
-            self._order_named(command.name + STEER_SUFFIX, ControlMode.POSITION, command.steer)
+            self._set_named_joint(command.name + STEER_SUFFIX, ControlMode.POSITION, command.steer)
 
     def _set_joint(self, command: wire.SetJoint) -> None:
         if not self.battery_empty:
@@ -234,7 +234,7 @@ class Client:
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
         for name, angle in command.joints:
-            self._order_named(name, ControlMode.POSITION, angle)
+            self._set_named_joint(name, ControlMode.POSITION, angle)
 
     def _move_package(self, command: wire.MisPkg) -> None:
         for link in command.links:
@@ -257,20 +257,21 @@ class Client:
         if values is not None:
             camera = robot.camera_index(command.name) if command.type.lower() == "camera" else None
             if sensor is not None:
-                status = self._order_sensor(robot, sensor, command.opcode, values)
+                status = self._operate_sensor(robot, sensor, command.opcode, values)
             elif camera is not None:
-                status = self._order_camera(robot, camera, command.opcode, values)
+                status = self._operate_camera(robot, camera, command.opcode, values)
             else:
                 status = self._operate(robot, command, values)
         self.session.send(reports.res(self._world.time, command.type, command.name, status))
 
-    def _order_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
+    def _operate_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
         """Carry out a SET on a sensor; return the Status to answer."""
         if opcode.upper() == "POSE" and len(values) == 6:
             values = (*flip_wire_vector(values[:3]), *flip_wire_angles(values[3:]))
-        return "OK" if self._world.operate_sensor(robot, sensor, opcode, values) else "Failed"
+        done = self._world.operate_sensor(robot, sensor, opcode, values)
+        return STATUS_OK if done else STATUS_FAILED
 
-    def _order_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
+    def _operate_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
         """Carry out the older form of zooming; the Status is the field of view [rad]."""
         if opcode.lower() != "zoom" or not values:
             return STATUS_FAILED
@@ -292,7 +293,7 @@ class Client:
         lines = zip(names, robot.fovs, statuses, strict=True)
         self.session.send(reports.res_camera(self._world.time, lines))
 
-    def _arrange(self, command: wire.SetViewports) -> None:
+    def _set_viewports(self, command: wire.SetViewports) -> None:
         robot = self._present
         if self.battery_empty:
             return
@@ -303,7 +304,7 @@ class Client:
         self.session.send(reports.res_viewports(self._world.time, config, shown))
 
     def _set_view(self, command: wire.SetView) -> None:
-        """Tie an image client's view to a camera, or let go; nobody is told, as ever."""
+        """Bind an image client's view to a camera, or unbind it; nobody is answered, as ever."""
         if not command.robot:
             self._world.view_bindings.unbind(command.client)
             return
@@ -316,7 +317,7 @@ class Client:
         self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
 
     def add_trace_point(self) -> None:
-        """Drop a point of the robot's trace if it is time to; to be called after every control step."""
+        """Add a point to the robot's trace if it is time to; to be called after every control step."""
         if (
             self._trace_state is not None
             and self._trace_state.due(self._world.time)
@@ -335,12 +336,12 @@ class Client:
 
     def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
-        place = robot.effecter_index(command.type, command.name)
-        opcode = None if place is None else robot.effecters[place].opcode(command.opcode)
+        index = robot.effecter_index(command.type, command.name)
+        opcode = None if index is None else robot.effecters[index].opcode(command.opcode)
         value = values[0] if values else opcode and opcode.default_val
-        if place is None or opcode is None or value is None:
-            return "Failed"
-        return self._world.operate(robot, place, opcode, value)
+        if index is None or opcode is None or value is None:
+            return STATUS_FAILED
+        return self._world.operate(robot, index, opcode, value)
 
     def _numbers(self, params: str) -> tuple[float, ...] | None:
         """Return the numbers of a SET; None, logged, when one is not finite: the client stays."""
@@ -378,9 +379,9 @@ class Client:
         if self.battery_empty:
             robot.pending.clear()
             return
-        for place, sensor in enumerate(robot.suite.sensors):
-            if place in robot.pending:
-                reading, origin = robot.pending.pop(place), self._world.arena.gps
+        for index, sensor in enumerate(robot.suite.sensors):
+            if index in robot.pending:
+                reading, origin = robot.pending.pop(index), self._world.arena.gps
                 message = sensor_report(sensor, reading, time, origin, self._world.tag_texts)
                 if message is not None:
                     self.session.send(message)

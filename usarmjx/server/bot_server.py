@@ -12,7 +12,7 @@ KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return what `[BotAPI.BotServer]` of ini files says, by fields of `net.BotServerSettings`; the last counts.
+    """Return `[BotAPI.BotServer]` of ini files by fields of `net.BotServerSettings`; later files override.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.

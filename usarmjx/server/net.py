@@ -7,14 +7,14 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
-from usarmjx.server.protocol.commands import Init
+from usarmjx.server.protocol.commands import Command, Init
 from usarmjx.server.worlds.host import ServedWorld
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ MAX_LAG = 0.5
 GC_THRESHOLD = 1000
 """Young objects are looked through for garbage so often before old ones are; Python's default is 10."""
 SWITCH_INTERVAL = 5e-4
-"""The loop gets its turn so soon when a thread beside it runs Python, as when JAX traces a function [s]."""
+"""The loop gets its turn so soon when another thread runs Python, as when JAX traces a function [s]."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Service(Protocol):
     """Something else that is served in the same loop, as the radio is."""
 
     async def start(self) -> list[str]:
-        """Listen; return what to tell the user.
+        """Listen; return lines for the user.
 
         Raises:
             UsageError: A port is taken or the address is not ours.
@@ -78,7 +78,7 @@ class Service(Protocol):
         """The world has made a control step; must be quick."""
 
     def stop(self) -> None:
-        """Hang up."""
+        """Close all connections."""
 
 
 class BotServer:
@@ -102,7 +102,7 @@ class BotServer:
         self._clients: dict[Client, asyncio.StreamWriter] = {}
         self._stepped = asyncio.Event()
         self._stop = asyncio.Event()
-        # One thread prepares robot classes beside the loop.
+        # `ServedWorld.prepare` runs here, for seconds: the loop steps on meanwhile.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
         self._busy = 0.0
         self.port = settings.port
@@ -119,7 +119,7 @@ class BotServer:
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
                 loop.add_signal_handler(number, self._stop.set)
         try:
-            server = await asyncio.start_server(self._talk, self._settings.host, self._settings.port)
+            server = await asyncio.start_server(self._accept, self._settings.host, self._settings.port)
         except OSError as error:
             raise UsageError(
                 f"cannot listen on {self._settings.host}:{self._settings.port}: {error}"
@@ -201,7 +201,7 @@ class BotServer:
             if data:
                 writer.write(data)
 
-    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = "{}:{}".format(*writer.get_extra_info("peername")[:2])
         if len(self._clients) >= self._settings.max_connections:
             log.warning("%s: refused, %d connections are open", peer, len(self._clients))
@@ -229,35 +229,37 @@ class BotServer:
     async def _listen(
         self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        turn = TimeSlice()
+        used = TimeSlice()
         while not writer.is_closing():
             data = await reader.read(READ_SIZE)
             began = time.perf_counter()
             commands = client.session.receive_data(data) if data else client.session.receive_eof()
-            await self._charge(turn, began)
-            await self._obey(client, commands, turn)
+            await self._charge(used, began)
+            await self._obey(client, commands, used)
             client.log_faults()
             self._flush(client, writer)
             if not data:
                 return
 
-    async def _charge(self, turn: TimeSlice, began: float) -> None:
-        """Let a client that has used up its turn wait: no one may keep the world from stepping."""
-        if turn.step != self._world.time:
-            turn.step, turn.spent = self._world.time, 0.0
-        turn.spent += time.perf_counter() - began
-        if turn.spent > MAX_SLICE:
+    async def _charge(self, used: TimeSlice, began: float) -> None:
+        """Let a client that has used up its slice wait: no one may keep the world from stepping."""
+        if used.step != self._world.time:
+            used.step, used.spent = self._world.time, 0.0
+        used.spent += time.perf_counter() - began
+        if used.spent > MAX_SLICE:
             await self._stepped.wait()
 
-    async def _obey(self, client: Client, commands: list, turn: TimeSlice) -> None:
+    async def _obey(self, client: Client, commands: list[Command], used: TimeSlice) -> None:
         while commands:
             for command in commands:
                 if not isinstance(command, Init):
                     began = time.perf_counter()
                     client.handle(command)
-                    await self._charge(turn, began)
-            answer = await self._init(client, commands[-1]) if client.session.awaits_answer else None
-            commands = client.session.answer_init(answer) if answer is not None else []
+                    await self._charge(used, began)
+            last = commands[-1]
+            if not (client.session.awaits_answer and isinstance(last, Init)):
+                return
+            commands = client.session.answer_init(await self._init(client, last))
 
     async def _init(self, client: Client, init: Init) -> bool:
         spec = client.class_of(init)
@@ -265,6 +267,25 @@ class BotServer:
             return False
         await asyncio.get_running_loop().run_in_executor(self._executor, self._world.prepare, spec)
         return client.spawn(init, spec)
+
+
+@contextlib.contextmanager
+def low_latency() -> Iterator[None]:
+    """Let no other thread and no search for garbage hold up the loop; on leaving all is as it was.
+
+    To look for garbage among the hundreds of thousands of objects that JAX keeps holds up all threads, and
+    that again and again while a function is traced.
+    """
+    switch_interval, thresholds = sys.getswitchinterval(), gc.get_threshold()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    gc.freeze()
+    gc.set_threshold(*thresholds[:2], GC_THRESHOLD)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(switch_interval)
+        gc.set_threshold(*thresholds)
+        gc.unfreeze()
 
 
 def serve(world: ServedWorld, settings: BotServerSettings, services: Sequence[Service] = ()) -> None:
@@ -277,9 +298,6 @@ def serve(world: ServedWorld, settings: BotServerSettings, services: Sequence[Se
     async def main() -> None:
         await BotServer(world, settings, services).run()
 
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    # To look for garbage among the hundreds of thousands of objects that JAX keeps holds up all threads, and
-    # that again and again while a function is traced.
-    gc.freeze()
-    gc.set_threshold(*gc.get_threshold()[:2], GC_THRESHOLD)
-    asyncio.run(main())
+    world.warm_up()
+    with low_latency():
+        asyncio.run(main())

@@ -3,8 +3,8 @@
 import pytest
 
 from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.command_parsers import COMMANDS, parse_command
 from usarmjx.server.protocol.commands import (
-    COMMANDS,
     DRIVE_KEYS,
     DriveJoint,
     DriveRobot,
@@ -24,7 +24,6 @@ from usarmjx.server.protocol.commands import (
     SetViewports,
     Trace,
     WheelCommand,
-    parse_command,
 )
 from usarmjx.server.protocol.grammar import parse_message
 

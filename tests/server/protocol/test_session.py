@@ -32,10 +32,10 @@ from usarmjx.server.protocol.descriptions import geo_nothing
 from usarmjx.server.protocol.grammar import Message
 from usarmjx.server.protocol.reports import nfo_greeting, nfo_start_poses, res
 from usarmjx.server.protocol.session import (
+    LEGAL_COMMANDS,
     MAX_FAULTS,
     MAX_WAITING,
     SEND_LIMIT,
-    TRANSITIONS,
     RobotSession,
     SessionPhase,
 )
@@ -123,7 +123,7 @@ def test_every_command_in_every_phase(phase, command):
 
 
 def test_the_table_covers_every_phase():
-    assert set(TRANSITIONS) == set(SessionPhase)
+    assert set(LEGAL_COMMANDS) == set(SessionPhase)
 
 
 def test_every_command_has_its_line_here():

@@ -40,17 +40,17 @@ class Party:
         return self.sessions.setdefault(caller, DialectASession(self.server, caller))
 
     def ask(self, text, caller=HERE):
-        """The reply to messages that dial nobody."""
+        """The reply to messages that open no link."""
         session = self.session(caller)
         assert session.receive_data(text.encode("latin-1")) is None
         return session.data_to_send().decode("latin-1")
 
-    def dial(self, text, caller=HERE):
-        """What messages make the server dial; no reply yet."""
+    def open(self, text, caller=HERE):
+        """The link that messages open; no reply yet."""
         session = self.session(caller)
-        dial = session.receive_data(text.encode())
+        endpoints = session.receive_data(text.encode())
         assert session.data_to_send() == b""
-        return dial
+        return endpoints
 
     def answer(self, done, caller=HERE):
         session = self.session(caller)
@@ -92,8 +92,8 @@ def test_listening_needs_registration_and_happens_once_per_port():
 def test_opening_dials_both_robots_and_uses_up_the_listening():
     party = registered()
     party.ask("LISTEN R2 4002;")
-    dial = party.dial("OPEN R1 4001 R2 4002;")
-    assert dial == EndpointPair(Endpoint("R1", HERE, 4001), Endpoint("R2", HERE, 4002))
+    endpoints = party.open("OPEN R1 4001 R2 4002;")
+    assert endpoints == EndpointPair(Endpoint("R1", HERE, 4001), Endpoint("R2", HERE, 4002))
     assert party.answer(True) == "OK;"
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: R2 not listening on port 4002;"
 
@@ -110,7 +110,7 @@ def test_opening_below_the_cutoff_fails():
     party.ask("LISTEN R2 4002;")
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: Cannot connect to R2;"
     party.radio.powers["R1", "R2"] = -93.0
-    assert party.dial("OPEN R1 4001 R2 4002;") is not None
+    assert party.open("OPEN R1 4001 R2 4002;") is not None
 
 
 def test_opening_to_a_robot_that_is_not_in_the_world_fails():
@@ -122,9 +122,9 @@ def test_opening_to_a_robot_that_is_not_in_the_world_fails():
 def test_an_end_that_does_not_answer_leaves_the_other_listening():
     party = registered()
     party.ask("LISTEN R2 4002;")
-    party.dial("OPEN R1 4001 R2 4002;")
+    party.open("OPEN R1 4001 R2 4002;")
     assert party.answer(False) == "Fail: Could not establish connection;"
-    assert party.dial("OPEN R1 4001 R2 4002;") is not None
+    assert party.open("OPEN R1 4001 R2 4002;") is not None
 
 
 def test_opening_without_registration_of_the_first_robot_fails():
@@ -136,9 +136,9 @@ def test_opening_without_registration_of_the_first_robot_fails():
 def test_messages_behind_an_opening_wait_for_it():
     party = registered(powers={("R1", "R2"): -60.0})
     party.ask("LISTEN R2 4002;LISTEN R2 4003;")
-    assert party.dial("OPEN R1 1 R2 4002;GETSS R1 R2;OPEN R1 2 R2 4003;GETSS R2 R1;").first.port == 1
+    assert party.open("OPEN R1 1 R2 4002;GETSS R1 R2;OPEN R1 2 R2 4003;GETSS R2 R1;").first.port == 1
     session = party.session()
-    assert session.phase is DialectAPhase.DIALLING
+    assert session.phase is DialectAPhase.OPENING
     second = session.answer_open(True)
     assert (second.first.port, session.data_to_send()) == (2, b"OK;OK:-60.00;")
     assert session.answer_open(False) is None
@@ -232,7 +232,7 @@ def test_an_allowed_address_may_be_registered_by_anybody():
     party = Party(allowed=[THERE])
     assert party.ask(f"REGISTER R1 {THERE};LISTEN R1 4001;") == "OK;OK;"
     assert party.ask(f"REGISTER R2 {HERE};") == "OK;"
-    assert party.dial("OPEN R2 4002 R1 4001;").second == Endpoint("R1", THERE, 4001)
+    assert party.open("OPEN R2 4002 R1 4001;").second == Endpoint("R1", THERE, 4001)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_a_stranger_cannot_have_a_port_dialled_that_was_not_offered():
     party.ask(f"REGISTER R3 {THERE};LISTEN R3 4003;", THERE)
     assert party.ask("OPEN R1 22 R3 4003;", THERE) == "Fail: R1 not listening on port 22;"
     party.ask("LISTEN R1 4001;")
-    assert party.dial("OPEN R1 4001 R3 4003;", THERE) is not None
+    assert party.open("OPEN R1 4001 R3 4003;", THERE) is not None
 
 
 def test_links_per_robot_are_bounded():
@@ -268,12 +268,12 @@ def test_links_per_robot_are_bounded():
     for port in range(1, comserver.MAX_LINKS_PER_ROBOT + 2):
         party.ask(f"LISTEN R2 {port};")
         if port <= comserver.MAX_LINKS_PER_ROBOT:
-            dial = party.dial(f"OPEN R1 9 R2 {port};")
+            endpoints = party.open(f"OPEN R1 9 R2 {port};")
             assert party.answer(True) == "OK;"
     last = comserver.MAX_LINKS_PER_ROBOT + 1
     assert party.ask(f"OPEN R1 9 R2 {last};") == "Fail: Could not establish connection;"
-    party.server.closed(dial)
-    assert party.dial(f"OPEN R1 9 R2 {last};") is not None
+    party.server.closed(endpoints)
+    assert party.open(f"OPEN R1 9 R2 {last};") is not None
 
 
 def test_links_of_all_robots_together_are_bounded(monkeypatch):
@@ -282,7 +282,7 @@ def test_links_of_all_robots_together_are_bounded(monkeypatch):
     for port in (1, 2, 3):
         party.ask(f"LISTEN R2 {port};")
     for port in (1, 2):
-        party.dial(f"OPEN R1 9 R2 {port};")
+        party.open(f"OPEN R1 9 R2 {port};")
         party.answer(True)
     assert party.ask("OPEN R1 9 R2 3;") == "Fail: Could not establish connection;"
 
@@ -298,7 +298,7 @@ def test_registrations_without_a_robot_make_room():
     party = registered()
     for i in range(3 * comserver.MAX_REGISTRATIONS):
         assert party.ask(f"REGISTER Junk{i} {HERE};") == "OK;"
-    assert len(party.server._stations) == comserver.MAX_REGISTRATIONS
+    assert len(party.server._registrations) == comserver.MAX_REGISTRATIONS
     assert party.ask("LISTEN R1 4000;LISTEN R2 4000;") == "OK;OK;", "robots in the world keep theirs"
 
 
@@ -344,9 +344,9 @@ def converse(chunks):
     party, replies = Party(powers={("R1", "R2"): -60.0}), b""
     session = party.session()
     for chunk in chunks:
-        dial = session.receive_data(chunk)
-        while dial:
-            dial = session.answer_open(True)
+        endpoints = session.receive_data(chunk)
+        while endpoints:
+            endpoints = session.answer_open(True)
         replies += session.data_to_send()
     return replies
 

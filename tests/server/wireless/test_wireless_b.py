@@ -131,7 +131,7 @@ def test_signal_strength():
 
 
 @pytest.mark.parametrize(
-    ("other", "power", "told"),
+    ("other", "power", "strength"),
     [
         ("R1", -50.0, "INF} {Error SS.To.Self"),
         ("R3", -50.0, "NaN} {Error Robot.Does.Not.Exist"),
@@ -142,10 +142,10 @@ def test_signal_strength():
         ("R2", -200.0, "-200"),
     ],
 )
-def test_signal_strength_that_is_no_number(other, power, told):
+def test_signal_strength_that_is_no_number(other, power, strength):
     party = Party(powers={("R1", "R2"): power})
     one, _ = party.joined("R1"), party.joined("R2")
-    assert ask(one, f"GETSS {{Robot {other}}}") == f"SS {{Robot {other}}} {{Strength {told}}}"
+    assert ask(one, f"GETSS {{Robot {other}}}") == f"SS {{Robot {other}}} {{Strength {strength}}}"
 
 
 def test_signal_strength_of_a_robot_that_is_not_in_the_world():
@@ -401,7 +401,7 @@ def test_almost_lines_never_break_a_session(text):
 # The position service
 
 
-def told(radio, line):
+def answer(radio, line):
     return PositionSession(radio).receive_data(line + b"\r\n").decode()
 
 
@@ -409,28 +409,28 @@ def test_positions_are_in_the_wires_axes():
     radio = FakeRadio(["R1", "Base"])
     radio.positions = {"R1": (4.5, -1.9, -1.8), "Base": (0.0, 0.25, -1.0)}
     radio.empty = {"Base"}
-    assert told(radio, b"GETPOS") == (
+    assert answer(radio, b"GETPOS") == (
         "POSITIONS {Robots 2} {Name R1 Location 4.5000,1.9000,1.8000 BatteryEmpty False}"
         " {Name Base Location 0.0000,-0.2500,1.0000 BatteryEmpty True}\r\n"
     )
 
 
 def test_positions_of_an_empty_world():
-    assert told(FakeRadio([]), b"getpos") == "POSITIONS {Robots 0}\r\n"
+    assert answer(FakeRadio([]), b"getpos") == "POSITIONS {Robots 0}\r\n"
 
 
 def test_a_name_of_several_words_stays_one_word_in_its_segment():
-    assert "{Name My_robot Location 0.0000" in told(FakeRadio(["My robot"]), b"GETPOS")
+    assert "{Name My_robot Location 0.0000" in answer(FakeRadio(["My robot"]), b"GETPOS")
 
 
 def test_obstacles_between_robots_and_between_places():
     radio = FakeRadio(["R1", "R2"])
     radio.walls = {("R1", "R2"): 3, ((0.0, -1.0, -2.0), (3.0, 0.0, -2.0)): 2}
-    assert told(radio, b"GETOBS {From R2} {To r1}") == "NUMOBS {From R2} {To r1} {ObstCount 3.00}\r\n"
-    assert told(radio, b"GETOBS {Start 0,1,2} {End 3,0,2}") == (
+    assert answer(radio, b"GETOBS {From R2} {To r1}") == "NUMOBS {From R2} {To r1} {ObstCount 3.00}\r\n"
+    assert answer(radio, b"GETOBS {Start 0,1,2} {End 3,0,2}") == (
         "NUMOBS {Start 0,1,2} {End 3,0,2} {ObstCount 2.00}\r\n"
     )
-    assert told(radio, b"GETOBS {From R1} {To R3}") == "NUMOBS {From R1} {To R3} {ObstCount -1}\r\n"
+    assert answer(radio, b"GETOBS {From R1} {To R3}") == "NUMOBS {From R1} {To R3} {ObstCount -1}\r\n"
 
 
 @pytest.mark.parametrize(
@@ -443,7 +443,7 @@ def test_obstacles_between_robots_and_between_places():
     ],
 )
 def test_questions_without_sense_are_not_answered(line):
-    assert told(FakeRadio(["R1"]), line) == ""
+    assert answer(FakeRadio(["R1"]), line) == ""
 
 
 @given(st.binary(max_size=200), st.lists(st.integers(0, 10_000), max_size=10))

@@ -1,4 +1,4 @@
-"""What the server says of sensors without a message of the manual's: what they tell of themselves."""
+"""What the server says of sensors without a message of the manual's: what they say of themselves."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

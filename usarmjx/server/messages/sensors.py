@@ -15,8 +15,7 @@ from usarmjx.models.spec.robot import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.rfid import Rfid
-from usarmjx.server.messages import generic as telling
-from usarmjx.server.messages import victims
+from usarmjx.server.messages import generic, victims
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.descriptions import (
     ConfField,
@@ -96,12 +95,9 @@ def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
 
 def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: LatLon | None = None) -> Message:
     *position, satellites = value.tolist()
-    victims = (
-        geographic_coordinates(sensor.settings[0], position, origin)
-        if satellites >= MIN_FIX_SATELLITES
-        else None
-    )
-    return reports.sen_gps(time, sensor.mounts[0].name, victims, int(satellites))
+    has_fix = satellites >= MIN_FIX_SATELLITES
+    coordinates = geographic_coordinates(sensor.settings[0], position, origin) if has_fix else None
+    return reports.sen_gps(time, sensor.mounts[0].name, coordinates, int(satellites))
 
 
 REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]] = {
@@ -158,7 +154,7 @@ def sensor_report(
 ) -> Message | None:
     """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
 
-    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `telling` has it.
+    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `generic` has it.
 
     Args:
         sensor: The sensor.
@@ -168,9 +164,9 @@ def sensor_report(
         texts: What is written on RFID tags.
     """
     known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(victims.tags, texts=texts)}
-    report = telling.lookup_by_type(sensor, REPORTS | known) or telling.report
+    report = generic.lookup_by_type(sensor, REPORTS | known) or generic.report
     message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
-    return None if message is None else telling.of_type(sensor.kind, message)
+    return None if message is None else generic.of_type(sensor.kind, message)
 
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
@@ -225,9 +221,9 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
 def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
     settings: Any = sensor.settings[index]
     fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
-    known = telling.lookup_by_type(sensor, CONFIGURATION)
+    known = generic.lookup_by_type(sensor, CONFIGURATION)
     if known is None:
-        return [*fields, *telling.fields(settings)]
+        return [*fields, *generic.fields(settings)]
     for key, field in known:
         value = getattr(settings, field)
         fields.append((key, four_decimals_list(value) if isinstance(value, tuple) else value))
@@ -272,9 +268,9 @@ def configuration(
         ]
     answers = []
     fields = [
-        _sensor_fields(sensor, place)
+        _sensor_fields(sensor, index)
         for sensor in sensors
-        for place, mount in enumerate(sensor.mounts)
+        for index, mount in enumerate(sensor.mounts)
         if _asked(kind, name, sensor.kind, mount.name)
     ]
     if fields:
@@ -319,7 +315,7 @@ def robot_report(
 
     Args:
         plan: The robot's class.
-        command: What it is told to do.
+        command: Its command.
         joints: Its joint positions [rad or m] (joints,).
         time: Simulated time [s].
         battery: Time left [s].

@@ -15,6 +15,7 @@ from usarmjx.sensors.base import Sensor
 from usarmjx.server.protocol.commands import Set
 from usarmjx.server.protocol.frames import flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, Segment, four_decimals, two_decimals, two_decimals_list
+from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 EMPTY_MEMORY = "0"
 """What servers say is written on a tag without memory (manual 10.9.4); writing it erases the tag (10.9.7)."""
@@ -41,11 +42,11 @@ def victims(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
         time: Simulated time [s]; None leaves it out.
     """
     parts: list[Segment] = []
-    for seen, part, *place in value.tolist():
+    for seen, part, *pos in value.tolist():
         if seen:
             parts += [
                 ("PartName", PART_NAMES[int(part)]),
-                ("Location", two_decimals_list(flip_wire_vector(place))),
+                ("Location", two_decimals_list(flip_wire_vector(pos))),
             ]
     if not parts:
         return _line(sensor, time, ("Status", "NoVictims"), named=False)
@@ -64,9 +65,9 @@ def tags(
         texts: What is written on tags.
     """
     items: list[Segment] = []
-    for read, number, *place in value.tolist():
+    for read, number, *pos in value.tolist():
         if read:
-            items += [("ID", str(int(number))), ("Location", two_decimals_list(flip_wire_vector(place)))]
+            items += [("ID", str(int(number))), ("Location", two_decimals_list(flip_wire_vector(pos)))]
             if sensor.settings[0].always_read_rfid_mem:
                 items.append(("Mem", (texts or {}).get(int(number), "") or EMPTY_MEMORY))
     return _line(sensor, time, *items) if items else None
@@ -107,7 +108,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "HumanMotion": (("MaxRange", "max_range"), ("FOV", "cone")),
     "CO2Sensor": (),
 }
-"""CONF of these sensors, as `wording.CONFIGURATION`; that of VictSensor is the original's."""
+"""CONF of these sensors, as `sensors.CONFIGURATION`; that of VictSensor is the original's."""
 
 
 def initial_tag_texts(arena: ArenaSpec) -> dict[int, str]:
@@ -131,7 +132,7 @@ def access_tag(
         reaches: Whether the sensor read a tag of that ID last time.
     """
     echo = (("Time", two_decimals(time)), ("Type", command.type), ("Name", command.name))
-    failed = Message("RES", (*echo, ("Status", "Failed")))
+    failed = Message("RES", (*echo, ("Status", STATUS_FAILED)))
     found, opcode = _PARAMS.fullmatch(command.params), command.opcode.lower()
     if found is None or opcode not in ("read", "write"):
         return failed
@@ -140,8 +141,8 @@ def access_tag(
         return failed
     if opcode == "read":
         memory = texts.get(number, "") or EMPTY_MEMORY
-        return Message("RES", (*echo, ("Status", "OK"), ("ID", str(number)), ("Mem", memory)))
+        return Message("RES", (*echo, ("Status", STATUS_OK), ("ID", str(number)), ("Mem", memory)))
     if len(text) > MAX_TAG_TEXT or set(text) & set("{}\r\n"):
         return failed
     texts[number] = "" if text == EMPTY_MEMORY else text
-    return Message("RES", (*echo, ("Status", "OK")))
+    return Message("RES", (*echo, ("Status", STATUS_OK)))

@@ -35,19 +35,24 @@ def draw_sketch(rgb: np.ndarray, depth: np.ndarray, viewpoint: Viewpoint, sketch
 
 
 def _line(
-    rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, start: np.ndarray, end: np.ndarray, color: np.ndarray
+    rgb: np.ndarray,
+    depth: np.ndarray,
+    viewpoint: Viewpoint,
+    start: np.ndarray,
+    end: np.ndarray,
+    color: np.ndarray,
 ) -> None:
     """Draw a line that is a pixel wide."""
     height, width = depth.shape
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
-    foot = float((eye.pos - start) @ along)
-    aside = max(float(np.linalg.norm(start + foot * along - eye.pos)), 1e-3)
+    foot = float((viewpoint.pos - start) @ along)
+    aside = max(float(np.linalg.norm(start + foot * along - viewpoint.pos)), 1e-3)
     # Points that are evenly apart as the eye sees them, closer than pixels anywhere in the picture.
     first, last = math.atan2(-foot, aside), math.atan2(length - foot, aside)
-    count = math.ceil(2 * (last - first) * max(width, height) / math.tan(eye.fov / 2)) + 2
+    count = math.ceil(2 * (last - first) * max(width, height) / math.tan(viewpoint.fov / 2)) + 2
     way = np.clip(foot + aside * np.tan(np.linspace(first, last, count)), 0.0, length)
-    right, down, away, _ = _project(eye, start + way[:, None] * along, width, height)
+    right, down, away, _ = _project(viewpoint, start + way[:, None] * along, width, height)
     seen = (away > NEAR_CLIP) & (right >= 0) & (right < width) & (down >= 0) & (down < height)
     column, row, away = right[seen].astype(int), down[seen].astype(int), away[seen]
     clear = depth[row, column] > away - DEPTH_BIAS
@@ -55,11 +60,11 @@ def _line(
 
 
 def _balls(
-    rgb: np.ndarray, depth: np.ndarray, eye: Viewpoint, places: np.ndarray, colors: np.ndarray
+    rgb: np.ndarray, depth: np.ndarray, viewpoint: Viewpoint, points: np.ndarray, colors: np.ndarray
 ) -> None:
     """Draw balls, the far ones first."""
     height, width = depth.shape
-    right, down, away, scale = _project(eye, places, width, height)
+    right, down, away, scale = _project(viewpoint, points, width, height)
     seen = (away > NEAR_CLIP) & np.isfinite(right) & np.isfinite(down)
     for ball in sorted(np.flatnonzero(seen), key=lambda ball: -away[ball]):
         radius = max(scale[ball] * BALL_RADIUS, MIN_BALL_PIXELS)
@@ -74,31 +79,31 @@ def _balls(
 
 
 def _project(
-    eye: Viewpoint, places: np.ndarray, width: int, height: int
+    viewpoint: Viewpoint, points: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return column and row, depth [m] and pixels per metre of points (points, 3); nan: not seen."""
-    project = _omni if eye.lens == "omni" else _pinhole
-    return project(eye, (places - eye.pos) @ eye.mat, width, height)
+    project = _omni if viewpoint.lens == "omni" else _pinhole
+    return project(viewpoint, (points - viewpoint.pos) @ viewpoint.mat, width, height)
 
 
 def _pinhole(
-    eye: Viewpoint, along: np.ndarray, width: int, height: int
+    viewpoint: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return that of points in the eye's axes."""
-    focal = width / 2 / math.tan(eye.fov / 2)
+    focal = width / 2 / math.tan(viewpoint.fov / 2)
     away = along[:, 0]
     scale = focal / np.maximum(away, NEAR_CLIP)
     return width / 2 - scale * along[:, 1], height / 2 - scale * along[:, 2], away, scale
 
 
 def _omni(
-    eye: Viewpoint, along: np.ndarray, width: int, height: int
+    viewpoint: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the same in a parabolic mirror; see `cameras.lenses.omni_rays`."""
     along = along - (MIRROR_DISTANCE, 0.0, 0.0)
     away = np.linalg.norm(along, axis=1)
     angle = np.arccos(np.clip(-along[:, 0] / np.maximum(away, 1e-9), -1.0, 1.0))
-    zoom = math.tan(eye.default_fov / 2) / math.tan(eye.fov / 2)
+    zoom = math.tan(viewpoint.default_fov / 2) / math.tan(viewpoint.fov / 2)
     rim = min(width, height) / 2 * zoom
     radius = np.where(
         angle < MIRROR_RIM_ANGLE, rim * np.tan(angle / 2) / math.tan(MIRROR_RIM_ANGLE / 2), np.nan

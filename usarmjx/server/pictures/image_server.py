@@ -1,6 +1,6 @@
 """The image server on a real socket, in the loop of the Gamebots server (manual 3.2.5, 14.5.3).
 
-Pictures are taken only for clients that wait for one, and drawn and encoded in a thread beside the loop.
+Pictures are rendered only for clients that wait for one, and that and their encoding happen in a thread.
 """
 
 import asyncio
@@ -41,8 +41,8 @@ class ImageSettings:
         fps: Most pictures per second of real time for each client.
         format: Picture type, 0 (raw) to 5; see `images.FORMATS`.
         max_connections: Most clients at once.
-        multi_view: How all robots' cameras share the picture of those whose view is tied to no camera; None:
-            they see one robot.
+        multi_view: How all robots' cameras share the picture of those whose view is bound to no camera;
+            None: they see one robot.
     """
 
     host: str = "127.0.0.1"
@@ -74,10 +74,10 @@ class ImageClient:
 
     def update_unsent(self, now: float) -> int:
         """Return how many bytes wait for the client to read them, and note when that changed."""
-        left = self.writer.transport.get_write_buffer_size()
-        if left != self.unsent:
-            self.unsent, self.since = left, now
-        return left
+        unsent = self.writer.transport.get_write_buffer_size()
+        if unsent != self.unsent:
+            self.unsent, self.since = unsent, now
+        return unsent
 
 
 class ImageServer:
@@ -101,12 +101,12 @@ class ImageServer:
         world.multi_view = settings.multi_view
 
     async def start(self) -> list[str]:
-        """Listen; return what to tell the user.
+        """Listen; return lines for the user.
 
         Raises:
             UsageError: The port is taken or the address is not ours.
         """
-        self._listener, self.port = await listen(self._settings.host, self._settings.port, self._come_in)
+        self._listener, self.port = await listen(self._settings.host, self._settings.port, self._accept)
         return [f"pictures on {self._settings.host}:{self.port}"]
 
     def tick(self) -> None:
@@ -117,44 +117,44 @@ class ImageServer:
             return
         now = time.monotonic()
         waiting = []
-        for guest in self._clients:
-            if not guest.update_unsent(now):
-                waiting += [guest] * guest.session.wants(now)
-            elif now - guest.since > STALL:
-                log.info("%s:%d: dropped, it does not read", *peer_address(guest.writer))
-                guest.writer.transport.abort()
+        for client in self._clients:
+            if not client.update_unsent(now):
+                waiting += [client] * client.session.wants(now)
+            elif now - client.since > STALL:
+                log.info("%s:%d: dropped, it does not read", *peer_address(client.writer))
+                client.writer.transport.abort()
         if waiting and self._render_thread.is_ready(now):
             self._render_thread.begin(self._send(waiting, now))
 
     def stop(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         if self._listener is not None:
             self._listener.close()
-        for guest in self._clients:
-            guest.writer.transport.abort()
+        for client in self._clients:
+            client.writer.transport.abort()
         self._render_thread.close()
 
-    async def _send(self, guests: Sequence[ImageClient], now: float) -> None:
-        """Take the pictures that guests wait for, each once however many wait for the same."""
+    async def _send(self, clients: Sequence[ImageClient], now: float) -> None:
+        """Send the pictures that clients wait for, each once however many wait for the same."""
         wanted: dict[ImageClient, tuple[CompositeView, Region]] = {}
-        for guest in guests:
-            if guest.session.region is not None:
-                view = client_view(self._world, *peer_address(guest.writer), self._settings.size)
-                wanted[guest] = view, guest.session.region
+        for client in clients:
+            if client.session.region is not None:
+                view = client_view(self._world, *peer_address(client.writer), self._settings.size)
+                wanted[client] = view, client.session.region
         parts = set(wanted.values())
         try:
             make = partial(_frames, parts, self._settings.format)
             frames = await self._render_thread.render([view for view, _ in parts], make)
         except Exception:
-            for guest in wanted:
-                guest.writer.transport.abort()
+            for client in wanted:
+                client.writer.transport.abort()
             raise
-        for guest, asked in wanted.items():
-            if not guest.writer.is_closing():
-                guest.session.sent(now)
-                guest.writer.write(frames[asked])
+        for client, asked in wanted.items():
+            if not client.writer.is_closing():
+                client.session.sent(now)
+                client.writer.write(frames[asked])
 
-    async def _come_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address, port = peer_address(writer)
         if not address or not self._make_room():
             log.warning("%s:%d: refused, %d clients are here", address, port, len(self._clients))
@@ -162,29 +162,29 @@ class ImageServer:
             return
         limit_kernel_buffer(writer)
         settings = self._settings
-        guest = ImageClient(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
-        self._clients.append(guest)
+        client = ImageClient(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
+        self._clients.append(client)
         log.info("%s:%d: wants pictures", address, port)
         try:
             while data := await reader.read(READ_SIZE):
-                guest.last_received = time.monotonic()
-                guest.session.receive_data(data)
+                client.last_received = time.monotonic()
+                client.session.receive_data(data)
                 await self._stepped.wait()  # so much per control step: no one may keep the world from it
         except OSError as error:
             log.info("%s:%d: %s", address, port, error)
         except asyncio.CancelledError:
             log.info("%s:%d: the server stops", address, port)
         finally:
-            self._clients.remove(guest)
+            self._clients.remove(client)
             close_gracefully(writer)
 
     def _make_room(self) -> bool:
         """Return whether another client fits; the most silent one yields."""
-        here = [guest for guest in self._clients if not guest.writer.is_closing()]
+        here = [client for client in self._clients if not client.writer.is_closing()]
         if len(self._clients) < self._settings.max_connections:
             return True
         if here:
-            min(here, key=lambda guest: guest.last_received).writer.transport.abort()
+            min(here, key=lambda client: client.last_received).writer.transport.abort()
         return bool(here)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a served world, drawn in a thread beside the loop.
+"""Pictures of a served world, rendered in a thread.
 
 The thread may be busy for a part of the time only: the robots' reports come first.
 """
@@ -28,7 +28,7 @@ ViewImages = Mapping[CompositeView, np.ndarray]
 
 
 class RenderThread:
-    """Draws for one service.
+    """Renders for one service.
 
     Args:
         world: The served world.
@@ -45,16 +45,16 @@ class RenderThread:
         return now >= self._rested and (self._job is None or self._job.done())
 
     def begin(self, job: Coroutine[None, None, None]) -> None:
-        """Do a job, which is to call `take`; what goes wrong in it is logged."""
+        """Do a job, which is to call `render`; what goes wrong in it is logged."""
         self._job = asyncio.create_task(job)
         self._job.add_done_callback(_report)
 
     async def render(self, views: Collection[CompositeView], make: Callable[[ViewImages], Made]) -> Made:
         """Return what is made in the thread of the pictures of some views, as they are now."""
-        shots = list(dict.fromkeys(shot for view in views for shot, _, _ in view.tiles))
-        draw = _draw, snapshot(self._world, shots), shots, set(views), make
+        requests = list(dict.fromkeys(request for view in views for request, _, _ in view.tiles))
+        job = _make, snapshot(self._world, requests), requests, set(views), make
         began = time.monotonic()
-        made = await asyncio.get_running_loop().run_in_executor(self._executor, *draw)
+        made = await asyncio.get_running_loop().run_in_executor(self._executor, *job)
         ended = time.monotonic()
         self._rested = ended + min(MAX_PAUSE, (ended - began) * (1 - MAX_TIME_SHARE) / MAX_TIME_SHARE)
         return made
@@ -66,17 +66,17 @@ class RenderThread:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-def _draw(
-    take: Callable[[], list[np.ndarray]],
-    shots: Sequence[CameraRequest | ViewpointRequest],
+def _make(
+    render: Callable[[], list[np.ndarray]],
+    requests: Sequence[CameraRequest | ViewpointRequest],
     views: Collection[CompositeView],
     make: Callable[[ViewImages], Made],
 ) -> Made:
-    pictures = dict(zip(shots, take(), strict=True))
+    pictures = dict(zip(requests, render(), strict=True))
     return make({view: view.compose(pictures) for view in views})
 
 
 def _report(task: asyncio.Task[None]) -> None:
     """Log what went wrong in a task that nobody waits for."""
     if not task.cancelled() and (error := task.exception()):
-        log.error("no picture could be taken", exc_info=error)
+        log.error("no picture could be rendered", exc_info=error)

@@ -2,32 +2,32 @@
 
 The left button attaches the view to a robot, again to the next one, and after the last one to the MultiView,
 if there is one. The right button returns to the free view, which mouse and keyboard move. `C` changes between
-what an attached robot's cameras see and a view over the robot.
+what an attached robot's cameras see and a chase camera.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.cameras.paint import EXCLUDE_NONE
 from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
 from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
 from usarmjx.server.worlds.host import Robot, ServedWorld, ViewpointRequest
 
 FOV = math.radians(75.0)
-"""Field of view of the free view and of that over a robot [rad] (chosen)."""
+"""Field of view of the free view and of the chase camera [rad] (chosen)."""
 STEEPEST = math.radians(89.0)
 """The free view looks up and down by no more than this [rad]."""
 MAX_MOVE, MAX_TURN = 5.0, math.pi
 """The free view moves [m] and turns [rad] by no more than this at once."""
 CHASE_BEHIND, CHASE_ABOVE = (1.0, 1.6), (0.6, 0.9)
-"""The view over a robot is so far behind and above its origin: [m], and lengths of the robot (chosen)."""
+"""The chase camera is so far behind and above a robot's origin: [m], and lengths of the robot (chosen)."""
 LOOK_DOWN = math.radians(30.0)
 """It looks down by so much [rad]."""
 
@@ -46,7 +46,7 @@ def viewpoint_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
         eye_offsets=np.zeros((1, 3)),
         fov=np.float32(FOV),
         default_fov=np.float32(FOV),
-        slot=np.int32(EXCLUDE_NONE),
+        slot=EXCLUDE_NONE,
         hidden_geoms=np.zeros(HIDDEN_GEOMS_MULTIPLE, bool),
         lens="pinhole",
     )
@@ -67,7 +67,7 @@ class Spectator:
         world: The served world.
         size: Width and height of the pictures [pixels].
         robot: The robot that the view is attached to; None: it is free, or the MultiView.
-        chase: Whether an attached view is that over the robot.
+        chase: Whether an attached view is the chase camera's.
         show_multi_view: Whether it is the MultiView.
     """
 
@@ -81,7 +81,7 @@ class Spectator:
     pitch: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin with a look over the arena."""
+        """Begin above a corner, looking at the arena's middle."""
         arena = self.world.arena
         self.pos = start_position(arena)
         middle = np.mean(arena.extent, axis=1)
@@ -89,7 +89,7 @@ class Spectator:
         self.yaw = math.atan2(away[1], away[0])
         self.pitch = math.atan2(self.pos[2] - arena.floor, float(np.hypot(*away)))
 
-    def handle_message(self, message: Any) -> None:  # noqa: ANN401 - as it came from the net
+    def handle_message(self, message: object) -> None:
         """Take what the page says; what is not understood is skipped.
 
         Args:
@@ -98,6 +98,7 @@ class Spectator:
         """
         if not isinstance(message, dict):
             return
+        message = cast(dict[object, object], message)
         if message.get("click") == "left":
             self._next()
         elif message.get("click") == "right":
@@ -126,11 +127,11 @@ class Spectator:
             return "MultiView"
         if robot is None:
             return "free view"
-        over = self.chase or not robot.cameras
-        return f"{robot.name}, {robot.spec.name}{': over it' if over else ''}"
+        chase = self.chase or not robot.cameras
+        return f"{robot.name}, {robot.spec.name}{': over it' if chase else ''}"
 
-    def _from(self, eye: Viewpoint) -> CompositeView:
-        return CompositeView(self.size, ((ViewpointRequest(eye, *self.size), 0, 0),))
+    def _from(self, viewpoint: Viewpoint) -> CompositeView:
+        return CompositeView(self.size, ((ViewpointRequest(viewpoint, *self.size), 0, 0),))
 
     def _attached(self) -> Robot | None:
         """Return the robot that the view is attached to; free again if that has gone."""
@@ -148,7 +149,7 @@ class Spectator:
             self.robot, self.show_multi_view = robots[0 if last else now + 1], False
 
     def _chase_viewpoint(self, robot: Robot) -> Viewpoint:
-        """Return the viewpoint over a robot: behind it in its heading, looking down on it."""
+        """Return the chase camera: behind and above the robot in its heading, looking down on it."""
         state, length = self.world.state(robot), max(robot.spec.dimensions[:2])
         ahead = np.asarray(mat_from_quat(state.quat))[:2, 0]
         yaw = math.atan2(ahead[1], ahead[0])
@@ -167,9 +168,10 @@ class Spectator:
         self.pitch = min(max(self.pitch + down, -STEEPEST), STEEPEST)
 
 
-def _numbers(given: Any, count: int, most: float) -> list[float]:  # noqa: ANN401 - as it came from the net
+def _numbers(given: object, count: int, most: float) -> list[float]:
     """Return so many numbers, none larger than `most`; zeros if they are not that."""
-    fits = isinstance(given, list) and len(given) == count
-    if not fits or not all(isinstance(one, int | float) and math.isfinite(one) for one in given):
+    values = cast(list[object], given) if isinstance(given, list) else []
+    if len(values) != count:
         return [0.0] * count
-    return [min(max(float(one), -most), most) for one in given]
+    finite = [float(one) for one in values if isinstance(one, int | float) and math.isfinite(one)]
+    return [min(max(number, -most), most) for number in finite] if len(finite) == count else [0.0] * count

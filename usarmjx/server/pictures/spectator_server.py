@@ -88,15 +88,21 @@ class SpectatorServer:
         self.port = settings.port
 
     async def start(self) -> list[str]:
-        """Listen; return what to tell the user.
+        """Listen; return lines for the user.
 
         Raises:
             UsageError: The port is taken or the address is not ours.
         """
         host, port = self._settings.host, self._settings.port
-        how = {"process_request": _answer, "max_size": MAX_MESSAGE_SIZE, "compression": None}
         try:
-            self._server = await serve(self._come_in, host, port, **how)
+            self._server = await serve(
+                self._accept,
+                host,
+                port,
+                process_request=_answer,
+                max_size=MAX_MESSAGE_SIZE,
+                compression=None,
+            )
         except OSError as error:
             raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
         self.port = next(iter(self._server.sockets)).getsockname()[1]
@@ -112,7 +118,7 @@ class SpectatorServer:
             self._render_thread.begin(self._show(waiting, now))
 
     def stop(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         if self._server is not None:
             self._server.close()
         self._render_thread.close()
@@ -134,7 +140,7 @@ class SpectatorServer:
                 await page.socket.send(json.dumps({"caption": captions[page], "time": shown}))
                 await page.socket.send(picture)
 
-    async def _come_in(self, socket: ServerConnection) -> None:
+    async def _accept(self, socket: ServerConnection) -> None:
         if len(self._pages) >= self._settings.max_connections:
             await socket.close(1013, f"{len(self._pages)} pages are open already")
             return

@@ -22,8 +22,8 @@ from usarmjx.server.protocol.reports import check_vehicle
 
 ConfField: TypeAlias = tuple[str, str | bool | int | float]
 
-# Configuration values that UT2004 servers print from a raw float, although others have 4 decimals.
-_RAW_FIELDS = {("gps", "scaninterval"), ("ins", "scaninterval"), ("groundtruth", "scaninterval")}
+# Configuration values that UT2004 servers print with 2 decimals, although others have 4.
+_TWO_DECIMAL_FIELDS = {("gps", "scaninterval"), ("ins", "scaninterval"), ("groundtruth", "scaninterval")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +177,8 @@ def conf_effecters(effecters: Iterable[tuple[str, Sequence[tuple[str, float, flo
 
 def _field(type_name: str, key: str, value: str | bool | int | float) -> str:
     if isinstance(value, float):
-        is_raw = (type_name.lower(), key.lower()) in _RAW_FIELDS
-        return two_decimals(value) if is_raw else four_decimals(value)
+        short = (type_name.lower(), key.lower()) in _TWO_DECIMAL_FIELDS
+        return two_decimals(value) if short else four_decimals(value)
     return str(value)
 
 

@@ -109,11 +109,11 @@ class ImageSession:
         """
         data = self._pending + data
         self._pending = b""
-        place = 0
-        while place < len(data):
-            head = data[place : place + 1]
+        at = 0
+        while at < len(data):
+            head = data[at : at + 1]
             length = {b"O": 2, b"U": 1 + RECTANGLE.size}.get(head, 1)
-            piece = data[place : place + length]
+            piece = data[at : at + length]
             if len(piece) < length:
                 self._pending = piece
                 return
@@ -123,7 +123,7 @@ class ImageSession:
                 self._ask((0, 0, *self.size))
             elif head == b"U":
                 self._ask(self._overlap(*RECTANGLE.unpack(piece[1:])))
-            place += length
+            at += length
 
     def wants(self, now: float) -> bool:
         """Whether it is time to send a picture."""

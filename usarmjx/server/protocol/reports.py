@@ -28,6 +28,9 @@ VEHICLES: dict[str, tuple[tuple[str, str], ...]] = {
     "AerialVehicle": (),
 }
 
+STATUS_OK, STATUS_FAILED = "OK", "Failed"
+"""How RES says whether a SET was carried out (manual 9.3)."""
+
 
 def nfo_greeting(level: str) -> Message:
     """Return the line that every connection starts with; `level` is the arena's name."""
@@ -257,15 +260,15 @@ def sen_gps(time: float | None, name: str, position: tuple[float, float] | None,
         position: Latitude and longitude [degrees], north and east positive.
         satellites: How many are seen.
     """
-    place: tuple[Segment, ...] = ()
+    coordinates: tuple[Segment, ...] = ()
     if position is not None:
         latitude, longitude = position
-        place = (
+        coordinates = (
             ("Latitude", f"{_degrees_and_minutes(latitude)},{'S' if latitude < 0 else 'N'}"),
             ("Longitude", f"{_degrees_and_minutes(longitude)},{'W' if longitude < 0 else 'E'}"),
         )
     fix = ("Fix", "0" if position is None else "1")
-    return _sen(_precise(time), "GPS", ("Name", name), *place, fix, ("Satellites", str(satellites)))
+    return _sen(_precise(time), "GPS", ("Name", name), *coordinates, fix, ("Satellites", str(satellites)))
 
 
 def _degrees_and_minutes(angle: float) -> str:
@@ -281,7 +284,7 @@ def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Messag
 
 
 def res(time: float, type_name: str, name: str, status: str) -> Message:
-    """Return the answer to a SET; type and name echo the request, status is mostly OK or Failed."""
+    """Return the answer to a SET; type and name echo the request, status is mostly `STATUS_OK`."""
     return Message(
         "RES", (("Time", two_decimals(time)), ("Type", type_name), ("Name", name), ("Status", status))
     )

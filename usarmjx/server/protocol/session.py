@@ -14,6 +14,7 @@ from collections import deque
 from enum import Enum
 
 from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.command_parsers import parse_command
 from usarmjx.server.protocol.commands import (
     Command,
     DriveJoint,
@@ -32,7 +33,6 @@ from usarmjx.server.protocol.commands import (
     SetView,
     SetViewports,
     Trace,
-    parse_command,
 )
 from usarmjx.server.protocol.grammar import Message, clip, format_message, parse_message
 from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
@@ -51,33 +51,22 @@ class SessionPhase(Enum):
     CLOSED = "closed"
 
 
-# What is not in the table is ignored with a reason for the log, as the original does silently. A
-# second INIT is among that: servers disagree (one adds a robot and forgets the first, another
-# ignores it), and one robot per connection is the rule.
-TRANSITIONS: dict[SessionPhase, dict[type[Command], SessionPhase]] = {
-    SessionPhase.GREETED: {
-        GetStartPoses: SessionPhase.GREETED,
-        SetView: SessionPhase.GREETED,
-        Init: SessionPhase.ACTIVE,
-    },
-    SessionPhase.ACTIVE: {
-        GetStartPoses: SessionPhase.ACTIVE,
-        DriveRobot: SessionPhase.ACTIVE,
-        DriveWheels: SessionPhase.ACTIVE,
-        DriveJoint: SessionPhase.ACTIVE,
-        MultiDrive: SessionPhase.ACTIVE,
-        MisPkg: SessionPhase.ACTIVE,
-        Set: SessionPhase.ACTIVE,
-        SetJoint: SessionPhase.ACTIVE,
-        SetFov: SessionPhase.ACTIVE,
-        SetViewports: SessionPhase.ACTIVE,
-        SetView: SessionPhase.ACTIVE,
-        Trace: SessionPhase.ACTIVE,
-        GetGeo: SessionPhase.ACTIVE,
-        GetConf: SessionPhase.ACTIVE,
-    },
-    SessionPhase.CLOSED: {},
+# What is not legal is ignored with a reason for the log, as the original does silently. A second
+# INIT is among that: servers disagree (one adds a robot and forgets the first, another ignores it),
+# and one robot per connection is the rule.
+LEGAL_COMMANDS: dict[SessionPhase, frozenset[type[Command]]] = {
+    SessionPhase.GREETED: frozenset({Init, GetStartPoses, SetView}),
+    SessionPhase.ACTIVE: frozenset(
+        {
+            *(GetStartPoses, GetGeo, GetConf),
+            *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
+            *(SetFov, SetViewports, SetView, Trace),
+        }
+    ),
+    SessionPhase.CLOSED: frozenset(),
 }
+"""The commands that count in each phase. An accepted Init leads to ACTIVE, `close` to CLOSED; nothing else
+changes the phase."""
 
 
 class RobotSession:
@@ -133,7 +122,7 @@ class RobotSession:
     def answer_init(self, accepted: bool) -> list[Command]:
         """Say whether the robot of the last Init exists now.
 
-        Nothing is sent in either case. After a refusal (an unknown class, no place left) the client
+        Nothing is sent in either case. After a refusal (an unknown class, no room left) the client
         may send another INIT.
 
         Returns:
@@ -143,7 +132,7 @@ class RobotSession:
             return []
         self._awaits_answer = False
         if accepted:
-            self.phase = TRANSITIONS[self.phase][Init]
+            self.phase = SessionPhase.ACTIVE
         else:
             self._fault("INIT is refused")
         return self._take([])
@@ -205,12 +194,9 @@ class RobotSession:
         if isinstance(command, Ignored):
             self._fault(f"{command.reason}: {clip(line)}")
             return None
-        following = TRANSITIONS[self.phase].get(type(command))
-        if following is None:
+        if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if not isinstance(command, Init):  # an Init moves on only when it is accepted
-            self.phase = following
         return command
 
     def _fault(self, reason: str) -> None:

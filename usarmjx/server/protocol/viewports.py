@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 SINGLE, QUAD = "SingleView", "QuadView"
 CONFIGS = {"0": SINGLE, "singleview": SINGLE, "1": QUAD, "quadview": QUAD}
 DISABLE, DISABLED, UNKNOWN_CAMERA = "disable", "Disabled", "None"
 """What switches a viewport off, how that is reported, and what one with an unknown camera reports."""
 VIEWPORT_COUNT = 4
-STATUS_OK, STATUS_FAILED = "OK", "Failed"
 
 
 @dataclass
@@ -55,37 +55,37 @@ class Viewports:
     def tiles(self) -> tuple[tuple[str, int, int, int], ...]:
         """Return which cameras show where: name, column, row, and how many columns and rows there are."""
         if self.config == SINGLE:
-            places = [(self.shown[0], 0, 0, 1)]
+            tiles = [(self.shown[0], 0, 0, 1)]
         else:
-            places = [(name, place % 2, place // 2, 2) for place, name in enumerate(self.shown)]
-        return tuple(place for place in places if place[0] not in (DISABLED, UNKNOWN_CAMERA))
+            tiles = [(name, index % 2, index // 2, 2) for index, name in enumerate(self.shown)]
+        return tuple(tile for tile in tiles if tile[0] not in (DISABLED, UNKNOWN_CAMERA))
 
 
 @dataclass
 class ViewBindings:
-    """Which image clients' views are tied to which robot's camera.
+    """Which image clients' views are bound to which robot's camera.
 
     Attributes:
         limit: Most of them.
     """
 
     limit: int = 256
-    _tied: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    _bound: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
 
     def bind(self, client: str, robot: str, camera: str) -> None:
-        """Tie a client's view to a camera, or to the viewports of the robot if no camera is named.
+        """Bind a client's view to a camera, or to the viewports of the robot if no camera is named.
 
         Raises:
             PeerError: There are too many.
         """
-        if client not in self._tied and len(self._tied) >= self.limit:
-            raise PeerError(f"{self.limit} views are tied already")
-        self._tied[client] = (robot, camera)
+        if client not in self._bound and len(self._bound) >= self.limit:
+            raise PeerError(f"{self.limit} views are bound already")
+        self._bound[client] = (robot, camera)
 
     def unbind(self, client: str) -> None:
-        """Let go of a client's view; nothing if it was not tied."""
-        self._tied.pop(client, None)
+        """Unbind a client's view; nothing if it was not bound."""
+        self._bound.pop(client, None)
 
     def get(self, address: str, port: int) -> tuple[str, str] | None:
-        """Return robot and camera that a connection's view is tied to; the tie of its port counts first."""
-        return self._tied.get(f"{address}:{port}", self._tied.get(address))
+        """Return robot and camera that a connection's view is bound to; one of its port counts first."""
+        return self._bound.get(f"{address}:{port}", self._bound.get(address))

@@ -135,7 +135,7 @@ class WirelessService:
         self.ports: dict[str, int] = {}
 
     async def start(self) -> list[str]:
-        """Listen on all three ports; return what to tell the user.
+        """Listen on all three ports; return lines for the user.
 
         Raises:
             UsageError: A port is taken or the address is not ours.
@@ -195,7 +195,7 @@ class WirelessService:
     def _connection_callback(
         self, make_handler: Callable[[str], ConnectionHandler]
     ) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
-        async def come_in(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             address, port = peer_address(writer)
             if not address or not self._make_room():
                 log.warning("%s:%d: refused, %d connections are open", address, port, len(self._connections))
@@ -215,7 +215,7 @@ class WirelessService:
                 connection.handler.connection_lost()
                 close_gracefully(writer)
 
-        return come_in
+        return accept
 
     def _make_room(self) -> bool:
         """Return whether another connection fits; of those without a robot the most silent one yields."""

@@ -1,4 +1,4 @@
-"""Dialect A of the wireless server on real sockets: it connects both ends of a link and carries SENDs across."""
+"""Dialect A of the wireless server on real sockets: it connects both ends of a link and carries SENDs."""
 
 import asyncio
 from collections.abc import Collection

@@ -1,7 +1,7 @@
 """A served world that is one of a running batch: clients claim parked robots of the roster.
 
-The batch's shape is fixed, so INIT can only wake a robot of the asked class that waits; disconnecting
-parks it again. All worlds of the batch run on; only the served one listens to clients.
+The batch's shape is fixed, so INIT can only activate a parked robot of the asked class; disconnecting parks
+it again. All worlds of the batch run on; only the served one listens to clients.
 """
 
 import logging
@@ -31,7 +31,7 @@ from usarmjx.sim.world import GroupState, robot_states, sense_self, time_of
 log = logging.getLogger(__name__)
 
 ROBOT_FIELDS = ("state", "bodies", "hits")
-"""What of a team's `Sight` has a leading axis over robots."""
+"""What of a group's `SensorInput` has a leading axis over robots."""
 
 
 class BatchWorld(ServedWorld):
@@ -54,70 +54,69 @@ class BatchWorld(ServedWorld):
         self.arena = batch.arena_of(self._state, instance)
         self._steps = 0
         self._sense_self = [
-            jax.jit(partial(sense_self, batch.scene, group=team)) for team in batch.scene.groups
+            jax.jit(partial(sense_self, batch.scene, group=group)) for group in batch.scene.groups
         ]
-        # Compile everything before the first client comes.
-        self.step()
-        self._warm_up()
+        self._advance()
 
-    def _warm_up(self) -> None:
-        """Let one robot of each class come, be read and be told something, and forget it all."""
+    def warm_up(self) -> None:
+        """Let one robot of each class come, be read and take a command, and forget it all."""
         before = self._state
-        for team in self._batch.scene.groups:
-            pos = (0.0, 0.0, self.arena.floor + team.plan.clearance + PARKING_HEIGHT)
-            robot = self._activate(int(team.slots[0]), team.robot, "nobody", pos, (0.0, 0.0, 0.0))
+        for group in self._batch.scene.groups:
+            pos = (0.0, 0.0, self.arena.floor + group.plan.clearance + PARKING_HEIGHT)
+            robot = self._activate(int(group.slots[0]), group.robot, "nobody", pos, (0.0, 0.0, 0.0))
             self.observe([robot])
             self.set_command(robot, robot.command)
             self.state(robot)
-            for place, effecter in enumerate(team.effecters):
+            for index, effecter in enumerate(group.effecters):
                 for opcode in effecter.opcodes:
-                    self.operate(robot, place, opcode, opcode.default_val or 0.0)
+                    self.operate(robot, index, opcode, opcode.default_val or 0.0)
             self.remove(robot)
         self._state = before
 
     @property
     def time(self) -> float:
-        """Simulated time since the world began [s]; it goes on when a world that went bad starts again."""
+        """Simulated time since the world began [s]; it goes on when a world that went bad is reset."""
         return self._steps * self.period
 
     def _sensor_input(self, robot: Robot) -> SensorInput:
-        team, place = self._batch.scene.group_of(robot.slot)
+        group, member = self._batch.scene.group_of(robot.slot)
         world, physics = jax.tree.map(
             lambda x: x[self._instance], (self._state.worlds, self._batch.physics(self._state))
         )
-        sight = self._sense_self[team](world, physics)
-        return sight.replace(**jax.tree.map(lambda x: x[place], {k: getattr(sight, k) for k in ROBOT_FIELDS}))
+        inputs = self._sense_self[group](world, physics)
+        own = {name: getattr(inputs, name) for name in ROBOT_FIELDS}
+        return inputs.replace(**jax.tree.map(lambda x: x[member], own))
 
     def _edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
-        """Replace fields of one robot's part of its team's state."""
-        team, place = self._batch.scene.group_of(robot.slot)
-        members: GroupState = self._state.worlds.groups[team]
-        at = (self._instance, place)
+        """Replace fields of one robot's part of its group's state."""
+        group, member = self._batch.scene.group_of(robot.slot)
+        state: GroupState = self._state.worlds.groups[group]
+        at = (self._instance, member)
         new = {
-            name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(members, name), value)
+            name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(state, name), value)
             for name, value in fields.items()
         }
-        self._state = self._batch.with_group(self._state, team, members.replace(**new))
+        self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        """Wake a parked robot of that class and put it there."""
+        """Activate a parked robot of that class and put it there."""
         self.check_position(pos)
-        for team, members in zip(self._batch.scene.groups, self._state.worlds.groups, strict=True):
-            parked = np.flatnonzero(~np.asarray(members.active[self._instance]))
-            if team.robot.name == robot.name and parked.size:
-                slot = int(team.slots[parked[0]])
+        for group, state in zip(self._batch.scene.groups, self._state.worlds.groups, strict=True):
+            parked = np.flatnonzero(~np.asarray(state.active[self._instance]))
+            if group.robot.name == robot.name and parked.size:
+                slot = int(group.slots[parked[0]])
                 return self._activate(slot, robot, name, pos, angles)
         raise UsageError(f"no parked {robot.name} left in the roster: add more of them to --roster")
 
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         lifted = self.floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
         self._set_pose(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
-        team, _ = self._batch.scene.group_of(slot)
-        suite = self._batch.scene.groups[team].suite
+        number, _ = self._batch.scene.group_of(slot)
+        group = self._batch.scene.groups[number]
         command = jax.tree.map(np.array, idle_command(robot))
-        new = Robot(slot=slot, name=name, suite=suite, command=command, spawn_time=self.time)
+        new = Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
         world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
-        stock = np.array(self._batch.scene.groups[team].releases, np.int32)
+        stock = np.array(group.releases, np.int32)
         fov = np.array(new.fovs, np.float32)
         self._edit(
             new,
@@ -131,14 +130,14 @@ class BatchWorld(ServedWorld):
         key = jax.random.fold_in(
             jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
         )
-        self._edit(new, memory=suite.init_memory(self._sensor_input(new), key))
+        self._edit(new, memory=group.suite.init_memory(self._sensor_input(new), key))
         self.robots[slot] = new
         return new
 
     def _set_pose(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
         scene = self._batch.scene
-        team, place = scene.group_of(slot)
-        index = scene.groups[team].indices[place]
+        group, member = scene.group_of(slot)
+        index = scene.groups[group].indices[member]
         shape = (self._batch.worlds, scene.model.nq)
         pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
         pinned_dof = np.zeros((self._batch.worlds, scene.model.nv), bool)
@@ -157,7 +156,7 @@ class BatchWorld(ServedWorld):
             self._edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
-        """Replace what the robot is told to do."""
+        """Replace the robot's command."""
         shift = jnp.asarray(self._world_time() - self.time)
         robot.command = command
         self._edit(robot, command=command.replace(flip_until=command.flip_until + shift))
@@ -167,6 +166,9 @@ class BatchWorld(ServedWorld):
 
     def step(self) -> None:
         """Advance all worlds of the batch by one control step."""
+        self._advance()
+
+    def _advance(self) -> None:
         before = int(self._state.worlds.episode[self._instance])
         self._state = self._batch.step(self._state)
         self._steps += 1
@@ -181,20 +183,20 @@ class BatchWorld(ServedWorld):
         del due  # one compiled function reads everybody
         self._state, readings = self._batch.observe(self._state)
         for robot in self.robots.values():
-            team, place = self._batch.scene.group_of(robot.slot)
-            at = (self._instance, place)
-            robot.drowned = bool(self._state.worlds.groups[team].drowned[at])
-            mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[team]))
+            group, member = self._batch.scene.group_of(robot.slot)
+            at = (self._instance, member)
+            robot.drowned = bool(self._state.worlds.groups[group].drowned[at])
+            mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[group]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
                     robot.pending[sensor] = reading.value
 
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves."""
-        team, place = self._batch.scene.group_of(robot.slot)
+        group, member = self._batch.scene.group_of(robot.slot)
         physics = jax.tree.map(lambda x: x[self._instance], self._batch.physics(self._state))
-        states = robot_states(self._batch.scene.groups[team], physics)
-        return jax.tree.map(lambda x: np.asarray(x[place]), states)
+        states = robot_states(self._batch.scene.groups[group], physics)
+        return jax.tree.map(lambda x: np.asarray(x[member]), states)
 
     def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are."""
@@ -202,8 +204,8 @@ class BatchWorld(ServedWorld):
 
     def memory(self, robot: Robot) -> SensorMemory:
         """Return what the robot's sensors remember."""
-        team, place = self._batch.scene.group_of(robot.slot)
-        return jax.tree.map(lambda x: x[self._instance, place], self._state.worlds.groups[team].memory)
+        group, member = self._batch.scene.group_of(robot.slot)
+        return jax.tree.map(lambda x: x[self._instance, member], self._state.worlds.groups[group].memory)
 
     def door_angles(self) -> np.ndarray:
         """Return how far the arena's doors are open now [rad] (doors,)."""
@@ -215,19 +217,18 @@ class BatchWorld(ServedWorld):
         self._edit(robot, fov=np.array(robot.fovs, np.float32))
         return done
 
-    def snapshot(self, shots: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Hold still what pictures show; return what then takes them."""
+    def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
+        """Take a snapshot of what pictures show; return a function that renders them."""
         state, instance = self._state, self._instance
 
-        def take(shot: CameraRequest | ViewpointRequest) -> Picture:
-            size = {"width": shot.width, "height": shot.height}
-            if isinstance(shot, ViewpointRequest):
-                return jax.device_get(self._batch.render_view(state, instance, shot.viewpoint, **size))
-            return jax.device_get(
-                self._batch.render_robot(state, instance, shot.robot.slot, shot.camera, **size)
-            )
+        def render(asked: CameraRequest | ViewpointRequest) -> Picture:
+            size = {"width": asked.width, "height": asked.height}
+            if isinstance(asked, ViewpointRequest):
+                return jax.device_get(self._batch.render_view(state, instance, asked.viewpoint, **size))
+            camera = asked.robot.slot, asked.camera
+            return jax.device_get(self._batch.render_robot(state, instance, *camera, **size))
 
-        return lambda: [take(shot) for shot in shots]
+        return lambda: [render(asked) for asked in requests]
 
     def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
@@ -238,13 +239,13 @@ class BatchWorld(ServedWorld):
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter, as the batch does it."""
-        team, place = self._batch.scene.group_of(robot.slot)
-        at = (self._instance, place)
-        where = np.zeros(self._state.worlds.groups[team].active.shape, bool)
+        group, member = self._batch.scene.group_of(robot.slot)
+        at = (self._instance, member)
+        where = np.zeros(self._state.worlds.groups[group].active.shape, bool)
         where[at] = True
         name = robot.effecters[effecter].mount.name
-        self._state, outcome = self._batch.operate(self._state, team, name, opcode.name, value, where)
-        command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[team].command)
+        self._state, outcome = self._batch.operate(self._state, group, name, opcode.name, value, where)
+        command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[group].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
 

@@ -1,9 +1,9 @@
 """A served world on C MuJoCo: robots of any class are added and removed while it runs.
 
 Nothing here depends on the roster's shape: sensors are compiled once per robot class, against arrays of
-geoms with room to spare, so that a new robot costs a recompilation of the MuJoCo model (tens of
-milliseconds) and none of the sensors. When the room no longer suffices it doubles, and what depends on it is
-compiled in `prepare`, beside the loop.
+geoms with capacity to spare, so that a new robot costs a recompilation of the MuJoCo model (tens of
+milliseconds) and none of the sensors. When the capacity no longer suffices it doubles, and what depends on it
+is compiled in `prepare`, in a thread.
 """
 
 import logging
@@ -69,7 +69,7 @@ class DynamicWorld(ServedWorld):
         self.arena, self.period, self.robots = arena, physics.period, {}
         self.other_worlds: tuple[DynamicWorld, ...] = ()
         self.tags = no_dropped_tags(np)
-        self._physics, self._key, self._seats = physics, key, max_robots
+        self._physics, self._key, self._max_robots = physics, key, max_robots
         self._spec = new_spec(arena, physics)
         # We count and reset worlds that go bad; C MuJoCo would do it without a word.
         self._spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -96,7 +96,7 @@ class DynamicWorld(ServedWorld):
         self._compiled: dict[str, CompiledRobot] = {}
         self._sort_pieces()
         self._capacity = _capacity_for(self._piece_indices)
-        self._cast = jax.jit(cast_rays, static_argnames="query")
+        self._cast = jax.jit(cast_rays)
         self._compile_cast(self._capacity, materials_present(Sensor.transparent, arena))
 
     @property
@@ -107,20 +107,20 @@ class DynamicWorld(ServedWorld):
     def prepare(self, robot: RobotSpec) -> None:
         """Compile the sensors and the drive of a class; takes seconds the first time."""
         if robot.name not in self._compiled:
-            around = self._surroundings() if suite_of(robot).needs_surroundings else None
-            self._compiled[robot.name] = CompiledRobot(robot, self.arena, self.period, around)
+            surroundings = self._surroundings() if suite_of(robot).needs_surroundings else None
+            self._compiled[robot.name] = CompiledRobot(robot, self.arena, self.period, surroundings)
         for passes, _ in self._compiled[robot.name].ray_queries:
             self._compile_cast(self._grown_capacity(robot), passes)
 
     def _grown_capacity(self, robot: RobotSpec) -> dict[BlockKey, int]:
-        """Return the room for what is there and one more robot of that class; never less than now."""
+        """Return the capacity for what is there and one more robot of that class; never less than now."""
         kinds = kinematic_tree_of(robot).geom_type
         wanted = _capacity_for(self._piece_indices, indices_by_key(kinds, [OPAQUE] * len(kinds)))
-        return {sort: max(n, wanted.get(sort, 0)) for sort, n in (wanted | self._capacity).items()}
+        return {key: max(n, wanted.get(key, 0)) for key, n in (wanted | self._capacity).items()}
 
-    def _compile_cast(self, room: dict[BlockKey, int], passes: frozenset[str]) -> None:
+    def _compile_cast(self, capacity: dict[BlockKey, int], passes: frozenset[str]) -> None:
         rays = np.ones((RAY_BATCH_SIZE, 3), np.float32)
-        self._cast(_blank_geoms(room), rays, rays, np.int32(0), query=RayQuery(passes, incidence=True))
+        self._cast(_blank_geoms(capacity), rays, rays, _ray_query(passes, 0))
 
     def _sort_pieces(self) -> None:
         """Find out what rays see of the present model."""
@@ -131,9 +131,9 @@ class DynamicWorld(ServedWorld):
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Add a robot to the running model; the states of the others are kept bit for bit."""
         self.check_position(pos)
-        free = [slot for slot in range(self._seats) if slot not in self.robots]
+        free = [slot for slot in range(self._max_robots) if slot not in self.robots]
         if not free:
-            raise UsageError(f"no seat left for another robot: {self._seats} are taken")
+            raise UsageError(f"no seat left for another robot: {self._max_robots} are taken")
         self.prepare(robot)
         slot, self._capacity = free[0], self._grown_capacity(robot)
         add_robot(self._spec, robot, prefix_of(slot), pos)
@@ -151,7 +151,7 @@ class DynamicWorld(ServedWorld):
         self._stock[slot] = np.array([effecter.initial_stock for effecter in new.effecters], np.int32)
         self._spawned += 1
         self._memory[slot] = self._compiled[robot.name].start(
-            self._sensor_input(new), self._noise(new, self._spawned)
+            self._sensor_input(new), self._noise_key(new, self._spawned)
         )
         return new
 
@@ -182,11 +182,11 @@ class DynamicWorld(ServedWorld):
             move_geoms(self._model, self._bones, pos[self._swinging], quat[self._swinging])
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
-        """Replace what the robot is told to do."""
+        """Replace the robot's command."""
         robot.command = command
 
     def step(self) -> None:
-        """Advance by one control step; a world that goes bad starts again where its robots appeared."""
+        """Advance by one control step; a world that goes bad is reset, with robots where they appeared."""
         for world in self.other_worlds:
             world.step()
         data = self._data
@@ -194,16 +194,14 @@ class DynamicWorld(ServedWorld):
             index, targets = self._index[slot], list(self._index[slot].actadr)
             act, time = data.act[targets].astype(np.float32), np.float32(self.time)
             powered = np.bool_(self.battery(robot) > 0)
-            driven, drowned = self._compiled[robot.spec.name].drive(
+            inputs, drowned = self._compiled[robot.spec.name].drive(
                 robot.command, self._state(slot), act, time, powered
             )
             robot.drowned |= bool(drowned)
-            data.ctrl[list(index.actuator_ids)], data.ctrl[list(index.hold_actuator_ids)] = (
-                driven.ctrl,
-                driven.hold,
-            )
-            data.act[targets] = driven.act
-            data.xfrc_applied[index.body_ids[0]] = driven.wrench
+            data.ctrl[list(index.actuator_ids)] = inputs.ctrl
+            data.ctrl[list(index.hold_actuator_ids)] = inputs.hold
+            data.act[targets] = inputs.act
+            data.xfrc_applied[index.body_ids[0]] = inputs.wrench
         self._move_victims()
         before = buffer_warnings(data)
         mujoco.mj_step(self._model, data, nstep=self._physics.substeps)
@@ -216,9 +214,9 @@ class DynamicWorld(ServedWorld):
     def _reset(self) -> None:
         log.error("the physics is not finite any more: robots go back to where they appeared")
         mujoco.mj_resetData(self._model, self._data)
-        for slot, home in self._spawn_qpos.items():
+        for slot, qpos in self._spawn_qpos.items():
             start = self._index[slot].root_qposadr
-            self._data.qpos[start : start + 7] = home
+            self._data.qpos[start : start + 7] = qpos
 
     def observe(self, due: list[Robot]) -> None:
         """Read the sensors of the robots that are about to report."""
@@ -229,23 +227,22 @@ class DynamicWorld(ServedWorld):
         for robot in due:
             compiled = self._compiled[robot.spec.name]
             state = self._state(robot.slot)
-            seeks = around if robot.suite.needs_surroundings else None
-            bodies, origin, direction = compiled.bodies_and_rays(state, seeks)
+            surroundings = around if robot.suite.needs_surroundings else None
+            bodies, origin, direction = compiled.bodies_and_rays(state, surroundings)
             hits = NO_HITS
             for passes, mine in compiled.ray_queries:
-                query = RayQuery(passes, incidence=True)
-                seen = self._cast(geoms, origin, direction, np.int32(robot.slot), query=query)
+                seen = self._cast(geoms, origin, direction, _ray_query(passes, robot.slot))
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
             time = np.float32(self.time - robot.spawn_time)
-            sight = SensorInput(time=time, state=state, bodies=bodies, hits=hits, surroundings=seeks)
-            key = self._noise(robot, self._steps)
-            memory, readings = compiled.read(sight, self._memory[robot.slot], key)
+            inputs = SensorInput(time=time, state=state, bodies=bodies, hits=hits, surroundings=surroundings)
+            key = self._noise_key(robot, self._steps)
+            memory, readings = compiled.read(inputs, self._memory[robot.slot], key)
             self._memory[robot.slot] = memory
-            for place, reading in enumerate(jax.device_get(readings)):
+            for sensor, reading in enumerate(jax.device_get(readings)):
                 if reading.fresh:
-                    robot.pending[place] = reading.value
+                    robot.pending[sensor] = reading.value
 
-    def _noise(self, robot: Robot, count: int) -> jax.Array:
+    def _noise_key(self, robot: Robot, count: int) -> jax.Array:
         return jax.random.fold_in(jax.random.fold_in(self._key, count), robot.slot)
 
     def _state(self, slot: int) -> RobotState:
@@ -266,7 +263,7 @@ class DynamicWorld(ServedWorld):
         return jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == np.float64 else x, around)
 
     def _geoms(self) -> Geoms:
-        """Return what rays can hit now, padded to the room of a full house."""
+        """Return what rays can hit now, padded to the capacity."""
         model, data = self._model, self._data
         owner_of_body = np.full(model.nbody, -1, np.int32)
         for slot, index in self._index.items():
@@ -293,8 +290,8 @@ class DynamicWorld(ServedWorld):
         """Return how far the arena's doors are open now [rad] (doors,)."""
         return self._data.qpos[door_qpos(self._model, self.arena)].astype(np.float32)
 
-    def snapshot(self, shots: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Hold still what pictures show; return what then takes them."""
+    def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
+        """Take a snapshot of what pictures show; return a function that renders them."""
         self._move_victims()
         mujoco.mj_kinematics(self._model, self._data)
         lit = {
@@ -302,10 +299,10 @@ class DynamicWorld(ServedWorld):
             for slot, robot in self.robots.items()
             if robot.command.light and self.battery(robot) > 0
         }
-        what = self._pieces, self._piece_indices, self._capacity, self._index, lit
-        stage = dynamic_render_scene(self.arena, self._data, *what)
-        held = [(self.viewpoint(shot), shot.width, shot.height) for shot in shots]
-        return lambda: [jax.device_get(render_picture_jit(stage, *what)) for what in held]
+        geoms = self._pieces, self._piece_indices, self._capacity, self._index, lit
+        render_scene = dynamic_render_scene(self.arena, self._data, *geoms)
+        views = [(self.viewpoint(request), request.width, request.height) for request in requests]
+        return lambda: [jax.device_get(render_picture_jit(render_scene, *view)) for view in views]
 
     def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are."""
@@ -326,7 +323,7 @@ class DynamicWorld(ServedWorld):
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
         one, stock = robot.effecters[effecter], self._stock[robot.slot]
-        load, outcome = apply_operation(
+        after, outcome = apply_operation(
             Operation(robot=robot.spec, effecter=one, opcode=opcode),
             np.array([value], np.float32),
             EffecterState(
@@ -338,8 +335,8 @@ class DynamicWorld(ServedWorld):
             ground=lambda: self._below(robot, one)[None],
             xp=np,
         )
-        self.set_command(robot, jax.tree.map(lambda x: np.array(x[0]), load.command))
-        stock[effecter], self.tags = load.stock[0], load.tags
+        self.set_command(robot, jax.tree.map(lambda x: np.array(x[0]), after.command))
+        stock[effecter], self.tags = after.stock[0], after.tags
         return status_of(jax.tree.map(lambda x: x[0], outcome))
 
     def _below(self, robot: Robot, effecter: Effecter) -> np.ndarray:
@@ -351,14 +348,18 @@ class DynamicWorld(ServedWorld):
         return point - (0.0, 0.0, depth if hit[0] >= 0 else np.inf)
 
 
-def _capacity_for(*places: dict[BlockKey, np.ndarray]) -> dict[BlockKey, int]:
-    """Return for how many geoms of each sort to make room: the next power of two, with some to spare."""
-    counts = {sort: sum(len(some.get(sort, ())) for some in places) for sort in set().union(*places)}
-    return {sort: max(SPARE_GEOMS, 1 << (n + SPARE_GEOMS - 1).bit_length()) for sort, n in counts.items()}
+def _capacity_for(*indices: dict[BlockKey, np.ndarray]) -> dict[BlockKey, int]:
+    """Return for how many geoms of each kind to make room: the next power of two, with some to spare."""
+    counts = {key: sum(len(some.get(key, ())) for some in indices) for key in set().union(*indices)}
+    return {key: max(SPARE_GEOMS, 1 << (n + SPARE_GEOMS - 1).bit_length()) for key, n in counts.items()}
 
 
-def _blank_geoms(room: dict[BlockKey, int]) -> Geoms:
-    sorts = sorted(room)
+def _ray_query(transparent: frozenset[str], slot: int) -> RayQuery:
+    return RayQuery(transparent=transparent, incidence=True, exclude_owner=np.int32(slot))
+
+
+def _blank_geoms(capacity: dict[BlockKey, int]) -> Geoms:
+    keys = sorted(capacity)
     blocks = tuple(
         GeomBlock(
             pos=np.full((n, 3), PADDING_DISTANCE, np.float32),
@@ -366,7 +367,7 @@ def _blank_geoms(room: dict[BlockKey, int]) -> Geoms:
             size=np.zeros((n, 3), np.float32),
             owner=np.full(n, -1, np.int32),
         )
-        for n in map(room.__getitem__, sorts)
+        for n in map(capacity.__getitem__, keys)
     )
-    types, materials = (tuple(sort[k] for sort in sorts) for k in (0, 1))
-    return Geoms(blocks=blocks, kinds=types, materials=materials)  # type: ignore - numbers and words
+    kinds, materials = tuple(kind for kind, _ in keys), tuple(material for _, material in keys)
+    return Geoms(blocks=blocks, kinds=kinds, materials=materials)

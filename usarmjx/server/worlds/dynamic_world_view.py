@@ -1,4 +1,4 @@
-"""What cameras see of a served world on C MuJoCo, as arrays with room to spare: see `live`."""
+"""What cameras see of a served world on C MuJoCo, as arrays with capacity to spare: see `dynamic_world`."""
 
 from collections.abc import Mapping
 
@@ -27,12 +27,12 @@ from usarmjx.models.spec.robot import GLASS, RobotSpec
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, BlockKey, GeomBlock, Geoms
 from usarmjx.sim.views import CHECKER_SIZE, UNBOUNDED_EXTENT
 
-WATER_SORT: BlockKey = (int(mujoco.mjtGeom.mjGEOM_BOX), GLASS)
+WATER_KEY: BlockKey = (int(mujoco.mjtGeom.mjGEOM_BOX), GLASS)
 MAX_HEADLIGHTS = 8
 """Headlights that can shine at once; of more, those in the lowest slots do."""
 
 GeomColumns = dict[str, np.ndarray]
-"""Geoms, by fields of `raycast.Block` and `paint.GeomAppearance`: each has a leading axis over them."""
+"""Geoms, by fields of `targets.GeomBlock` and `paint.GeomAppearance`: each has a leading axis over them."""
 
 
 def dynamic_render_scene(
@@ -51,27 +51,29 @@ def dynamic_render_scene(
         data: The state of the model of arena and robots; kinematics must be current.
         pieces: What rays see of the model's geoms.
         piece_indices: The pieces of each kind and material.
-        capacity: For how many of each kind and material there is room.
+        capacity: For how many of each kind and material to make arrays.
         index: Where each robot is in the model, by slot.
         lights: The robots whose headlights shine, by slot.
     """
     columns, water = _columns(arena, data, pieces, index), _water(arena)
     waters = len(arena.waters)
-    sorts = sorted({*capacity, WATER_SORT} if waters else capacity)
-    blocks, paints = [], []
-    for sort in sorts:
-        members = piece_indices.get(sort, np.zeros(0, int))
-        rows, n = {name: column[members] for name, column in columns.items()}, capacity.get(sort, 0)
-        if waters and sort == WATER_SORT:
+    keys = sorted({*capacity, WATER_KEY} if waters else capacity)
+    blocks, appearances = [], []
+    for key in keys:
+        members = piece_indices.get(key, np.zeros(0, int))
+        rows, n = {name: column[members] for name, column in columns.items()}, capacity.get(key, 0)
+        if waters and key == WATER_KEY:
             rows, n = {name: np.concatenate([own, water[name]]) for name, own in rows.items()}, n + waters
         rows = _padded(rows, n)
         blocks.append(GeomBlock(**{name: rows[name] for name in ("pos", "mat", "size", "owner")}))
-        paints.append(GeomAppearance(**{name: rows[name] for name in ("rgb", "clear", "gloss", "label")}))
-    types, materials = (tuple(sort[k] for sort in sorts) for k in (0, 1))
+        appearances.append(
+            GeomAppearance(**{name: rows[name] for name in ("rgb", "clear", "gloss", "label")})
+        )
+    kinds, materials = tuple(kind for kind, _ in keys), tuple(material for _, material in keys)
     sun = np.array(SUN_DIRECTION, np.float32)
     return RenderScene(
-        geoms=Geoms(blocks=tuple(blocks), kinds=types, materials=materials),  # type: ignore - numbers and words
-        appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *paints),
+        geoms=Geoms(blocks=tuple(blocks), kinds=kinds, materials=materials),
+        appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *appearances),
         sun_direction=sun / np.linalg.norm(sun),
         lights=point_lights(arena.lights, arena.floor),
         headlights=_headlights(data, index, lights),
@@ -119,13 +121,13 @@ def _water(arena: ArenaSpec) -> GeomColumns:
     }
 
 
-def _padded(rows: GeomColumns, room: int) -> GeomColumns:
-    """Return geoms with some that are far away, so that there are as many as there is room for."""
+def _padded(rows: GeomColumns, capacity: int) -> GeomColumns:
+    """Return geoms with some that are far away, so that the arrays have that capacity."""
     fills = {"pos": PADDING_DISTANCE, "owner": -1}
     padded = {}
     for name, values in rows.items():
         whole = np.issubdtype(values.dtype, np.integer)
-        out = np.full((room, *values.shape[1:]), fills.get(name, 0.0), np.int32 if whole else np.float32)
+        out = np.full((capacity, *values.shape[1:]), fills.get(name, 0.0), np.int32 if whole else np.float32)
         out[: len(values)] = values
         if name == "mat":
             out[len(values) :] = np.eye(3)

@@ -1,7 +1,8 @@
-"""One served world as the adapter sees it: robots come and go, are told things and report.
+"""One served world as the adapter sees it: robots come and go, take commands and report.
 
-Two worlds implement it: `live.DynamicWorld` (C MuJoCo, any class at any time) and `claim.BatchWorld`
-(one world of a running batch, where robots wait parked).
+Three worlds implement it: `dynamic_world.DynamicWorld` (C MuJoCo, any class at any time),
+`batch_world.BatchWorld` (one world of a running batch, where robots wait parked) and
+`policy_world.PolicyWorld` (the same with a policy driving the robots that nobody has claimed).
 """
 
 import logging
@@ -27,8 +28,9 @@ from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.suite import SensorMemory, Suite, suite_of
 from usarmjx.server.messages.victims import initial_tag_texts
 from usarmjx.server.protocol.multi_view import MultiView
-from usarmjx.server.protocol.traces import Traces
+from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.viewports import ViewBindings, Viewports
+from usarmjx.server.worlds.traces import Traces
 from usarmjx.sim.control import RobotCommand
 from usarmjx.sim.operate import NO_NUMBER, OperationResult
 
@@ -43,13 +45,13 @@ class Robot:
     """A robot in a served world.
 
     Attributes:
-        slot: Its place in the world.
+        slot: Its index in the world, which it keeps.
         name: Its name on the wire.
         suite: Its class's sensors.
-        command: What it is told to do; numpy arrays.
+        command: Its command; numpy arrays.
         spawn_time: World time at which it appeared [s].
         drowned: Whether water has killed its battery.
-        pending: Readings that have not been reported yet, by place in the suite.
+        pending: Readings that have not been reported yet, by index in the suite.
         tile: Its tile of the MultiView, -1 without one.
     """
 
@@ -89,27 +91,27 @@ class Robot:
         return cameras_of(self.spec)
 
     def camera_index(self, name: str) -> int | None:
-        """Return the place of the first camera of that name, case ignored; None without one."""
-        for place, camera in enumerate(self.cameras):
+        """Return the index of the first camera of that name, case ignored; None without one."""
+        for index, camera in enumerate(self.cameras):
             if camera.mount.name.lower() == name.lower():
-                return place
+                return index
         return None
 
     def effecter_index(self, kind: str, name: str) -> int | None:
-        """Return the place of the first effecter of that type and name, case ignored; None without one."""
-        for place, effecter in enumerate(self.effecters):
+        """Return the index of the first effecter of that type and name, case ignored; None without one."""
+        for index, effecter in enumerate(self.effecters):
             if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
-                return place
+                return index
         return None
 
 
 @dataclass(frozen=True)
 class CameraRequest:
-    """A picture to take.
+    """A picture to render.
 
     Attributes:
         robot: Whose camera.
-        camera: Place of the camera among `robot.cameras`.
+        camera: Index of the camera among `robot.cameras`.
         width: [pixels]
         height: [pixels]
     """
@@ -122,7 +124,7 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False)
 class ViewpointRequest:
-    """A picture to take from where no robot's camera need be.
+    """A picture to render from where no robot's camera need be.
 
     Attributes:
         viewpoint: From where; numpy arrays.
@@ -136,24 +138,36 @@ class ViewpointRequest:
 
 
 def status_of(outcome: OperationResult) -> str:
-    """Return the Status that RES tells of one robot's operation (manual 11)."""
+    """Return the Status of RES for one robot's operation (manual 11)."""
     if not outcome.done:
-        return "Failed"
-    return "OK" if outcome.number == NO_NUMBER else str(int(outcome.number))
+        return STATUS_FAILED
+    return STATUS_OK if outcome.number == NO_NUMBER else str(int(outcome.number))
 
 
 class ServedWorld(ABC):
-    """A world that clients share. Positions and angles are in our axes."""
+    """A world that clients share. Positions and angles are in our axes.
+
+    A subclass sets `arena`, `period` and `robots` in its constructor and implements what is abstract here:
+    robots that come and go (`spawn`, `remove`: both keep `robots`), the step, sensors that are read into
+    `Robot.pending`, the present state as numpy arrays, commands and operations, and pictures. What takes long
+    before it can be done the first time goes into `warm_up`, if it needs no robot class, and into `prepare`.
+    All is called by one thread, the server's loop, except `prepare` and what `snapshot` returns.
+
+    Attributes:
+        arena: Where it is.
+        period: Length of a control step [s].
+        robots: The clients' robots, by slot.
+        multi_view: How all robots' cameras share a picture, if they do.
+    """
 
     arena: ArenaSpec
     period: float
     robots: dict[int, Robot]
     multi_view: MultiView | None = None
-    """How all robots' cameras share a picture, if they do."""
 
     @cached_property
     def view_bindings(self) -> ViewBindings:
-        """Whose view is tied to which camera."""
+        """Whose view is bound to which camera."""
         return ViewBindings()
 
     @cached_property
@@ -171,8 +185,11 @@ class ServedWorld(ABC):
     def time(self) -> float:
         """Simulated time since the world began [s]."""
 
+    def warm_up(self) -> None:  # noqa: B027 - nothing to compile is fine
+        """Compile what the first client would else wait for, before any comes; the world stays as it is."""
+
     def prepare(self, robot: RobotSpec) -> None:
-        """Do what takes long before the first robot of a class can appear; may run beside the loop."""
+        """Do what takes long before the first robot of a class can appear; may run in a thread."""
         suite_of(robot)
 
     @abstractmethod
@@ -180,7 +197,7 @@ class ServedWorld(ABC):
         """Put a robot of that class there.
 
         Raises:
-            UsageError: There is no room for it, or the place is out of reach.
+            UsageError: There is no room for it, or the position is out of reach.
         """
 
     @abstractmethod
@@ -203,7 +220,7 @@ class ServedWorld(ABC):
 
         Args:
             robot: The robot.
-            camera: Place of the camera.
+            camera: Index of the camera.
             fov: [rad]
 
         Returns:
@@ -213,7 +230,7 @@ class ServedWorld(ABC):
         return abs(robot.fovs[camera] - fov) < 1e-6
 
     def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
-        """Return from where a picture would be taken now; numpy arrays."""
+        """Return from where a picture would be rendered now; numpy arrays."""
         if isinstance(request, ViewpointRequest):
             return request.viewpoint
         robot, fov = request.robot, np.float32(request.robot.fovs[request.camera])
@@ -221,14 +238,14 @@ class ServedWorld(ABC):
 
     @abstractmethod
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Hold still what pictures show; return what then takes them.
+        """Take a snapshot of what pictures show; return a function that renders them.
 
-        The first half is quick. The second half may run in another thread, while the world goes on.
+        The first half is quick. The function may run in another thread, while the world goes on.
         """
 
     @abstractmethod
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
-        """Replace what the robot is told to do."""
+        """Replace the robot's command."""
 
     @abstractmethod
     def step(self) -> None:
@@ -252,12 +269,12 @@ class ServedWorld(ABC):
 
     def sketches(self) -> list[OverlayLines]:
         """Return what the robots' sensors draw into pictures; numpy arrays."""
-        found = []
+        overlays = []
         for robot in self.robots.values():
-            draws = [place for place, sensor in enumerate(robot.suite.sensors) if sensor.has_overlay]
-            own = self.memory(robot).own if draws else ()
-            found += [robot.suite.sensors[place].overlay(own[place]) for place in draws]
-        return jax.device_get(found)
+            drawn = [index for index, sensor in enumerate(robot.suite.sensors) if sensor.has_overlay]
+            own = self.memory(robot).own if drawn else ()
+            overlays += [robot.suite.sensors[index].overlay(own[index]) for index in drawn]
+        return jax.device_get(overlays)
 
     @abstractmethod
     def door_angles(self) -> np.ndarray:
@@ -273,20 +290,20 @@ class ServedWorld(ABC):
 
         Args:
             robot: The robot.
-            effecter: Place among `effecters_of` its class.
+            effecter: Index among `effecters_of` its class.
             opcode: One of the effecter's operations.
             value: Its parameter.
 
         Returns:
-            The Status that RES tells (manual 11): OK, Failed, or a number.
+            The Status of RES (manual 11): `STATUS_OK`, `STATUS_FAILED`, or a number.
         """
 
     @staticmethod
     def check_position(pos: Vec3) -> None:
-        """Refuse places out of reach.
+        """Refuse positions out of reach.
 
         Raises:
-            UsageError: Names the place and the reach.
+            UsageError: Names the position and the reach.
         """
         if not all(math.isfinite(v) and abs(v) <= MAX_COORDINATE for v in pos):
             raise UsageError(

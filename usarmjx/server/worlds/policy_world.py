@@ -1,7 +1,7 @@
 """A served world whose robots a policy drives; clients take over some of them.
 
 All worlds of the batch do the policy's task. It reads sensors once for each action, as in training, and
-clients are told the same readings, so nothing changes for the policy when somebody looks on.
+clients get the same readings, so nothing changes for the policy when somebody looks on.
 """
 
 from functools import partial
@@ -53,39 +53,39 @@ class PolicyWorld(BatchWorld):
     """World `instance` of a task's batch, with a policy in it.
 
     INIT with the name of one of the task's robots takes that robot over where it is. Any other name gets the
-    first robot of its class that nobody has taken, where INIT says. Until its client leaves, the policy gives
-    that robot no orders; then it drives it again.
+    first robot of its class that nobody has taken, where INIT says. Until its client leaves, the policy's
+    actions leave that robot out; then it drives it again.
 
-    When the task is over, by success or by time, it begins anew where the robots are, so that no client loses
-    its robot; the arena stays.
+    When the task is over, by success or by time, it is reset with the robots where they are, so that no
+    client loses its robot; the arena stays.
 
     Args:
         env: The task.
         policy: The policy.
         instance: Which world to serve.
-        seed: Of the policy's random numbers and those of later rounds of the task.
+        seed: Of the policy's random numbers and those of later episodes of the task.
 
     Raises:
         UsageError: The batch has no such world.
     """
 
     def __init__(self, env: Env, policy: Policy, instance: int = 0, seed: int = 0) -> None:
+        super().__init__(env.batch, instance)
         self._env, self._policy = env, policy
         self._key = jax.random.key(seed)
-        self._policy_state: PolicyState | None = None
-        self._policy_time = 0.0
-        self._episodes = np.zeros(env.worlds, int)
-        look, tell = jax.vmap(self._sense), jax.vmap(self._apply_actions)
-        self._sense_all = jax.jit(jax.default_matmul_precision("highest")(look))
+        sense, apply = jax.vmap(self._sense), jax.vmap(self._apply_actions)
+        self._sense_all = jax.jit(jax.default_matmul_precision("highest")(sense))
         self._begin_all = jax.jit(jax.vmap(self._begin))
         self._evaluate_all = jax.jit(jax.vmap(env.task.evaluate))
         self._observe_all = jax.jit(jax.vmap(env.task.observe))
-        self._apply_actions_all = jax.jit(jax.default_matmul_precision("highest")(tell))
+        self._apply_actions_all = jax.jit(jax.default_matmul_precision("highest")(apply))
         self._act = jax.jit(policy.act)
-        super().__init__(env.batch, instance)
-        self._policy_step()
+        views = self._views()
+        self._episodes = np.asarray(self._state.worlds.episode)
+        self._policy_state, self._policy_time = self._initial_policy_state(views), self.time
+        self._act_on(views, jnp.ones(env.worlds, bool))
 
-    # What follows up to `_tell` is traced, of one world.
+    # What follows up to `_apply_actions` is traced, of one world.
 
     def _sense(self, world: World, physics: PhysicsState) -> tuple[World, Readings]:
         world, readings = observe(self._env.scene, world, physics)
@@ -93,8 +93,8 @@ class PolicyWorld(BatchWorld):
             world = world.replace(links=update_links(self._env.scene, world, physics))
         return world, readings
 
-    def _begin(self, view: TaskView, key: jax.Array, turn: jax.Array) -> Any:  # noqa: ANN401 - the task's memory
-        return self._env.task.start(view, jax.random.fold_in(key, turn))
+    def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - the task's memory
+        return self._env.task.start(view, jax.random.fold_in(key, episode))
 
     def _apply_actions(
         self,
@@ -103,62 +103,70 @@ class PolicyWorld(BatchWorld):
         actions: tuple[jax.Array, ...],
         claimed: jax.Array,
     ) -> World:
-        """Give orders to the robots that nobody has claimed (robots,)."""
+        """Carry out actions of the robots that nobody has claimed (robots,)."""
         task, scene = self._env.task, self._env.scene
-        told = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-        return apply_actions(scene, view.world, view.physics, task.act(view, memory, told), where=~claimed)
+        bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
+        return apply_actions(scene, view.world, view.physics, task.act(view, memory, bounded), where=~claimed)
 
-    def _policy_step(self) -> None:
-        """Read the sensors of all worlds, judge, and let the policy give its orders."""
-        env, physics = self._env, self._batch.physics(self._state)
+    def _views(self) -> TaskView:
+        """Read the sensors of all worlds; return what the task sees of them, and keep what clients want."""
+        physics = self._batch.physics(self._state)
         worlds, readings = self._sense_all(self._state.worlds, physics)
-        views = TaskView(world=worlds, physics=physics, readings=readings, scene=env.scene)
-        drivers, began = self._evaluated(views)
-        obs = self._observe_all(views, drivers.task)
-        memory = jax.tree.map(
-            partial(select_worlds, began), self._policy.initial_carry(env.worlds), drivers.policy
-        )
-        memory, actions = self._act(memory, obs, jax.random.fold_in(self._key, self._steps))
-        worlds = self._apply_actions_all(views, drivers.task, actions, self._claims())
-        self._state = self._state.replace(worlds=worlds)
-        self._policy_state = drivers.replace(policy=memory)
-        self._policy_time = self.time
         if self.robots:
-            self._hand_on(jax.device_get(jax.tree.map(lambda x: x[self._instance], readings)))
+            self._store_readings(jax.device_get(jax.tree.map(lambda x: x[self._instance], readings)))
+        return TaskView(world=worlds, physics=physics, readings=readings, scene=self._env.scene)
 
-    def _hand_on(self, readings: Readings) -> None:
+    def _act_on(self, views: TaskView, began: jax.Array) -> None:
+        """Let the policy act, with a fresh memory where an episode began (worlds,)."""
+        state = self._policy_state
+        obs = self._observe_all(views, state.task)
+        initial = self._policy.initial_carry(self._env.worlds)
+        memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
+        memory, actions = self._act(memory, obs, jax.random.fold_in(self._key, self._steps))
+        worlds = self._apply_actions_all(views, state.task, actions, self._claims())
+        self._state = self._state.replace(worlds=worlds)
+        self._policy_state = state.replace(policy=memory)
+        self._policy_time = self.time
+
+    def _store_readings(self, readings: Readings) -> None:
         """Keep what clients will want of the served world's readings."""
         for robot in self.robots.values():
-            team, place = self._batch.scene.group_of(robot.slot)
-            for sensor, reading in enumerate(readings[team]):
-                if reading.fresh[place]:
-                    robot.pending[sensor] = np.asarray(reading.value[place])
+            group, member = self._batch.scene.group_of(robot.slot)
+            for sensor, reading in enumerate(readings[group]):
+                if reading.fresh[member]:
+                    robot.pending[sensor] = np.asarray(reading.value[member])
 
-    def _evaluated(self, views: TaskView) -> tuple[PolicyState, jax.Array]:
-        """Return the drivers, and where the task begins anew (worlds,)."""
-        count, episodes = self._env.worlds, np.asarray(self._state.worlds.episode)
-        keys = jax.random.split(jax.random.fold_in(self._key, 1 << 30), count)
-        if self._policy_state is None:
-            zero = jnp.zeros(count, jnp.int32)
-            task = self._begin_all(views, keys, zero)
-            start = self._policy.initial_carry(count)
-            began = jnp.ones(count, bool)
-            drivers = PolicyState(task=task, policy=start, length=zero, score=jnp.zeros(count), episode=zero)
-        else:
-            verdict, before = self._evaluate_all(views, self._policy_state.task), self._policy_state
-            over = verdict.terminated | (before.length + 1 >= self._env.episode_steps)
-            began = over | jnp.asarray(episodes != self._episodes)
-            turn = before.episode + began
-            fresh = self._begin_all(views, keys, turn)
-            drivers = PolicyState(
-                task=jax.tree.map(partial(select_worlds, began), fresh, verdict.memory),
-                policy=before.policy,
-                length=jnp.where(began, 0, before.length + 1),
-                score=verdict.score,
-                episode=turn,
-            )
+    def _initial_policy_state(self, views: TaskView) -> PolicyState:
+        count = self._env.worlds
+        zero = jnp.zeros(count, jnp.int32)
+        return PolicyState(
+            task=self._begin_all(views, self._task_keys(), zero),
+            policy=self._policy.initial_carry(count),
+            length=zero,
+            score=jnp.zeros(count),
+            episode=zero,
+        )
+
+    def _next_policy_state(self, views: TaskView) -> tuple[PolicyState, jax.Array]:
+        """Evaluate the last actions; return the state after them, and where an episode begins (worlds,)."""
+        before, episodes = self._policy_state, np.asarray(self._state.worlds.episode)
+        result = self._evaluate_all(views, before.task)
+        over = result.terminated | (before.length + 1 >= self._env.episode_steps)
+        began = over | jnp.asarray(episodes != self._episodes)
         self._episodes = episodes
-        return drivers, began
+        episode = before.episode + began
+        fresh = self._begin_all(views, self._task_keys(), episode)
+        after = PolicyState(
+            task=jax.tree.map(partial(select_worlds, began), fresh, result.memory),
+            policy=before.policy,
+            length=jnp.where(began, 0, before.length + 1),
+            score=result.score,
+            episode=episode,
+        )
+        return after, began
+
+    def _task_keys(self) -> jax.Array:
+        return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self._env.worlds)
 
     def _claims(self) -> np.ndarray:
         """Return which robots clients have (worlds, robots)."""
@@ -169,7 +177,7 @@ class PolicyWorld(BatchWorld):
     @property
     def score(self) -> float:
         """The task's score of the served world so far."""
-        return 0.0 if self._policy_state is None else float(self._policy_state.score[self._instance])
+        return float(self._policy_state.score[self._instance])
 
     def agents(self) -> dict[str, int]:
         """Return the names of the task's robots, and their slots."""
@@ -188,20 +196,20 @@ class PolicyWorld(BatchWorld):
         return new
 
     def _put_first(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        for team in self._batch.scene.groups:
-            free = [int(slot) for slot in team.slots if int(slot) not in self.robots]
-            if team.robot.name == robot.name and free:
+        for group in self._batch.scene.groups:
+            free = [int(slot) for slot in group.slots if int(slot) not in self.robots]
+            if group.robot.name == robot.name and free:
                 return self._activate(free[0], robot, name, pos, angles)
         raise UsageError(f"no {robot.name} left to take over; the robots here: {', '.join(self.agents())}")
 
     def _take_over(self, slot: int, robot: RobotSpec, name: str) -> Robot:
         number, _ = self._batch.scene.group_of(slot)
-        team = self._batch.scene.groups[number]
-        if team.robot.name != robot.name or slot in self.robots:
-            what = "taken" if slot in self.robots else f"a {team.robot.name}, not a {robot.name}"
+        group = self._batch.scene.groups[number]
+        if group.robot.name != robot.name or slot in self.robots:
+            what = "taken" if slot in self.robots else f"a {group.robot.name}, not a {robot.name}"
             raise UsageError(f"{name} is {what}")
         command = jax.tree.map(np.array, idle_command(robot))
-        new = Robot(slot=slot, name=name, suite=team.suite, command=command, spawn_time=self.time)
+        new = Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
         self.robots[slot] = new
         self.set_command(new, command)
         return new
@@ -215,11 +223,13 @@ class PolicyWorld(BatchWorld):
     def step(self) -> None:
         """Advance all worlds by one control step; after as many as an action lasts, the policy acts."""
         super().step()
-        if self._policy_state is not None and self._steps % self._env.task.repeat == 0:
-            self._policy_step()
+        if self._steps % self._env.task.repeat == 0:
+            views = self._views()
+            self._policy_state, began = self._next_policy_state(views)
+            self._act_on(views, began)
 
     def observe(self, due: list[Robot]) -> None:
-        """See whose battery has drowned; what was measured was handed on when the policy acted."""
+        """See whose battery has drowned; what was measured is pending since the policy acted."""
         for robot in due:
-            team, place = self._batch.scene.group_of(robot.slot)
-            robot.drowned = bool(self._state.worlds.groups[team].drowned[self._instance, place])
+            group, member = self._batch.scene.group_of(robot.slot)
+            robot.drowned = bool(self._state.worlds.groups[group].drowned[self._instance, member])

@@ -21,7 +21,7 @@ COLORS: dict[str, Vec3] = {
 MIN_DISTANCE = 7 / 250
 """A robot has to move further than this between two points [m]: 7 Unreal units (KRobot.uc)."""
 MIN_INTERVAL = 0.1
-"""A robot's place is looked up no more often than this [s]."""
+"""A robot's position is looked up no more often than this [s]."""
 MAX_POINTS = 512
 """Most points of a world. When there would be more, every other one goes, and from then on every other one is
 not left at all: the whole way can still be seen."""
@@ -29,7 +29,7 @@ not left at all: the whole way can still be seen."""
 
 @dataclass
 class RobotTrace:
-    """What one robot is told about its trace.
+    """One robot's trace.
 
     Attributes:
         command: The last Trace command.
@@ -53,28 +53,28 @@ class Traces:
     """The points of a world.
 
     Attributes:
-        points: Place [m] and colour of each.
-        stride: Every so manieth point is left.
+        points: Position [m] and colour of each.
+        stride: Of so many points one is kept.
     """
 
-    points: list[tuple[Vec3, str]] = field(default_factory=list)
+    points: list[tuple[Vec3, str]] = field(default_factory=list[tuple[Vec3, str]])
     stride: int = 1
 
-    def add_point(self, trail: RobotTrace, position: Vec3, time: float) -> None:
+    def add_point(self, trace: RobotTrace, position: Vec3, time: float) -> None:
         """Leave a point where a robot is now, if it is far enough from its last one."""
-        trail.next = time + MIN_INTERVAL
-        if trail.last is not None and np.linalg.norm(np.subtract(position, trail.last)) <= MIN_DISTANCE:
+        trace.next = time + MIN_INTERVAL
+        if trace.last is not None and np.linalg.norm(np.subtract(position, trace.last)) <= MIN_DISTANCE:
             return
-        trail.last, trail.next = position, time + max(MIN_INTERVAL, trail.command.interval)
-        trail.count += 1
-        if (trail.count - 1) % self.stride == 0:
-            self.points.append((position, trail.command.color))
+        trace.last, trace.next = position, time + max(MIN_INTERVAL, trace.command.interval)
+        trace.count += 1
+        if (trace.count - 1) % self.stride == 0:
+            self.points.append((position, trace.command.color))
         if len(self.points) > MAX_POINTS:
             del self.points[1::2]
             self.stride *= 2
 
     def sketch(self) -> OverlayLines:
         """Return all points, to be drawn; numpy arrays."""
-        places = np.array([place for place, _ in self.points], np.float32).reshape(-1, 3)
+        positions = np.array([position for position, _ in self.points], np.float32).reshape(-1, 3)
         colors = np.array([COLORS[color] for _, color in self.points], np.float32).reshape(-1, 3)
-        return OverlayLines(start=places, end=places, rgb=colors, shown=np.ones(len(places), bool))
+        return OverlayLines(start=positions, end=positions, rgb=colors, shown=np.ones(len(positions), bool))

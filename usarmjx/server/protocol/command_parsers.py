@@ -1,0 +1,247 @@
+"""A client's messages -> commands (manual 9.4): one function for each head, and the table of them.
+
+`parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError
+for a number that is not finite. The original answers neither of the last two and keeps the
+connection, so then nothing is sent and the robot goes on with the command that it has.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from usarmjx.base.registry import Registry
+from usarmjx.server.protocol.commands import (
+    DRIVE_KEYS,
+    TRACE_COLORS,
+    Command,
+    DriveJoint,
+    DriveRobot,
+    DriveWheels,
+    GetConf,
+    GetGeo,
+    GetStartPoses,
+    Ignored,
+    Init,
+    LinkCommand,
+    MisPkg,
+    MultiDrive,
+    Set,
+    SetFov,
+    SetJoint,
+    SetView,
+    SetViewports,
+    Trace,
+    WheelCommand,
+)
+from usarmjx.server.protocol.grammar import Message, Vector, clip, to_bool, to_float, to_int, to_vector
+
+_CLASS_PREFIX = "usarbot."
+_SPELLINGS = {key.lower(): key for key in DRIVE_KEYS}
+_WHEEL_KEYS = ("wheelnumber", "wheelspeed", "wheelsteer")
+_LINK_KEYS = ("link", "value", "order")
+# The relative ones are not in the manual; all six are in KRobot.uc, each also as its number.
+_OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
+_JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
+_VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
+_NOTHING_TO_DO = Ignored("DRIVE without anything to do")
+
+CommandParser: TypeAlias = Callable[[Message], Command | Ignored]
+
+COMMANDS = Registry[CommandParser]("command")
+
+
+def parse_command(message: Message) -> Command | Ignored:
+    """Return what the message asks for.
+
+    Raises:
+        PeerError: It holds a number that is not finite.
+    """
+    if message.kind not in COMMANDS:
+        return Ignored(f"{clip(message.kind)} is not supported")
+    return COMMANDS.get(message.kind)(message)
+
+
+def _init(message: Message) -> Command | Ignored:
+    class_name = message.get("ClassName")
+    if class_name.lower().startswith(_CLASS_PREFIX):
+        class_name = class_name[len(_CLASS_PREFIX) :]
+    if not class_name:
+        return Ignored("INIT without a ClassName")
+    location, rotation = _vector(message.get("Location")), _vector(message.get("Rotation"))
+    return Init(class_name, message.get("Name"), location, rotation, message.get("Start"))
+
+
+def _vector(text: str) -> Vector | None:
+    # Missing components are 0 and a fourth is dropped; the manual itself prints one (5.3.3).
+    x, y, z, *_ = (*to_vector(text), 0.0, 0.0, 0.0)
+    return (x, y, z) if text else None
+
+
+def _get_start_poses(message: Message) -> Command | Ignored:
+    del message  # it has no arguments
+    return GetStartPoses()
+
+
+def _drive(message: Message) -> Command | Ignored:
+    light = message.get("Light")
+    normalized, flip = to_bool(message.get("Normalized")), to_bool(message.get("Flip"))
+    switches = (normalized, to_bool(light) if light else None, flip)
+    if any(message.all("WheelNumber")):
+        return _drive_wheels(message, switches)
+    values: dict[str, float] = {}
+    for key, value in message.segments:
+        if value and key.lower() in _SPELLINGS:
+            values[_SPELLINGS[key.lower()]] = to_float(value)
+    if message.get("Name") and not values:
+        return _drive_joint(message)
+    command = DriveRobot(tuple(values.items()), *switches)
+    return _NOTHING_TO_DO if command == DriveRobot(normalized=normalized) else command
+
+
+def _drive_wheels(message: Message, switches: tuple[bool, bool | None, bool]) -> Command | Ignored:
+    groups = _groups(message, _WHEEL_KEYS)
+    if not all(group.get("wheelnumber") for group in groups):
+        return Ignored("DRIVE with a WheelSpeed or WheelSteer that belongs to no WheelNumber")
+    _, light, flip = switches
+    if light is None and not flip and not any(g.get("wheelspeed") or g.get("wheelsteer") for g in groups):
+        return _NOTHING_TO_DO
+    return DriveWheels(tuple(_wheel(group) for group in groups), *switches)
+
+
+def _wheel(group: dict[str, str]) -> WheelCommand:
+    speed, steer = group.get("wheelspeed", ""), group.get("wheelsteer", "")
+    return WheelCommand(to_int(group["wheelnumber"]), _number(speed), _number(steer))
+
+
+def _drive_joint(message: Message) -> Command:
+    order, steer = to_int(message.get("Order")), _number(message.get("Steer"))
+    value = _number(message.get("Value"))
+    if value is None and steer is None:
+        value = 0.0
+    return DriveJoint(message.get("Name"), order, value, steer)
+
+
+def _number(text: str) -> float | None:
+    return to_float(text) if text else None
+
+
+def _multi_drive(message: Message) -> Command | Ignored:
+    joints = tuple((name, to_float(value)) for name, value in message.segments if value)
+    return MultiDrive(joints) if joints else Ignored("MULTIDRIVE without anything to do")
+
+
+def _groups(message: Message, keys: tuple[str, ...]) -> list[dict[str, str]]:
+    # An item's segments come in any order, so a key that repeats is what starts the next item.
+    groups: list[dict[str, str]] = [{}]
+    for key, value in message.segments:
+        field = key.lower()
+        if field in keys:
+            if field in groups[-1]:
+                groups.append({})
+            groups[-1][field] = value
+    return groups
+
+
+def _mis_pkg(message: Message) -> Command | Ignored:
+    name = message.get("Name")
+    if not name:
+        return Ignored("MISPKG without a Name")
+    groups = _groups(message, _LINK_KEYS)
+    if any("link" not in group for group in groups):
+        return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
+    return MisPkg(name, tuple(_link(group) for group in groups))
+
+
+def _link(group: dict[str, str]) -> LinkCommand:
+    value, order = group.get("value", ""), group.get("order", "")
+    return LinkCommand(to_int(group["link"]), to_float(value), to_int(order))
+
+
+def _set(message: Message) -> Command | Ignored:
+    item_type = message.get("Type")
+    keys = {key.lower() for key, _ in message.segments}
+    if not item_type and "typeviewports" in keys:  # so in an example of the manual
+        item_type = "Viewports"
+    if not item_type:
+        return Ignored("SET without a Type")
+    if item_type.lower() == "joint":
+        return _set_joint(message)
+    if item_type.lower() == "viewports":
+        return _set_viewports(message)
+    if item_type.lower() == "camera":
+        # Checked before the field of view: a viewpoint command of an image client must not zoom.
+        if keys & {"client", "robot"}:
+            return _set_view(message)
+        if "fov" in keys:
+            return _set_fov(message)
+    return Set(item_type, message.get("Name"), message.get("Opcode"), _params(message))
+
+
+def _params(message: Message) -> str:
+    params = message.get("Params")
+    if params or message.get("Opcode").lower() != "zoom":
+        return params
+    return next((key for key, value in message.segments if key[0] in "+-.0123456789" and not value), "")
+
+
+def _set_viewports(message: Message) -> Command:
+    cameras = tuple(
+        (number, message.get(key)) for number, key in enumerate(_VIEWPORTS, 1) if message.all(key)
+    )
+    return SetViewports(message.get("Config"), cameras)
+
+
+def _set_view(message: Message) -> Command | Ignored:
+    client, robot = message.get("Client"), message.get("Robot")
+    if not client:
+        return Ignored("SET of a viewpoint without a Client")
+    return SetView(client, robot, message.get("Name") if robot else "")
+
+
+def _set_fov(message: Message) -> Command | Ignored:
+    groups = _groups(message, ("name", "fov"))
+    if not all(group.get("name") and group.get("fov") for group in groups):
+        return Ignored("SET of a camera with a Name or a FOV that lacks the other")
+    return SetFov(tuple((group["name"], to_float(group["fov"])) for group in groups))
+
+
+def _trace(message: Message) -> Command:
+    color = message.get("Color")
+    names = {name.lower(): name for name in TRACE_COLORS} | {
+        str(n): name for n, name in enumerate(TRACE_COLORS)
+    }
+    interval = max(0.0, to_float(message.get("Interval") or "0"))
+    return Trace(to_bool(message.get("On")), interval, names.get(color.lower(), TRACE_COLORS[0]))
+
+
+def _set_joint(message: Message) -> Command | Ignored:
+    name, opcode = message.get("Name"), message.get("Opcode")
+    if not name:
+        return Ignored("SET of a joint without a Name")
+    order = _JOINT_ORDERS.get(opcode.lower())
+    if order is None:
+        return Ignored(f"SET of a joint with the opcode {clip(opcode)}; known: {', '.join(_JOINT_ORDERS)}")
+    value, *more = to_vector(message.get("Params")) or (0.0,)
+    return SetJoint(name, order, value, more[0] if more else None)
+
+
+def _get_geo(message: Message) -> Command | Ignored:
+    item_type = message.get("Type")
+    return GetGeo(item_type, message.get("Name")) if item_type else Ignored("GETGEO without a Type")
+
+
+def _get_conf(message: Message) -> Command | Ignored:
+    item_type = message.get("Type")
+    if not item_type:
+        return Ignored("GETCONF without a Type")
+    return GetConf(item_type, message.get("Name"))
+
+
+COMMANDS.add("INIT", _init)
+COMMANDS.add("GETSTARTPOSES", _get_start_poses)
+COMMANDS.add("DRIVE", _drive)
+COMMANDS.add("MULTIDRIVE", _multi_drive)
+COMMANDS.add("MISPKG", _mis_pkg, aliases=("MISPGK",))  # the manual's heading has it wrong
+COMMANDS.add("SET", _set)
+COMMANDS.add("TRACE", _trace)
+COMMANDS.add("GETGEO", _get_geo)
+COMMANDS.add("GETCONF", _get_conf)
