@@ -8,7 +8,7 @@ import pytest
 from usarmjx.models.build.victims import box_names, segment_poses, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, LooseObject, SegmentMotion, StartPose, Victim
 from usarmjx.models.spec.robot import Shape
-from usarmjx.sensors.rays.raycast import cast_rays
+from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.visible import ray_geoms, visible_arena
@@ -85,7 +85,7 @@ def test_rays_and_victims_meet_where_the_arm_is_now():
     def height(point, time):
         geoms = ray_geoms(visible_arena(scene, None, jnp.float32(time)))
         start = jnp.array([[*point, 1.0]])
-        hits = cast_rays(geoms, start, jnp.array([[0.0, 0.0, -1.0]]), jnp.int32(0))
+        hits = cast_rays(geoms, start, jnp.array([[0.0, 0.0, -1.0]]), RayQuery(exclude_owner=jnp.int32(0)))
         return 1.0 - float(hits.distance[0])
 
     for time in (0.0, 0.4, 1.0):

@@ -74,8 +74,8 @@ class _Movers(struct.PyTreeNode, kw_only=True):
         pos: Positions [m] (n, 3).
         distance: Distances, infinite where there is none [m] (n,).
         owner: Numbers of their victims (n,).
-        speed: How fast they move; see `Surroundings` (n,).
-        swing: How far they move; see `Surroundings` (n,).
+        speed: How fast their fastest corners move [m/s] (n,).
+        swing: Farthest that a corner of each gets from where it began [m] (n,).
         half_diagonal: Half the diagonals of their boxes [m] (n,).
     """
 

@@ -29,8 +29,6 @@ LIMIT_TOLERANCE = 1e-3
 """A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
 NO_NUMBER = -1
 """The number of a result that has none."""
-NO_VIEWER = -2
-"""A viewer to whom no geom belongs."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ def effecter_position(effecter: Effecter, plan: KinematicTree, bodies: BodyPoses
 def ground_below(geoms: Geoms, point: jax.Array) -> jax.Array:
     """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
     down = jnp.array([[0.0, 0.0, -1.0]])
-    hits = cast_rays(geoms, point[None], down, jnp.int32(NO_VIEWER), RayQuery(frozenset({SKY})))
+    hits = cast_rays(geoms, point[None], down, RayQuery(transparent=frozenset({SKY})))
     return point.at[2].add(-hits.distance[0])
 
 
