@@ -4,9 +4,9 @@ from dataclasses import fields, replace
 from typing import Any
 
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.train import tasks  # noqa: F401 - these fill TASKS
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.task import TASKS, Task
+from usarmjx.train.envs.task import Task
+from usarmjx.train.tasks import TASKS  # from there, which fills it
 
 
 def make_task(name: str, **overrides: Any) -> Task:  # noqa: ANN401 - fields of any task

@@ -1,8 +1,9 @@
 """What all adapters share: the robots of an environment as named agents, and its arrays by their names."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -17,7 +18,8 @@ MAX_SEED = 2**31 - 1
 """Seeds are drawn below this: an int32 holds them."""
 
 
-class Agent(NamedTuple):
+@dataclass(frozen=True)
+class Agent:
     """One robot.
 
     Attributes:
@@ -81,7 +83,7 @@ def stack_actions(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -
     wrong = sorted({*known} ^ {*actions})
     if wrong:
         raise UsageError(f"an action for each of {', '.join(known)}; missing or unknown: {', '.join(wrong)}")
-    stacked = []
+    stacked: list[Any] = []
     for group in env.groups:
         rows = [xp.asarray(actions[name], xp.float32) for name in group.agents]
         for name, row in zip(group.agents, rows, strict=True):

@@ -54,7 +54,9 @@ class BatchedRobots(BraxEnv):
         Args:
             rng: One key for all; of several (n,) the first counts.
         """
-        key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+        key: jax.Array = (
+            rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+        )
         seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
         return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
 
@@ -62,21 +64,21 @@ class BatchedRobots(BraxEnv):
         """Let all robots act (worlds * robots, action_size)."""
         before: Any = state.pipeline_state
         size = (self.env.worlds, self._robots, self.action_size)
-        return self._state(self.env.step(before, (jnp.reshape(action, size),)))
+        return self._state(self.env.step(before, (jnp.asarray(action).reshape(size),)))
 
     def _spread(self, values: jax.Array) -> jax.Array:
         """Return values by world (worlds,) by robot (worlds * robots,), as Brax's floats."""
         return jnp.repeat(jnp.asarray(values, jnp.float32), self._robots)
 
     def _rows(self, values: jax.Array) -> jax.Array:
-        return jnp.reshape(values, (-1, values.shape[-1]))
+        return values.reshape(-1, values.shape[-1])
 
     def _state(self, now: "EnvState") -> State:
         whole: Any = now
         return State(
             pipeline_state=whole,
             obs=self._rows(now.obs[0]),
-            reward=jnp.reshape(now.reward[0], -1),
+            reward=now.reward[0].reshape(-1),
             done=self._spread(now.done),
             metrics={name: self._spread(value) for name, value in now.metrics.items()},
             info={

@@ -58,6 +58,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = spaces.Box(-1.0, 1.0, (action,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._action_shape = (self.num_envs, action)
         self._step = compiled_step(env)
         self._seed = seed
         self._state: EnvState | None = None
@@ -114,8 +115,8 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _groups(self, actions: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return actions by group (worlds, robots, action_size)."""
-        if actions.shape != self.action_space.shape:
-            raise UsageError(f"actions: shape {actions.shape}, expected {self.action_space.shape}")
+        if actions.shape != self._action_shape:
+            raise UsageError(f"actions: shape {actions.shape}, expected {self._action_shape}")
         sizes = [len(group.agents) * group.action_size for group in self.env.groups]
         parts = np.split(actions.reshape(self.env.worlds, -1), np.cumsum(sizes)[:-1], -1)
         shapes = [(self.env.worlds, len(group.agents), group.action_size) for group in self.env.groups]

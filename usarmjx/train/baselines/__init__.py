@@ -1,4 +1,9 @@
-"""Policies written by hand, one for each task: what a trained one has to beat."""
+"""Policies written by hand, one for each task: what a trained one has to beat, and may imitate at first.
+
+Each is a function of one robot's observation, mapped over worlds and robots, and added to `BASELINES` below
+by its task's name; `steering` has what they share. They see what a policy observes and nothing else. Their
+scores are in docs/tasks.md: who changes one measures again. Begin with `climb.py`.
+"""
 
 from collections.abc import Callable
 

@@ -59,8 +59,11 @@ def pursuit_policy(env: Env) -> Policy:
     if not isinstance(task, Convoy):
         raise UsageError(f"this policy drives in convoys, not in {env.name}")
 
+    def one(seen: jax.Array) -> jax.Array:
+        return pursuit_action(seen, task)
+
     def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return carry, (jax.vmap(jax.vmap(lambda seen: pursuit_action(seen, task)))(obs[0]),)
+        return carry, (jax.vmap(jax.vmap(one))(obs[0]),)
 
     return Policy(initial_carry=lambda worlds: (), act=act)

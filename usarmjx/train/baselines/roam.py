@@ -1,5 +1,7 @@
 """About: straight on, away from walls beside, and where the way ends a turn to the more open side."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,7 +80,7 @@ def roam_policy(env: Env) -> Policy:
 
     def act(turning: jax.Array, obs: ObservationArrays, key: jax.Array) -> tuple[jax.Array, ActionArrays]:
         del key
-        turning, actions = jax.vmap(jax.vmap(lambda t, o: roam_action(robot, kinds, t, o)))(turning, obs[0])
+        turning, actions = jax.vmap(jax.vmap(partial(roam_action, robot, kinds)))(turning, obs[0])
         return turning, (actions,)
 
     return Policy(initial_carry=lambda worlds: jnp.zeros((worlds, 1)), act=act)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
@@ -70,7 +71,7 @@ class Env:
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._reset_worlds = self._compile(partial(reset_done_worlds, self.scene, task))
         self._library = self._compile(self._library_at)
-        self.step: Callable[[EnvState, tuple[jax.Array, ...]], EnvState] = (
+        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
             self._compile(self._step) if self.traceable else self._step
         )
         """Advance every world by one action, per group (worlds, robots, action_size).
@@ -96,12 +97,12 @@ class Env:
             return begun, task.evaluate(make_view(scene, world, physics)[1], begun.memory)
 
         begun, result = jax.eval_shape(once, jax.random.key(0))
-        groups = []
+        groups: list[AgentGroup] = []
         for number, obs, actions in zip(
             task.agent_groups(scene), begun.obs, task.action_sizes(scene), strict=True
         ):
             group = scene.groups[number]
-            names = tuple(scene.roster[slot].name or f"{group.robot.name}{slot}" for slot in group.slots)
+            names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
             groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions))
         return tuple(groups), begun.privileged.shape[-1], tuple(result.metrics)
 
@@ -162,7 +163,7 @@ class Env:
         batch = state.batch if library is None else state.batch.replace(arenas=library)
         return state.replace(batch=batch, level=level)
 
-    def _step(self, state: EnvState, actions: tuple[jax.Array, ...]) -> EnvState:
+    def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults
         worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions)
@@ -178,7 +179,7 @@ class Env:
         worlds, task = self._reset_worlds(state.task_state, batch.worlds, self.batch.physics(batch))
         return state.with_task(batch.replace(worlds=worlds), task)
 
-    def _check(self, actions: tuple[jax.Array, ...]) -> None:
+    def _check(self, actions: tuple[Array, ...]) -> None:
         """Refuse actions of another shape."""
         wanted = [(self.worlds, len(group.agents), group.action_size) for group in self.groups]
         given = [tuple(np.shape(action)) for action in actions]

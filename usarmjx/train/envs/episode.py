@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from usarmjx.base.arrays import Array
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
@@ -30,6 +31,7 @@ def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World,
     return world, TaskView(world=world, physics=physics, readings=readings, scene=scene)
 
 
+@jax.named_scope("task.observe")
 def _observe(task: Task, view: TaskView, memory: Any) -> tuple[tuple[jax.Array, ...], jax.Array]:  # noqa: ANN401
     """Return what agents and critics observe."""
     obs = tuple(jnp.asarray(one, jnp.float32) for one in task.observe(view, memory))
@@ -55,10 +57,11 @@ def apply_policy_actions(
     world: World,
     physics: PhysicsState,
     memory: Any,  # noqa: ANN401
-    actions: tuple[jax.Array, ...],
+    actions: tuple[Array, ...],
 ) -> World:
     """Command the robots, from a policy's actions per group (robots, action_size)."""
     clipped = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
+    # Sensors are read once a step, at its end: actions are chosen and carried out on what was read then.
     last = tuple(
         tuple(Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last)
         for state in world.groups
@@ -83,7 +86,8 @@ def evaluate_step(
     now = worlds.faults
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
     worlds, views = jax.vmap(partial(make_view, scene))(worlds, physics)
-    result = jax.vmap(task.evaluate)(views, state.memory)
+    with jax.named_scope("task.evaluate"):
+        result = jax.vmap(task.evaluate)(views, state.memory)
     obs, privileged = jax.vmap(partial(_observe, task))(views, result.memory)
     length = state.length + 1
     terminated, late = result.terminated & ~bad, length >= task.episode_steps

@@ -101,6 +101,7 @@ def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
     """
     draw, positions = np.random.default_rng(seed), list[np.ndarray]()
     for _ in range(starts):
+        position = np.zeros(2)
         for _ in range(TRIES):
             position = draw.uniform(-side / 2, side / 2, 2).round(3)
             if all(np.hypot(*(position - other)) >= MIN_START_DISTANCE for other in positions):

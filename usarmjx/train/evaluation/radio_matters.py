@@ -102,7 +102,8 @@ def measure(
         UnknownNameError: No such task, or a field that it does not have.
         UsageError: A task without a radio; worlds that are no multiple of the levels of generated arenas.
     """
-    team, rows = make_task(name, **overrides), []
+    team = make_task(name, **overrides)
+    rows: list[VariantResult] = []
     if not isinstance(team, TeamTask):
         raise UsageError(f"{name} is no task for a team: its robots have no radio")
     for variant, task in variants(few_arenas(team, worlds)).items():

@@ -36,9 +36,9 @@ def _is_key(leaf: Any) -> bool:  # noqa: ANN401 - any leaf
 
 def _arrays(tree: Any) -> dict[str, np.ndarray]:  # noqa: ANN401 - any tree
     """Return a tree's leaves by their path, as NumPy arrays; random keys as their numbers."""
-    leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+    leaves = jax.tree.flatten_with_path(tree)[0]
     plain = [(path, jax.random.key_data(leaf) if _is_key(leaf) else leaf) for path, leaf in leaves]
-    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in plain}
+    return {"".join(map(str, path)): np.asarray(leaf) for path, leaf in plain}
 
 
 def _described(arrays: dict[str, np.ndarray]) -> list[list[Any]]:
@@ -121,7 +121,8 @@ def read_part(folder: Path, name: str, template: Any, index: int = 0) -> Any:  #
 def _like(leaf: Any, array: np.ndarray) -> Any:  # noqa: ANN401 - as the leaf
     """Return an array as what the leaf is."""
     if _is_key(leaf):
-        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
+        key: jax.Array = jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
+        return key
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else np.array(array)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 
@@ -174,7 +174,10 @@ def task_config(task: str, **settings: Any) -> Config:  # noqa: ANN401 - values 
 
 def from_record(record: Mapping[str, Any]) -> Config:
     """Return the settings from what `asdict` gave, read back from JSON."""
-    values = {key: tuple(value) if isinstance(value, list) else value for key, value in record.items()}
+    values = {
+        key: tuple(cast(list[Any], value)) if isinstance(value, list) else value
+        for key, value in record.items()
+    }
     return task_config("", **values)
 
 
@@ -232,7 +235,7 @@ def parse_settings(pairs: Iterable[str], examples: Mapping[str, Any], what: str)
         UnknownNameError: A key that may not be set; lists those that may.
         UsageError: A pair or value that does not read.
     """
-    found = {}
+    found: dict[str, Any] = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals:

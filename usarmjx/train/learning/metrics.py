@@ -44,7 +44,7 @@ def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]
 
 def read_lines(file: Path) -> list[dict[str, Any]]:
     """Return the records of a run, without a last line that was cut off."""
-    records = []
+    records: list[dict[str, Any]] = []
     for line in file.read_text().splitlines(keepends=True) if file.exists() else []:
         if not line.endswith("\n"):
             break

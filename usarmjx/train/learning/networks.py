@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +16,8 @@ from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.statistics import normalise
 
-Params = Any
-"""A tree of weights."""
+Params: TypeAlias = Any
+"""A tree of weights, as flax nests them."""
 
 MIN_STD = 0.01
 """Least deviation of an action before it is squashed."""
@@ -59,7 +60,7 @@ class Network(nn.Module):
             # The same product for all robots of a world is computed once.
             x = x + nn.Dense(self.layers[0], use_bias=False, name="shared")(shared)[..., None, :]
         if self.robots > 1:
-            x = x + self.param("robot", nn.initializers.zeros, (self.robots, self.layers[0]))
+            x = x + _param(self, "robot", nn.initializers.zeros, (self.robots, self.layers[0]))
         x = nn.elu(x)
         for i, width in enumerate(self.layers[1:], start=1):
             init = nn.initializers.orthogonal(ROOT_TWO)
@@ -72,8 +73,8 @@ class Network(nn.Module):
     def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Run the GRU (Cho et al. 2014): only the part that needs its own past is done step by step."""
         gates = nn.Dense(3 * self.memory, name="gates")(x)
-        weights = self.param("recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
-        bias = self.param("recurrent_bias", nn.initializers.zeros, (self.memory,))
+        weights = _param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
+        bias = _param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
 
         def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             gates, is_first = now
@@ -87,6 +88,23 @@ class Network(nn.Module):
 
         carry, x = jax.lax.scan(step, carry, (gates, is_first))
         return x, carry
+
+
+def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Array:  # noqa: ANN401
+    return module.param(name, init, shape)  # which flax leaves without types
+
+
+def apply_network(
+    network: Network,
+    params: Params,
+    seen: jax.Array,
+    shared: jax.Array | None,
+    carry: jax.Array,
+    is_first: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Return what comes out with these parameters, and the carry; see `Network.__call__`."""
+    module: Any = network  # flax types neither arguments nor results
+    return module.apply(params, seen, shared, carry, is_first)
 
 
 class PolicyParams(struct.PyTreeNode, kw_only=True):
@@ -146,11 +164,11 @@ class LearnedPolicy:
         self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
         """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and the carry."""
-        found = []
+        found: list[tuple[jax.Array, jax.Array]] = []
         for g, seen in enumerate(obs):
             x = normalise(params.mean[g], params.std[g], seen)[None]
             no = jnp.zeros((1, len(seen)), bool)
-            out, after = self.network(g).apply(params.weights[g], x, None, carry[g], no)
+            out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], no)
             found.append((out[0], after))
         return tuple(out for out, _ in found), tuple(after for _, after in found)
 
@@ -201,7 +219,7 @@ class LearnedPolicy:
 
 def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:
     """Return a key for each number (worlds,)."""
-    return jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
+    return jax.vmap(partial(jax.random.fold_in, key))(numbers)
 
 
 def sample_actions(
@@ -216,13 +234,17 @@ def sample_actions(
 
 def fold_all(keys: jax.Array, number: int) -> jax.Array:
     """Fold a number into each of several keys."""
-    return jax.vmap(lambda key: jax.random.fold_in(key, number))(keys)
+
+    def fold(key: jax.Array) -> jax.Array:
+        return jax.random.fold_in(key, number)
+
+    return jax.vmap(fold)(keys)
 
 
 def init_network(network: Network, key: jax.Array, group: AgentGroup, shared: int | None) -> Params:
     """Return weights to begin with, for a group's observations and `shared` numbers besides."""
-    robots = len(group.agents)
-    return network.init(
+    robots, module = len(group.agents), cast(Any, network)  # flax types no arguments
+    return module.init(
         key,
         jnp.zeros((1, 1, robots, group.obs_size)),
         None if shared is None else jnp.zeros((1, 1, shared)),

@@ -16,7 +16,7 @@ from flax import struct
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.gae import advantages
 from usarmjx.train.learning.imitation import imitation_loss
-from usarmjx.train.learning.networks import fold_all, fold_each
+from usarmjx.train.learning.networks import apply_network, fold_all, fold_each
 from usarmjx.train.learning.statistics import normalise, update_statistics
 from usarmjx.train.learning.train_state import (
     UPDATE_STREAM,
@@ -68,6 +68,7 @@ def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: f
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
 
 
+@jax.named_scope("ppo.targets")
 def compute_targets(
     networks: Networks,
     train_state: TrainState,
@@ -77,7 +78,9 @@ def compute_targets(
 ) -> tuple[Minibatch, tuple[jax.Array, ...]]:
     """Return the targets of a trajectory, and the returns that were estimated, in the unit of rewards."""
     ends = tuple(one[..., None] for one in (trajectory.done, trajectory.truncated, trajectory.bad))
-    normal, targets, returns = [], [], []
+    normal: list[jax.Array] = []
+    targets: list[jax.Array] = []
+    returns: list[jax.Array] = []
     for g in range(len(networks.groups)):
         found = advantages(
             trajectory.reward[g],
@@ -102,6 +105,7 @@ def compute_targets(
     return batch, tuple(returns)
 
 
+@jax.named_scope("ppo.loss")
 def loss(
     weights: ActorCriticParams,
     networks: Networks,
@@ -132,8 +136,8 @@ def loss(
     imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
     for g, raw in enumerate(steps.raw_action):
         seen = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
-        logits, _ = networks.policy.network(g).apply(
-            policies[g], seen, None, ends.policy_carry[g], steps.is_first
+        logits, _ = apply_network(
+            networks.policy.network(g), policies[g], seen, None, ends.policy_carry[g], steps.is_first
         )
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
@@ -171,7 +175,11 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
     """
     size = worlds // blocks
     keys = fold_each(key, first + jnp.arange(blocks))
-    order = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)
+
+    def permutation(key: jax.Array) -> jax.Array:
+        return jax.random.permutation(key, size)
+
+    order = jax.vmap(permutation)(keys)
     order = order + size * jnp.arange(blocks)[:, None]
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
@@ -234,6 +242,7 @@ def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
     return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), MIN_LEARNING_RATE, MAX_LEARNING_RATE)
 
 
+@jax.named_scope("ppo.update")
 def update(
     networks: Networks,
     config: Config,

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup, Env
@@ -28,7 +28,7 @@ class EnvArguments:
     """
 
     engine: str = "auto"
-    overrides: dict[str, str] = field(default_factory=dict)
+    overrides: dict[str, str] = field(default_factory=dict[str, str])
 
 
 DEFAULT_ENV_ARGUMENTS = EnvArguments()
@@ -53,14 +53,14 @@ class RunRecord:
 
     task: str
     engine: str = "auto"
-    overrides: dict[str, str] = field(default_factory=dict)
+    overrides: dict[str, str] = field(default_factory=dict[str, str])
     groups: tuple[AgentGroup, ...]
     privileged_size: int
     episode_steps: int
     period: float
     processes: int
     config: Config
-    versions: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict[str, str])
 
     def save(self, folder: Path) -> None:
         """Write the record into a folder."""
@@ -87,7 +87,8 @@ class RunRecord:
 def _plain(value: Any) -> Any:  # noqa: ANN401 - anything that JSON can hold
     """Return a value as it is after writing and reading."""
     if isinstance(value, tuple):
-        value = [asdict(one) if isinstance(one, AgentGroup) else one for one in value]
+        items = cast(tuple[Any, ...], value)
+        value = [asdict(one) if isinstance(one, AgentGroup) else one for one in items]
     return json.loads(json.dumps(value))
 
 
@@ -123,7 +124,7 @@ def load_record(folder: Path) -> RunRecord:
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
         values["config"] = from_record(values["config"])
-        groups = [{**one, "agents": tuple(one["agents"])} for one in values["groups"]]
+        groups: list[dict[str, Any]] = [{**one, "agents": tuple(one["agents"])} for one in values["groups"]]
         values["groups"] = tuple(AgentGroup(**one) for one in groups)
         return RunRecord(**values)
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:

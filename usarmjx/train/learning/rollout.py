@@ -90,9 +90,14 @@ class Rollout:
         """Return the worlds' numbers, how late their first episodes are, and the carry."""
         number = self.first + jnp.arange(self.env.worlds)
         keys = fold_each(jax.random.fold_in(jax.random.key(self.config.seed), STAGGER_STREAM), number)
-        late = jax.vmap(lambda key: jax.random.randint(key, (), 0, self.env.episode_steps))(keys)
+
+        def draw(key: jax.Array) -> jax.Array:
+            return jax.random.randint(key, (), 0, self.env.episode_steps)
+
+        late = jax.vmap(draw)(keys)
         return number, late, self.networks.policy.initial_carry(self.env.worlds)
 
+    @jax.named_scope("policy")
     def _decided(
         self,
         train_state: TrainState,
@@ -247,7 +252,8 @@ class Rollout:
         return now, steps, self._ends(train_state, start, now), jax.tree.map(lambda one: one.sum(0), sums)
 
     def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Any:  # noqa: ANN401
-        now, rows = start, []
+        now = start
+        rows: list[tuple[Trajectory, dict[str, jax.Array]]] = []
         for step in range(self.config.rollout):
             now, row = self._step(train_state, now, key, np.int32(step))
             rows.append(row)

@@ -11,7 +11,14 @@ from flax import struct
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.networks import LearnedPolicy, Network, Params, PolicyParams, init_network
+from usarmjx.train.learning.networks import (
+    LearnedPolicy,
+    Network,
+    Params,
+    PolicyParams,
+    apply_network,
+    init_network,
+)
 from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
 
 POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = range(5)
@@ -186,10 +193,11 @@ def critic_values(
     shared = normalise(
         train_state.privileged_statistics.mean, train_state.privileged_statistics.std, privileged
     )
-    found = []
+    found: list[tuple[jax.Array, jax.Array]] = []
     for g, rows in enumerate(obs):
         x = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, rows)
-        value, after = networks.critic(g).apply(train_state.params.critic[g], x, shared, carry[g], is_first)
+        params = train_state.params.critic[g]
+        value, after = apply_network(networks.critic(g), params, x, shared, carry[g], is_first)
         found.append((value[..., 0], after))
     return tuple(value for value, _ in found), tuple(after for _, after in found)
 

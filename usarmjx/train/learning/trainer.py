@@ -95,7 +95,7 @@ class Trainer:
         )
         self._key = process_group.device_put(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
         self._fold = jax.jit(jax.random.fold_in)
-        self._sums = jax.jit(lambda sums: jax.tree.map(lambda one: one[None], sums))
+        self._sums = jax.jit(_with_axis)
 
     def start(self) -> tuple[TrainState, RolloutState]:
         """Return the train state before the first update, and worlds at their start."""
@@ -131,6 +131,11 @@ class Trainer:
             self._update(to_global(train_state, None), experience)
         )
         return train_state, worlds, known
+
+
+def _with_axis(sums: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Return sums with an axis over processes."""
+    return {name: one[None] for name, one in sums.items()}
 
 
 def train(

@@ -63,21 +63,21 @@ class Belief(struct.PyTreeNode, kw_only=True):
             (robots,).
     """
 
-    evidence: Array
-    marks: Array
-    received_map: Array
-    visited: Array
-    pose: Array
-    mate_headers: Array
-    heard_time: Array
-    link_since: Array
-    base_contact_time: Array
-    mark_time: Array
-    sector_ranges: Array
-    lagged_position: Array
-    waypoint: Array
-    goal: Array
-    path_length: Array
+    evidence: jax.Array
+    marks: jax.Array
+    received_map: jax.Array
+    visited: jax.Array
+    pose: jax.Array
+    mate_headers: jax.Array
+    heard_time: jax.Array
+    link_since: jax.Array
+    base_contact_time: jax.Array
+    mark_time: jax.Array
+    sector_ranges: jax.Array
+    lagged_position: jax.Array
+    waypoint: jax.Array
+    goal: jax.Array
+    path_length: jax.Array
 
     @property
     def squares(self) -> jax.Array:
@@ -85,7 +85,7 @@ class Belief(struct.PyTreeNode, kw_only=True):
         return maps.fuse_maps(self.evidence, self.marks, self.received_map)
 
 
-def initial_belief(grid: MapGrid, pose: Array) -> Belief:
+def initial_belief(grid: MapGrid, pose: jax.Array) -> Belief:
     """Return the belief of robots that stand at poses (robots, 3) and have scanned nothing yet.
 
     They know where the others start.
@@ -131,9 +131,9 @@ class GroupScan:
 
     slots: np.ndarray
     settings: ScannerSettings
-    poses: Array
-    ranges: Array
-    fresh: Array
+    poses: jax.Array
+    ranges: jax.Array
+    fresh: jax.Array
 
 
 def sectors(ranges: Array) -> jax.Array:
@@ -151,7 +151,9 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
     evidence, heard = belief.evidence[scan.slots], belief.heard_time[scan.slots]
     mates = belief.mate_headers[scan.slots, :, :2]
 
-    def one(old: Array, pose: Array, ranges: Array, others: Array, when: Array) -> jax.Array:
+    def one(
+        old: jax.Array, pose: jax.Array, ranges: jax.Array, others: jax.Array, when: jax.Array
+    ) -> jax.Array:
         free, wall = maps.classify_scan(grid, scan.settings, pose, ranges)
         gap = jnp.linalg.norm(grid.centres[:, :, None] - others, axis=-1)
         robot = ((gap < BODY) & (time - when < RECENT_AGE)).any(-1)
@@ -191,8 +193,8 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
         period: Time between two messages of a robot [s].
     """
 
-    def one(own: tuple[Array, ...], box: Inboxes) -> tuple[Array, ...]:
-        def read(state: tuple[Array, ...], index: Array) -> tuple[tuple[Array, ...], None]:
+    def one(own: tuple[jax.Array, ...], box: Inboxes) -> tuple[jax.Array, ...]:
+        def read(state: tuple[jax.Array, ...], index: jax.Array) -> tuple[tuple[jax.Array, ...], None]:
             received, mates, heard, since, contact = state
             there, sender = index < box.count, box.sender[index]
             payload, time = box.payload[index], box.time[index]
@@ -235,7 +237,7 @@ def update_base_contact(belief: Belief, linked: Array, base: int, time: Array) -
     return belief.replace(base_contact_time=jnp.where(direct, time, belief.base_contact_time))
 
 
-def update_pose(grid: MapGrid, belief: Belief, pose: Array, share: float = 0.05) -> Belief:
+def update_pose(grid: MapGrid, belief: Belief, pose: jax.Array, share: float = 0.05) -> Belief:
     """Return the belief after robots read their INS: poses (robots, 3).
 
     Args:

@@ -73,7 +73,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
         raise UsageError(f"squares of {cell} m, expected a side above 0")
     extents = np.array([arena.extent for arena in arenas])  # (arenas, x or y, low or high)
     low, high = extents[..., 0].min(0), extents[..., 1].max(0)
-    counts = np.round((high - low) / cell).astype(int) + 1
+    counts: np.ndarray = np.round((high - low) / cell).astype(int) + 1
     return MapGrid(low=(float(low[0]), float(low[1])), cell=cell, shape=(int(counts[0]), int(counts[1])))
 
 
@@ -161,7 +161,8 @@ def merge_received(received: Array, news: Array) -> jax.Array:
 def pack(squares: Array) -> jax.Array:
     """Return a map (i, j) as numbers of a message, `SQUARES_PER_NUMBER` squares each, float32 (numbers,)."""
     flat = jnp.ravel(squares).astype(jnp.int32)
-    rows = jnp.pad(flat, (0, -flat.shape[0] % SQUARES_PER_NUMBER)).reshape(-1, SQUARES_PER_NUMBER)
+    missing = jnp.zeros(-flat.shape[0] % SQUARES_PER_NUMBER, jnp.int32)
+    rows = jnp.concatenate([flat, missing]).reshape(-1, SQUARES_PER_NUMBER)
     return (rows * 4 ** np.arange(SQUARES_PER_NUMBER)).sum(-1).astype(jnp.float32)
 
 

@@ -90,7 +90,13 @@ def plan_paths(
     )
 
     def one(
-        here: Array, pose: Array, mates: Array, age: Array, me: Array, end: Array, want: Array
+        here: jax.Array,
+        pose: jax.Array,
+        mates: jax.Array,
+        age: jax.Array,
+        me: jax.Array,
+        end: jax.Array,
+        want: Array,
     ) -> tuple[jax.Array, ...]:
         end = jnp.minimum(end + frontier_costs(grid, pose, mates, age, me), UNREACHABLE)
         return path_to_nearest(

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
@@ -15,10 +15,15 @@ UNREACHABLE = 1e6
 """The distance to where no way leads, in squares."""
 
 
-def shifted(values: Array, step: tuple[int, int], edge: Array) -> jax.Array:
+def _framed(values: Array, edge: ArrayLike) -> jax.Array:
+    """Return a map with a frame of one square (i + 2, j + 2)."""
+    return jnp.pad(jnp.asarray(values), 1, constant_values=edge)  # pyright: ignore[reportUnknownMemberType]
+
+
+def shifted(values: Array, step: tuple[int, int], edge: ArrayLike) -> jax.Array:
     """Return what lies one `step` further from each square (i, j); beyond the map it is `edge`."""
     (i, j), (rows, columns) = step, values.shape
-    padded = jnp.pad(jnp.asarray(values), 1, constant_values=edge)
+    padded = _framed(values, edge)
     return padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
 
 
@@ -38,9 +43,7 @@ def frontier(squares: Array) -> jax.Array:
     return (squares == FREE) & has_neighbour(squares == UNKNOWN, corners=False)
 
 
-def distances(
-    start: Array, open_: Array, toll: Array | float = 0.0, *, until: Array | None = None
-) -> jax.Array:
+def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array | None = None) -> jax.Array:
     """Return how far each square is from the nearest start, in squares (i, j); from `UNREACHABLE` on: no way.
 
     Steps go to all eight neighbours, slanting ones count sqrt(2). A wave spreads from the starts through the
@@ -80,7 +83,7 @@ def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
     """
     moves = np.array(NEIGHBOURS, np.int32)
     costs = np.hypot(*moves.T).astype(np.float32)
-    padded = jnp.pad(jnp.asarray(far), 1, constant_values=UNREACHABLE)
+    padded = _framed(far, UNREACHABLE)
 
     def down(here: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         there = here + moves

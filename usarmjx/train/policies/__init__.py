@@ -1,4 +1,9 @@
-"""Trained policies that come with the package: files as `usarmjx export` writes them, TASK.npz each."""
+"""Trained policies that come with the package: files as `usarmjx export` writes them, TASK.npz each.
+
+`export` writes and runs them with NumPy alone, `sources` finds policies by folder, file or name. Keys of the
+files are for good: robots elsewhere read them. A policy fits only the observation that it was trained on, so
+whoever changes a task's observation trains its policy again. Begin with `export.NumpyPolicy`.
+"""
 
 from pathlib import Path
 

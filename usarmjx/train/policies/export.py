@@ -9,7 +9,7 @@ import json
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -161,10 +161,12 @@ def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
 
 
 def _flat(tree: ParamTree, start: str) -> dict[str, Vector]:
-    found = {}
+    found: dict[str, Vector] = {}
     for name, value in tree.items():
-        nested = isinstance(value, Mapping)
-        found.update(_flat(value, f"{start}{name}/") if nested else {f"{start}{name}": np.asarray(value)})
+        if isinstance(value, Mapping):
+            found |= _flat(cast(ParamTree, value), f"{start}{name}/")
+        else:
+            found[f"{start}{name}"] = np.asarray(value)
     return found
 
 

@@ -32,7 +32,7 @@ class PolicySource:
 
     name: str
     task: str
-    overrides: Mapping[str, str] = field(default_factory=dict)
+    overrides: Mapping[str, str] = field(default_factory=dict[str, str])
     learned: tuple[LearnedPolicy, PolicyParams] | None = None
 
     def policy(self, env: Env) -> Policy:
@@ -90,7 +90,7 @@ def task_settings(
     """
     chosen = make_task(task)
     own = {one.name: getattr(chosen, one.name) for one in fields(chosen)}
-    simple = {
+    simple: dict[str, Any] = {
         name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
     }
     notes = [
@@ -132,7 +132,8 @@ def load_exported(file: Path) -> PolicySource:
         UsageError: It is no policy, or broken.
     """
     exported = NumpyPolicy(file)
-    groups = tuple(AgentGroup(**{**one, "agents": tuple(one["agents"])}) for one in exported.groups)
+    given: list[dict[str, Any]] = [{**one, "agents": tuple(one["agents"])} for one in exported.groups]
+    groups = tuple(AgentGroup(**one) for one in given)
     widths = tuple(exported.weights[0][f"layer_{i}"]["kernel"].shape[1] for i in range(exported.layers))
     params = PolicyParams(
         weights=tuple({"params": weights} for weights in exported.weights),

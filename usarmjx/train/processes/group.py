@@ -7,9 +7,9 @@ all hosts must share.
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
         return ProcessInfo(1, 0, 0)
     if jax.distributed.is_initialized():
         return info
-    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    cast(Any, jax.config).update("jax_cpu_collectives_implementation", "gloo")
     arguments: dict[str, Any] = {"num_processes": info.count, "process_id": info.index}
     if info.coordinator:
         arguments["coordinator_address"] = info.coordinator
@@ -46,7 +46,7 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
 
 
 @contextmanager
-def distributed_run() -> Iterator[ProcessInfo]:
+def distributed_run() -> Generator[ProcessInfo, None, None]:
     """Join the other processes, and fail at once if this one fails: else they would wait for each other.
 
     JAX has each process wait for all others at its end, for minutes, while those wait for what this one

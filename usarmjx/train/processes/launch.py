@@ -78,7 +78,7 @@ def spawn(processes: int, command: Sequence[str]) -> int:
     gpus = visible.split(",") if visible else [str(i) for i in range(processes)]
     if visible and len(gpus) < processes:
         raise UsageError(f"{processes} processes, but CUDA_VISIBLE_DEVICES shows {len(gpus)} devices")
-    running = []
+    running: list[subprocess.Popen[bytes]] = []
     try:
         for i in range(processes):
             ours = {COORDINATOR: address, COUNT: str(processes), INDEX: str(i), PARENT: str(os.getpid())}

@@ -81,7 +81,7 @@ def sort_starts(arena: ArenaSpec) -> ArenaSpec:
     """Return an arena with its start poses in the order of their distance from the first."""
     first = np.array(arena.starts[0].at[:2])
     away = [float(np.hypot(*(np.array(start.at[:2]) - first))) for start in arena.starts]
-    return replace(arena, starts=tuple(arena.starts[i] for i in np.argsort(away, kind="stable")))
+    return replace(arena, starts=tuple(arena.starts[int(i)] for i in np.argsort(away, kind="stable")))
 
 
 class ArenaGrid(NamedTuple):

@@ -5,7 +5,8 @@ solids that reach into its height, less what its wheels drive over, and the othe
 meshes, terrain, doors, victims and loose objects are none.
 """
 
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -54,16 +55,21 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], np.float32)
     turn, turns = _turn(one.yaw), _turn(others.yaw)  # own axes to the world's
     outline = one.centre + (signs * one.half) @ turn.T
-    corners = others.centre[:, None] + jnp.einsum("nij,ncj->nci", turns, signs * others.half[:, None])
+    corners = others.centre[:, None] + _einsum("nij,ncj->nci", turns, signs * others.half[:, None])
     # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
-    seen = jnp.einsum("nji,ncj->nci", turns, outline - others.centre[:, None])
+    seen = _einsum("nji,ncj->nci", turns, outline - others.centre[:, None])
     near = jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - others.half[:, None], 0.0), axis=-1).min(-1)
     seen = (corners - one.centre) @ turn
     near = jnp.minimum(near, jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - one.half, 0.0), axis=-1).min(-1))
     axes = jnp.concatenate([jnp.broadcast_to(turn.T, turns.shape), jnp.swapaxes(turns, -1, -2)], 1)
-    ours, theirs = jnp.einsum("nai,ci->nac", axes, outline), jnp.einsum("nai,nci->nac", axes, corners)
+    ours, theirs = _einsum("nai,ci->nac", axes, outline), _einsum("nai,nci->nac", axes, corners)
     split = (ours.max(-1) < theirs.min(-1)) | (theirs.max(-1) < ours.min(-1))
     return jnp.where(split.any(-1), near, 0.0)
+
+
+def _einsum(subscripts: str, *operands: Array) -> jax.Array:
+    """`jnp.einsum`, one option of which jax leaves without a type."""
+    return jnp.einsum(subscripts, *operands)  # pyright: ignore[reportUnknownMemberType]
 
 
 def _turn(yaw: Array) -> jax.Array:
@@ -102,7 +108,8 @@ def _reach(kind: np.ndarray, size: np.ndarray, mat: np.ndarray) -> np.ndarray:
 
 def _upright(shapes: tuple[Shape, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes around solids: centre, half lengths (n, 6), and quaternions (n, 4); MuJoCo's sizes."""
-    rows, quats = [], []
+    rows: list[tuple[float, ...]] = []
+    quats: list[Any] = []
     for shape in shapes:
         if shape.kind in ("mesh", "hfield"):
             continue
@@ -152,7 +159,7 @@ def robot_boxes(view: TaskView, group: int) -> Boxes:
     middle = np.array((low[:2] + high[:2]) / 2, np.float32)
     used = view.world.groups[group].active
     return Boxes(
-        centre=robots.pos[:, :2] + jnp.einsum("nij,j->ni", _turn(yaw), middle),
+        centre=robots.pos[:, :2] + _einsum("nij,j->ni", _turn(yaw), middle),
         half=jnp.broadcast_to(jnp.array((high - low)[:2] / 2, jnp.float32), (len(yaw), 2)),
         yaw=yaw,
         low=jnp.where(used, robots.pos[:, 2] + low[2], jnp.inf),
@@ -166,15 +173,16 @@ def clearance(view: TaskView) -> tuple[jax.Array, ...]:
     groups = [robot_boxes(view, group) for group in range(len(view.scene.groups))]
     # Another robot stands on the ground as this one does: all of it is in the way.
     others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
-    rows, first = [], 0
+    rows: list[jax.Array] = []
+    first = 0
     for group in groups:
         mine = jnp.arange(len(group.yaw)) + first
-        rows.append(jax.vmap(lambda one, me: _least(one, me, walls, others))(group, mine))
+        rows.append(jax.vmap(partial(_least, walls, others))(group, mine))
         first += len(group.yaw)
     return tuple(rows)
 
 
-def _least(one: Boxes, me: jax.Array, walls: Boxes, others: Boxes) -> jax.Array:
+def _least(walls: Boxes, others: Boxes, one: Boxes, me: jax.Array) -> jax.Array:
     in_the_way = (walls.high > one.low + DRIVABLE_HEIGHT) & (walls.low < one.high)
     near = jnp.where(in_the_way, box_distance(one, walls), NO_OBSTACLE)
     meets = (others.high > one.low) & (others.low < one.high) & (jnp.arange(len(others.yaw)) != me)

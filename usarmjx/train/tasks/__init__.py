@@ -1,4 +1,10 @@
-"""The tasks, one module each; importing this registers them."""
+"""The tasks, one module each; importing this registers them.
+
+`drive_to_goal` is the smallest. `team` is the base of `explore`, `victim_search` and `relay_chain`; soccer is
+in four modules: field, belief, play by hand, task. A task is a frozen dataclass: its fields are what `make`
+and `--set` override, so their names stay. What it observes, rewards and scores stands in its docstring and in
+docs/tasks.md; figures there hold for exactly these functions.
+"""
 
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.tasks.convoy import Convoy

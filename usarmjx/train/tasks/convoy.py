@@ -108,8 +108,7 @@ class Convoy(Task):
     price: float = 5.0
 
     @cached_property
-    def robots(self) -> tuple[RobotSpec, ...]:
-        """The cars, each with an INS on its rear axle and a scanner on its front bumper."""
+    def _robots(self) -> tuple[RobotSpec, ...]:
         car = spec_of(self.robot)
         if not isinstance(car.drive, Ackermann) or car.drive.max_rear_steer > 0:
             raise UsageError(f"a {car.name} in a convoy: expected a car that steers its front wheels only")
@@ -129,6 +128,11 @@ class Convoy(Task):
         )
         return (replace(car, sensors=sensors),) * self.count
 
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The cars, each with an INS on its rear axle and a scanner on its front bumper."""
+        return self._robots
+
     @cached_property
     def path(self) -> LanePath:
         """The lane's middle."""
@@ -143,7 +147,7 @@ class Convoy(Task):
     @property
     def arenas(self) -> ArenaSpec:
         """The arena, with start poses in the lane, the first one in front."""
-        starts = []
+        starts: list[StartPose] = []
         for i in range(self.count):
             along = jnp.float32(10.0 + self.spacing * (self.count - i))
             (x, y), yaw = np.asarray(self.path.position(along)), float(self.path.heading(along))

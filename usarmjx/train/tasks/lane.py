@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.network import RouteNetwork
@@ -60,7 +61,7 @@ class LanePath:
     def _edge(self, along: jax.Array) -> jax.Array:
         return jnp.searchsorted(jnp.asarray(self.edge_starts), along, side="right") - 1
 
-    def nearest(self, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def nearest(self, positions: Array) -> tuple[jax.Array, jax.Array]:
         """Return how far along the nearest points to positions (..., 2) are, and how far to their left these.
 
         Returns:

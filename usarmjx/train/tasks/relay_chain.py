@@ -1,6 +1,7 @@
 """A chain of robots carries the radio of a base as far into a building as it can."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -17,7 +18,7 @@ from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, pa
 from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.scenes.equip import base_station, mapping_robot
 from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import POSITION_SCALE, TeamMemory, base_slot, to_robot_frame
+from usarmjx.train.tasks.team_parts import POSITION_SCALE, TeamMemory, station_slot, to_robot_frame
 
 INWARD_COST = 3.0
 """So many squares of way is a square worth that lies one square farther from the base."""
@@ -81,8 +82,8 @@ class RelayChain(TeamTask):
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Look at the radio."""
-        base = base_slot(view.scene)
-        if view.world.links is None or base is None or self.talk == "none":
+        base = station_slot(view.scene)
+        if view.world.links is None or self.talk == "none":
             return belief
         return update_base_contact(belief, view.links.in_range, base, view.time)
 
@@ -91,10 +92,10 @@ class RelayChain(TeamTask):
 
         With `talk` at none nobody goes home.
         """
-        grid, base = self.arena_grid(view.scene).grid, base_slot(view.scene)
+        grid, base = self.arena_grid(view.scene).grid, station_slot(view.scene)
         squares = belief.squares
         gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1) / grid.cell
-        away = jax.vmap(lambda known: _outward(known, gap))(squares)
+        away = jax.vmap(partial(_outward, gap))(squares)
         home = (view.time - belief.base_contact_time > CONTACT_TIMEOUT) & (self.talk != "none")
         doorstep = jnp.where(gap * grid.cell < planning.HOME_RADIUS, gap, UNREACHABLE)
         wanted = jnp.where(home[:, None, None], doorstep, away)
@@ -103,7 +104,7 @@ class RelayChain(TeamTask):
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Measure how deep the building is."""
         memory = super().start(view, key)
-        grid, base = self.arena_grid(view.scene).grid, base_slot(view.scene)
+        grid, base = self.arena_grid(view.scene).grid, station_slot(view.scene)
         here = grid.index(memory.belief.pose[base, :2])
         inside = memory.reachable.at[here[0], here[1]].set(True)
         begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
@@ -121,7 +122,7 @@ class RelayChain(TeamTask):
         scene, grid = view.scene, self.arena_grid(view.scene).grid
         memory, _, begun = self.advance(view, memory)
         chain, agents = memory.extra, self.agents(scene)
-        linked = reachable(view.links.in_range, base_slot(scene))
+        linked = reachable(view.links.in_range, station_slot(scene))
         depths = jnp.zeros(scene.num_robots)
         for g, group in enumerate(scene.groups):
             there = grid.index(view.robots(g).pos[:, :2])
@@ -146,7 +147,7 @@ class RelayChain(TeamTask):
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact, and the powers."""
         belief, robots = memory.belief, view.scene.num_robots
-        home = to_robot_frame(belief.pose, belief.pose[base_slot(view.scene), :2]) / POSITION_SCALE
+        home = to_robot_frame(belief.pose, belief.pose[station_slot(view.scene), :2]) / POSITION_SCALE
         age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
         others = other_slots(robots)
         rows = jnp.arange(robots)[:, None]
@@ -159,12 +160,12 @@ class RelayChain(TeamTask):
         return jnp.concatenate([super().privileged(view, memory), memory.extra.linked])
 
 
-def _outward(squares: jax.Array, gap: jax.Array) -> jax.Array:
+def _outward(gap: jax.Array, squares: jax.Array) -> jax.Array:
     """Return what ways cost at their ends that lead outward: 0 at the outermost frontier (i, j).
 
     Args:
-        squares: What a robot believes of them (i, j).
         gap: How far they are from the base, as the crow flies [squares] (i, j).
+        squares: What a robot believes of them (i, j).
     """
     open_ = passable(squares)
     outermost = jnp.where(open_, gap, 0.0).max()

@@ -123,12 +123,16 @@ class Soccer(Task):
     approach: float = 0.2
 
     @cached_property
-    def robots(self) -> tuple[RobotSpec, ...]:
-        """Blue, then yellow; if both have the same policy, they are robots of one kind."""
+    def _robots(self) -> tuple[RobotSpec, ...]:
         if self.opponent not in OPPONENTS:
             raise UsageError(f"opponent {self.opponent}, expected one of {', '.join(OPPONENTS)}")
         other = BLUE if self.opponent == "self" else YELLOW
         return (soccer_robot(BLUE),) * 2 + (soccer_robot(other),) * 2
+
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """Blue, then yellow; if both have the same policy, they are robots of one kind."""
+        return self._robots
 
     def scene(self) -> Scene:
         """Return the scene.
@@ -156,7 +160,7 @@ class Soccer(Task):
             commanded[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
         elif self.opponent == "still":
             commanded[1] = jnp.zeros((2, 2))
-        drive = {}
+        drive: dict[int, dict[str, jax.Array]] = {}
         for group, speeds in commanded.items():
             spins = SPEED_SCALE * speeds / view.scene.groups[group].robot.wheel_radius
             drive[group] = {"Left": spins[:, 0], "Right": spins[:, 1]}

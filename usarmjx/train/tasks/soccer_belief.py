@@ -55,13 +55,13 @@ class SoccerBelief(struct.PyTreeNode, kw_only=True):
         mate_time: When it said so [s] (robots,).
     """
 
-    pose: Array
-    others: Array
-    ball: Array
-    velocity: Array
-    ball_time: Array
-    mate_pose: Array
-    mate_time: Array
+    pose: jax.Array
+    others: jax.Array
+    ball: jax.Array
+    velocity: jax.Array
+    ball_time: jax.Array
+    mate_pose: jax.Array
+    mate_time: jax.Array
 
 
 def initial_belief(robots: int) -> SoccerBelief:
@@ -79,7 +79,7 @@ def initial_belief(robots: int) -> SoccerBelief:
     )
 
 
-def find_ball(pose: Array, low: Array, high: Array) -> tuple[jax.Array, jax.Array]:
+def find_ball(pose: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return where a robot sees the ball [m] (2,), and whether it does ().
 
     The ball is what the lower scanner meets and the upper one does not, within the boards. As the robot
@@ -105,7 +105,7 @@ def find_ball(pose: Array, low: Array, high: Array) -> tuple[jax.Array, jax.Arra
     return pose[:2] + (jnp.where(met.any(), nearest, 0.0) + BALL_RADIUS) * way, met.any()
 
 
-def find_others(pose: Array, high: Array) -> jax.Array:
+def find_others(pose: jax.Array, high: jax.Array) -> jax.Array:
     """Return how far away robots are along the upper beams, `SCANNER_RANGE` for none [m] (beams,).
 
     They are what is neither board nor goal.
@@ -115,11 +115,11 @@ def find_others(pose: Array, high: Array) -> jax.Array:
     return jnp.where((high < SCANNER_RANGE) & (depth_inside(hit) > BOARD_MARGIN), high, SCANNER_RANGE)
 
 
-def _directions(pose: Array) -> jax.Array:
+def _directions(pose: jax.Array) -> jax.Array:
     """Return the directions of a scanner's beams in the world (beams, 3)."""
     angle = beams()
     lines = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
-    return lines @ mat_from_angles(pose[3], pose[4], pose[5], jnp).T
+    return jnp.asarray(lines) @ mat_from_angles(pose[3], pose[4], pose[5], jnp).T
 
 
 class SoccerReadings(NamedTuple):
@@ -132,10 +132,10 @@ class SoccerReadings(NamedTuple):
         fresh: Whether these are of now (robots,).
     """
 
-    pose: Array
-    low: Array
-    high: Array
-    fresh: Array
+    pose: jax.Array
+    low: jax.Array
+    high: jax.Array
+    fresh: jax.Array
 
 
 def update_from_sensors(belief: SoccerBelief, readings: SoccerReadings, time: Array) -> SoccerBelief:

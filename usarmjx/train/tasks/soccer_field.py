@@ -69,7 +69,7 @@ def _boards() -> list[Shape]:
     inner, height = GOAL_WIDTH / 2 + POST, BOARD[1]
     width = SIDE_BOARD - inner
     depth, diagonal = CARPET[0] / 2 - GOAL_LINE, np.sqrt(2.0) * CUT
-    shapes = []
+    shapes: list[Shape] = []
     for i in (-1, 1):
         for j in (-1, 1):
             middle = (i * (GOAL_LINE + depth / 2), j * (inner + width / 2))
@@ -83,7 +83,8 @@ def _boards() -> list[Shape]:
 
 def _starts() -> tuple[StartPose, ...]:
     """Return start poses on both halves; half a turn about the middle makes the second half of them."""
-    draw, poses = np.random.default_rng(3), []
+    draw = np.random.default_rng(3)
+    poses: list[tuple[float, float, float]] = []
     while len(poses) < START_COUNT // 2:
         x, y, yaw = draw.uniform((-2.2, -1.5, -np.pi), (2.2, 1.5, np.pi)).round(2)
         here = np.array([x, y])

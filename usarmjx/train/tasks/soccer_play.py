@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.models.arenas.soccer import BALL_RADIUS
 from usarmjx.train.tasks.soccer_field import (
     CORNER,
@@ -68,7 +67,7 @@ SECTOR_ANGLES = beams().reshape(19, -1).mean(-1)
 SECTOR_LINES = np.stack([np.cos(SECTOR_ANGLES), np.sin(SECTOR_ANGLES)], -1)
 
 
-def soccer_action(seen: Array) -> jax.Array:
+def soccer_action(seen: jax.Array) -> jax.Array:
     """Return the action (2,) for one robot's observation of `Soccer` (n,)."""
     position, number = seen[:2] * np.array([GOAL_LINE, SIDE_BOARD], np.float32), seen[16]
     sin, cos = seen[2], seen[3]
@@ -99,26 +98,26 @@ def soccer_action(seen: Array) -> jax.Array:
     return jnp.where(first & pushes & ~jammed, attack, action)
 
 
-def _ways(way: Array) -> jax.Array:
+def _ways(way: jax.Array) -> jax.Array:
     """Return directions about that of a way (2,), the nearest first (ways, 2)."""
     angle = jnp.arctan2(way[1], way[0]) + DIRECTIONS
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
 
 
-def _is_free(ways: Array, others: Array, room: float, far: Array | float) -> jax.Array:
+def _is_free(ways: jax.Array, others: jax.Array, room: float, far: jax.Array | float) -> jax.Array:
     """Return which ways (ways, 2) are so far free of others (n, 2) (ways,)."""
     on, off = ways @ others.T, ways[:, :1] * others[:, 1] - ways[:, 1:] * others[:, 0]
     return ~((on > 0) & (on < far) & (jnp.abs(off) < room)).any(-1)
 
 
-def _round_others(way: Array, others: Array) -> jax.Array:
+def _round_others(way: jax.Array, others: jax.Array) -> jax.Array:
     """Return a way (2,) turned so far that others (n, 2) are not in it, if there is such a one (2,)."""
     ways, length = _ways(way), jnp.linalg.norm(way)
     free = _is_free(ways, others, PASS_MARGIN, jnp.minimum(PASS_LOOKAHEAD, length))
     return jnp.where(free.any(), length * ways[jnp.argmax(free)], way)
 
 
-def _push(ball: Array, others: Array) -> jax.Array:
+def _push(ball: jax.Array, others: jax.Array) -> jax.Array:
     """Return where to push the ball (2,) (2,): to the goal, past others (n, 2), from where there is room."""
     ways = _ways(IN_GOAL - ball)
     behind = depth_inside(ball - PUSH_START_DISTANCE * ways) > PUSH_ROOM
@@ -126,7 +125,7 @@ def _push(ball: Array, others: Array) -> jax.Array:
     return ways[jnp.argmax(2 * behind + free)]
 
 
-def _inside(position: Array, room: float = BOARDS) -> jax.Array:
+def _inside(position: jax.Array, room: float = BOARDS) -> jax.Array:
     """Return the position nearest to another one (2,) at which there is room between the boards (2,)."""
     limit = np.array([GOAL_LINE - room, SIDE_BOARD - room], np.float32)
     position = jnp.clip(position, -limit, limit)
@@ -134,7 +133,7 @@ def _inside(position: Array, room: float = BOARDS) -> jax.Array:
     return position - jnp.sign(position) * over / 2
 
 
-def _shot(ahead: Array, off: Array, way: Array) -> tuple[jax.Array, jax.Array]:
+def _shot(ahead: jax.Array, off: jax.Array, way: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the action (2,) that pushes the ball, and whether the robot is where it can ().
 
     A slippery ball is pushed to where the robot's nose points: before it touches the ball, it lines up.
@@ -155,7 +154,7 @@ def _shot(ahead: Array, off: Array, way: Array) -> tuple[jax.Array, jax.Array]:
     return _wheels(most * jnp.clip(1.5 - 1.5 * jnp.abs(turn) / aim, 0.0, 1.0), turn), ready
 
 
-def _round_ball(position: Array, ball: Array, way: Array) -> jax.Array:
+def _round_ball(position: jax.Array, ball: jax.Array, way: jax.Array) -> jax.Array:
     """Return where to drive now to get behind the ball (2,), without touching it (2,)."""
     left = jnp.stack([-way[1], way[0]])
     along, aside = (position - ball) @ way, (position - ball) @ left
@@ -168,25 +167,25 @@ def _round_ball(position: Array, ball: Array, way: Array) -> jax.Array:
     return jnp.where(along < -0.25, ball - PUSH_START_DISTANCE * way, _inside(around))
 
 
-def _between(ball: Array) -> jax.Array:
+def _between(ball: jax.Array) -> jax.Array:
     """Return where to keep goal (2,): between it and the ball."""
     way = ball - OWN_GOAL
     return _inside(OWN_GOAL + KEEPER_DISTANCE * way / jnp.maximum(jnp.linalg.norm(way), 1e-6))
 
 
-def _turn_to(ahead: Array) -> jax.Array:
+def _turn_to(ahead: jax.Array) -> jax.Array:
     """Return the action (2,) that turns a robot to something in its axes (2,)."""
     return _wheels(0.0, 0.7 * jnp.arctan2(ahead[1], ahead[0]))
 
 
-def _go(ahead: Array) -> jax.Array:
+def _go(ahead: jax.Array) -> jax.Array:
     """Return the action (2,) that drives a robot to a position in its axes (2,)."""
     off = jnp.arctan2(ahead[1], ahead[0])
     speed = jnp.clip(jnp.linalg.norm(ahead) / SLOW_DISTANCE, 0.2, 1.0)
     return _wheels(speed * jnp.clip(1.0 - jnp.abs(off) / TURN_FIRST, 0.0, 1.0), off)
 
 
-def _wheels(speed: Array | float, turn: Array) -> jax.Array:
+def _wheels(speed: jax.Array | float, turn: jax.Array) -> jax.Array:
     """Return the action (2,) for a speed, as a share, and an angle to turn by [rad]."""
     rate = jnp.clip(0.6 * turn, -0.5, 0.5)
     action = jnp.stack([speed - rate, speed + rate])

@@ -274,12 +274,14 @@ class TeamTask(Task):
             jnp.stack([left, number], -1),
             mate_observations(view, belief),
         ]
+
+        def local_map(squares: jax.Array, pose: jax.Array) -> jax.Array:
+            return egocentric_map(grid, squares, pose, LOCAL_MAP_WIDTH, SPACING)
+
         flyers = self.planner_settings(view.scene).flyers[:, None, None]
         swept = jnp.where(belief.squares == MARK, MARK, jnp.where(belief.evidence < 0, FREE, UNKNOWN))
         squares = jnp.where(flyers, swept, belief.squares)
-        near = jax.vmap(lambda m, p: egocentric_map(grid, m, p, LOCAL_MAP_WIDTH, SPACING))(
-            squares, belief.pose
-        )
+        near = jax.vmap(local_map)(squares, belief.pose)
         near = near.reshape(robots, -1)
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 

@@ -1,5 +1,6 @@
 """Small functions of the tasks for teams: where robots are, what they see of each other, who is linked."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.sensors.motion import wrap_angle
@@ -110,9 +112,7 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
         if not has_scanner(group):
             continue
         scan = scan_of(view, g, true_poses(view, g))
-        free, _ = jax.vmap(lambda pose, ranges, s=scan.settings: classify_scan(grid, s, pose, ranges))(
-            scan.poses, scan.ranges
-        )
+        free, _ = jax.vmap(partial(classify_scan, grid, scan.settings))(scan.poses, scan.ranges)
         new = new.at[group.slots].set(free & scan.fresh[:, None, None])
     new = new & memory.reachable & ~memory.explored
     seers = new.sum(0)
@@ -126,9 +126,7 @@ def mate_observations(view: TaskView, belief: Belief) -> jax.Array:
     others = other_slots(robots)
     rows = np.arange(robots)[:, None]
     age = (view.time - belief.heard_time)[rows, others]
-    there = jax.vmap(lambda pose, mates: to_robot_frame(pose, mates))(
-        belief.pose, belief.mate_headers[rows, others, :2]
-    )
+    there = jax.vmap(to_robot_frame)(belief.pose, belief.mate_headers[rows, others, :2])
     there = jnp.where((age < STALE_AGE)[..., None], there / POSITION_SCALE, 0.0)
     linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
     facts = [there, jnp.minimum(age / STALE_AGE, 1.0)[..., None], linked[rows, others][..., None]]
@@ -140,7 +138,8 @@ def true_pose_features(view: TaskView) -> jax.Array:
 
     Group by group: x and y as shares of the arena, then cosine and sine of the yaw.
     """
-    extent, rows = np.array(view.scene.arena.extent, np.float32), []
+    extent = np.array(view.scene.arena.extent, np.float32)
+    rows: list[Array] = []
     for group in range(len(view.scene.groups)):
         robots = view.robots(group)
         w, z = robots.quat[:, 0], robots.quat[:, 3]
@@ -155,6 +154,13 @@ def base_slot(scene: Scene) -> int | None:
         if group.robot.name == BASE_STATION:
             return int(group.slots[0])
     return None
+
+
+def station_slot(scene: Scene) -> int:
+    """Return the slot of the base station, of a scene that has one."""
+    slot = base_slot(scene)
+    assert slot is not None  # as the task's roster says
+    return slot
 
 
 def unlinked(view: TaskView) -> jax.Array:

@@ -1,6 +1,7 @@
 """A mixed team searches a building for victims and reports them to its base."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -12,7 +13,7 @@ from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.actions import Actions, JointAction
-from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.sim.scene import RobotGroup
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
@@ -22,7 +23,13 @@ from usarmjx.train.mapping.wavefront import UNREACHABLE
 from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.scenes.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import BASE_STATION, POSITION_SCALE, TeamMemory, base_slot, to_robot_frame
+from usarmjx.train.tasks.team_parts import (
+    BASE_STATION,
+    POSITION_SCALE,
+    TeamMemory,
+    station_slot,
+    to_robot_frame,
+)
 
 FLIPPERS = {"FRFlipper": -1.3, "FLFlipper": -1.3, "RRFlipper": 1.3, "RLFlipper": 1.3}
 """Flippers folded up [rad]: negative in front and positive behind is up."""
@@ -126,7 +133,7 @@ class VictimSearch(TeamTask):
         for g, group in enumerate(scene.groups):
             if group.robot.name == BASE_STATION:
                 continue
-            marked = jax.vmap(lambda pose, met: mark_squares(grid, pose, met))(
+            marked = jax.vmap(partial(mark_squares, grid))(
                 belief.pose[group.slots], detected_positions(view, g)
             )
             marked &= view.is_fresh(g, "VictSensor")[:, None, None]
@@ -135,15 +142,9 @@ class VictimSearch(TeamTask):
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
         belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
         if view.world.links is not None and self.talk != "none":
-            belief = update_base_contact(belief, view.links.in_range, self.base_slot(scene), view.time)
+            belief = update_base_contact(belief, view.links.in_range, station_slot(scene), view.time)
         more = (belief.squares == MARK).sum((1, 2)) > before
         return belief.replace(mark_time=jnp.where(more, view.time, belief.mark_time))
-
-    def base_slot(self, scene: Scene) -> int:
-        """Return the slot of the base."""
-        base = base_slot(scene)
-        assert base is not None  # it is the first of the robots
-        return base
 
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """To a frontier, or home with news or when the time runs out.
@@ -151,7 +152,7 @@ class VictimSearch(TeamTask):
         With `talk` at none nobody goes home: there is nothing to send.
         """
         grid, scene = self.arena_grid(view.scene).grid, view.scene
-        base = self.base_slot(scene)
+        base = station_slot(scene)
         to_base = jnp.linalg.norm(belief.pose[:, :2] - belief.pose[base, :2], axis=-1)
         left = self.episode_steps * self.repeat * scene.physics.period - view.time
         late = (left < to_base / RETURN_SPEED + RETURN_MARGIN) & (
@@ -239,7 +240,7 @@ class VictimSearch(TeamTask):
     def _found(self, view: TaskView, memory: TeamMemory) -> VictimSearchState:
         """Return what the base knows now."""
         before, scene, grid = memory.extra, view.scene, self.arena_grid(view.scene).grid
-        base, agents = self.base_slot(scene), self.agents(scene)
+        base, agents = station_slot(scene), self.agents(scene)
         squares = memory.belief.squares[base]
         marked = squares == MARK
         gap = jnp.linalg.norm(grid.centres[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
@@ -259,7 +260,7 @@ class VictimSearch(TeamTask):
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact with it, and whether there is news for it."""
         belief = memory.belief
-        home = to_robot_frame(belief.pose, belief.pose[self.base_slot(view.scene), :2]) / POSITION_SCALE
+        home = to_robot_frame(belief.pose, belief.pose[station_slot(view.scene), :2]) / POSITION_SCALE
         age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)
         news = (belief.mark_time > belief.base_contact_time).astype(jnp.float32)
         return jnp.concatenate([super().observations(view, memory), home, jnp.stack([age, news], -1)], -1)

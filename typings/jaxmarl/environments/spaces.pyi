@@ -1,0 +1,13 @@
+from typing import Any
+
+from jax import Array
+
+class Space:
+    def sample(self, rng: Array) -> Array: ...
+    def contains(self, x: Array) -> Array: ...
+
+class Box(Space):
+    shape: tuple[int, ...]
+    def __init__(self, low: Any, high: Any, shape: tuple[int, ...], dtype: Any = ...) -> None: ...
+
+def __getattr__(name: str) -> Any: ...

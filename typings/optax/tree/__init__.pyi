@@ -1,0 +1,6 @@
+from typing import Any
+
+from jax import Array
+
+def norm(tree: Any) -> Array: ...
+def __getattr__(name: str) -> Any: ...
