@@ -5,6 +5,7 @@ matter are simulated; wall-clock limits are far above what an idle machine needs
 """
 
 import contextlib
+import gc
 import os
 import re
 import signal
@@ -21,10 +22,11 @@ from typer.testing import CliRunner
 
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer, serving
+from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.net import BotServerSettings
+from usarmjx.server.net import GC_THRESHOLD, SWITCH_INTERVAL, BotServerSettings, low_latency, serve
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 
@@ -232,6 +234,20 @@ def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
         result = CliRunner().invoke(app, ["serve", "--port", str(number)])
     assert result.exit_code == 2
     assert re.fullmatch(rf"usarmjx: cannot listen on 127\.0\.0\.1:{number}: .*\n", result.stderr)
+
+
+def test_serving_leaves_the_process_as_it_was(world):
+    """Also when it cannot begin."""
+    before = sys.getswitchinterval(), gc.get_threshold()
+    with low_latency():
+        assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL)
+        assert gc.get_threshold() == (*before[1][:2], GC_THRESHOLD)
+        frozen = gc.get_freeze_count()
+    assert (sys.getswitchinterval(), gc.get_threshold()) == before
+    assert gc.get_freeze_count() < frozen
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(UsageError):
+        serve(world, BotServerSettings(port=taken.getsockname()[1]))
+    assert (sys.getswitchinterval(), gc.get_threshold()) == before
 
 
 @pytest.fixture

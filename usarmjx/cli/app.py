@@ -2,7 +2,7 @@
 
 import typer
 
-from usarmjx.cli import arena, bench, demo, listing, play, portraits, radio_map, sensors, serve, train
+from usarmjx.cli import arena, bench, demo, listing, play, portraits, radio_map, sensor_plots, serve, train
 
 app = typer.Typer(
     help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
@@ -19,4 +19,4 @@ app.command()(portraits.portraits)
 app.command()(serve.serve)
 app.command("radio-map")(radio_map.radio_map)
 app.command()(demo.demo)
-app.command("sensor-plots")(sensors.sensor_plots)
+app.command("sensor-plots")(sensor_plots.sensor_plots)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from usarmjx.base.errors import UsageError
 from usarmjx.cli.tools import ErrorExit, SeedOption
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def generate(
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
-        from usarmjx.cli.arena_tables import read_size, summary
+        from usarmjx.cli.arena_tables import summary
         from usarmjx.models.build.compose import Physics, new_spec
         from usarmjx.models.files.load import save_arena
         from usarmjx.models.generate import Difficulty
@@ -101,7 +102,7 @@ def generate(
             "radio_shadow": radio_shadow,
         }
         level = Difficulty(**{name: difficulty if own is None else own for name, own in levels.items()})
-        arena = make(kind, read_size(size), seed, level, robot, reachable, victims)
+        arena = make(kind, _read_size(size), seed, level, robot, reachable, victims)
         typer.echo(summary(arena))
         _draw(arena, png, perspective)
         if yaml is not None:
@@ -140,3 +141,15 @@ def _draw(arena: "ArenaSpec", png: Path | None, perspective: Path | None) -> Non
         if path is not None:
             write(arena, path)
             typer.echo(f"wrote {path}")
+
+
+def _read_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a size given as 12x8.
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
+    return int(columns), int(rows)

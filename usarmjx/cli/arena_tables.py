@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from usarmjx.base.errors import UsageError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import MATERIALS, OPAQUE
@@ -61,15 +60,3 @@ def summary(arena: ArenaSpec) -> str:
         )
     )
     return f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m, {_solids(arena)} solids, {counts}"
-
-
-def read_size(text: str) -> tuple[int, int]:
-    """Return columns and rows of a size given as 12x8.
-
-    Raises:
-        UsageError: It is not of that form.
-    """
-    columns, _, rows = text.partition("x")
-    if not (columns.isdecimal() and rows.isdecimal()):
-        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
-    return int(columns), int(rows)

@@ -73,8 +73,8 @@ def power_map(
 
     Args:
         arena: The arena.
-        source: Where the sender's antenna is: x, y and, if it is not `ANTENNA_HEIGHT`, the height above the floor,
-            in the arena's axes [m].
+        source: Where the sender's antenna is: x, y and, if it is not `ANTENNA_HEIGHT`, the height above the
+            floor, in the arena's axes [m].
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
         step: Distance of two places on the grid [m]; None: `GRID_POINTS` along the arena.

@@ -48,6 +48,13 @@ def run(world, steps):
         world.step()
 
 
+def test_warming_up_leaves_the_world_as_it_is(world):
+    state = world._state
+    world.warm_up()
+    assert world._state is state
+    assert not world.robots
+
+
 def reading(world, robot, kind):
     """The robot's next reading of a sensor."""
     place = robot.suite.index(kind)

@@ -55,7 +55,9 @@ def compiled():
         initial_carry=lambda worlds: jnp.zeros(worlds),
         act=lambda memory, obs, key: (memory + 1, (jnp.full((*obs[0].shape[:2], 2), SHARE),)),
     )
-    return PolicyWorld(Env(task, 2, engine="c", seed=3), policy)
+    world = PolicyWorld(Env(task, 2, engine="c", seed=3), policy)
+    world.warm_up()
+    return world
 
 
 @pytest.fixture
