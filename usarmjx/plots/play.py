@@ -43,13 +43,13 @@ class EpisodeRecording:
 
     Attributes:
         task: Its name.
-        arena: Where it took place.
+        arena: Where it was.
         names: Of the robots.
         times: When [s] (frames,).
         scores: The score by then (frames,).
         poses: Where the robots truly were: x, y [m] and yaw [rad] (frames, robots, 3).
         loose: Where what lies loose truly was: x, y [m] (frames, objects, 2).
-        goal: Where to go [m] (2,), in tasks that have such a place.
+        goal: Where to go [m] (2,), in tasks that have a goal.
         end: What is known of the episode's end, "" if it went on.
     """
 
@@ -81,12 +81,12 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
     """
     if not seconds > 0:
         raise UsageError(f"{seconds} seconds, expected more than 0")
-    act, memory, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
+    act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
     moments = [(0.0, float(state.score[WORLD]), *_positions(env, state))]
     while not end and (step + 1) * env.period <= seconds + 1e-9:
-        memory, actions = act(memory, state.obs, jax.random.fold_in(key, step))
+        carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
         if bool(state.done[WORLD]):
             end = "time is up" if bool(state.truncated[WORLD]) else "done"
@@ -95,7 +95,7 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
         else:
             moments.append((step * env.period, float(state.score[WORLD]), *_positions(env, state)))
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
-    place = None if goal is None or np.ndim(goal) != 2 or np.shape(goal)[1] != 2 else np.asarray(goal)[WORLD]
+    in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
     return EpisodeRecording(
         task=env.name,
@@ -105,7 +105,7 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
         scores=scores,
         poses=poses,
         loose=loose,
-        goal=place,
+        goal=np.asarray(goal)[WORLD] if in_plane else None,
         end=end,
     )
 
@@ -114,10 +114,10 @@ def _positions(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
     """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
     physics = jax.tree.map(lambda rows: rows[WORLD], env.batch.physics(state.batch))
     found = np.zeros((env.scene.num_robots, 3))
-    for team in env.scene.groups:
-        states = robot_states(team, physics)
+    for group in env.scene.groups:
+        states = robot_states(group, physics)
         mat = np.asarray(jax.vmap(mat_from_quat)(states.quat))
-        found[np.asarray(team.slots)] = np.column_stack(
+        found[np.asarray(group.slots)] = np.column_stack(
             [np.asarray(states.pos)[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]
         )
     return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qposadr[:, :2]]
@@ -159,8 +159,8 @@ def save_png(shown: EpisodeRecording, path: Path) -> None:
     columns = min(COLUMNS, len(frames))
     rows = -(-len(frames) // columns)
     figure = _figure(columns, rows, shown.arena)
-    for place, frame in enumerate(frames):
-        axes = figure.add_subplot(rows, columns, place + 1)
+    for index, frame in enumerate(frames):
+        axes = figure.add_subplot(rows, columns, index + 1)
         draw_plan(axes, shown.arena, words=False, starts=False)
         _draw(axes, shown, int(frame))
         axes.set_title(_caption(shown, int(frame)), loc="left", fontsize=9)
@@ -169,7 +169,7 @@ def save_png(shown: EpisodeRecording, path: Path) -> None:
 
 
 def save_gif(shown: EpisodeRecording, path: Path) -> None:
-    """Write a film as a GIF file, `GIF_SPEEDUP` times as fast as it was; the last moment stays for two seconds."""
+    """Write a film as a GIF file, `GIF_SPEEDUP` times as fast as it was; the last moment stays for 2 s."""
     count = min(MAX_FRAMES, len(shown.times))
     frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
     figure = _figure(1, 1, shown.arena)

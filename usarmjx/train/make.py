@@ -1,7 +1,6 @@
 """Environments by the name of their task."""
 
 from dataclasses import fields, replace
-from typing import Any
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.train.envs.env import Env
@@ -9,7 +8,7 @@ from usarmjx.train.envs.task import Task
 from usarmjx.train.tasks import TASKS  # from there, which fills it
 
 
-def make_task(name: str, **overrides: Any) -> Task:  # noqa: ANN401 - fields of any task
+def make_task(name: str, **overrides: object) -> Task:
     """Return a registered task with some of its fields set otherwise.
 
     Raises:
@@ -28,7 +27,7 @@ def make(
     engine: str = "auto",
     seed: int = 0,
     first: int = 0,
-    **overrides: Any,  # noqa: ANN401 - fields of any task
+    **overrides: object,
 ) -> Env:
     """Return the environment of a task, as `make("drive-to-goal", worlds=64, engine="c", arena="maze")`.
 

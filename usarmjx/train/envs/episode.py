@@ -5,7 +5,6 @@
 """
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ from usarmjx.sim.radio import update_links
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import FaultCounts, World, episode_key, observe
-from usarmjx.train.envs.state import EpisodeStart, TaskState
+from usarmjx.train.envs.state import EpisodeStart, Memory, TaskState
 from usarmjx.train.envs.task import Task, TaskView
 
 
@@ -32,7 +31,7 @@ def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World,
 
 
 @jax.named_scope("task.observe")
-def _observe(task: Task, view: TaskView, memory: Any) -> tuple[tuple[jax.Array, ...], jax.Array]:  # noqa: ANN401
+def _observe(task: Task, view: TaskView, memory: Memory) -> tuple[tuple[jax.Array, ...], jax.Array]:
     """Return what agents and critics observe."""
     obs = tuple(jnp.asarray(one, jnp.float32) for one in task.observe(view, memory))
     return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
@@ -56,7 +55,7 @@ def apply_policy_actions(
     task: Task,
     world: World,
     physics: PhysicsState,
-    memory: Any,  # noqa: ANN401
+    memory: Memory,
     actions: tuple[Array, ...],
 ) -> World:
     """Command the robots, from a policy's actions per group (robots, action_size)."""

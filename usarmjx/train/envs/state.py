@@ -40,7 +40,7 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         reward: Of the step, per group (worlds, robots); 0 in bad worlds.
         done: Whether the episode ended with this step; the world has started the next one (worlds,).
         truncated: Whether that was because the time was up, and for no other reason (worlds,).
-        final_obs: As `obs`, before the reset; the same where not done.
+        final_obs: As `obs` before the reset, the same where not done, per group (worlds, robots, obs_size).
         final_privileged: As `privileged`, before the reset (worlds, privileged_size).
         score: The score of the running episode (worlds,).
         final_score: The score of the last episode that ended; where done, of the one that ended now

@@ -7,7 +7,7 @@ truly is.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ from usarmjx.sim.site import start_poses, victims_of
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import World, episode_key, robot_states, time_of
 from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, spec_of, with_sensors
+from usarmjx.train.envs.state import Memory
 
 
 class TaskView(struct.PyTreeNode, kw_only=True):
@@ -117,7 +118,7 @@ class StepResult(NamedTuple):
         metrics: Numbers to look at, the same names always, () each.
     """
 
-    memory: Any
+    memory: Memory
     reward: tuple[jax.Array, ...]
     terminated: jax.Array
     score: jax.Array
@@ -197,8 +198,10 @@ class Task(ABC):
         """Return how many numbers from -1 to 1 an action of each agent group has."""
         return tuple(len(drive_keys(scene.groups[group].robot)) for group in self.agent_groups(scene))
 
-    def act(self, view: TaskView, memory: Any, actions: tuple[jax.Array, ...]) -> Actions:  # noqa: ANN401
-        """Return what the robots are told until the next action; by default each key of DRIVE is a share.
+    def act(self, view: TaskView, memory: Memory, actions: tuple[jax.Array, ...]) -> Actions:
+        """Return what the robots are commanded until the next action.
+
+        By default each action is a share of what a key of DRIVE can do.
 
         Args:
             view: The world.
@@ -211,21 +214,21 @@ class Task(ABC):
             drive={group: drive_all(view.scene.groups[group].robot, action) for group, action in groups}
         )
 
-    def privileged(self, view: TaskView, memory: Any) -> jax.Array:  # noqa: ANN401
+    def privileged(self, view: TaskView, memory: Memory) -> jax.Array:
         """Return what only critics see (privileged_size,); by default nothing."""
         del view, memory
         return jnp.zeros(0)
 
     @abstractmethod
-    def start(self, view: TaskView, key: jax.Array) -> Any:  # noqa: ANN401
+    def start(self, view: TaskView, key: jax.Array) -> Memory:
         """Return the task's memory at the start of an episode, from a key of that episode."""
 
     @abstractmethod
-    def observe(self, view: TaskView, memory: Any) -> tuple[jax.Array, ...]:  # noqa: ANN401
+    def observe(self, view: TaskView, memory: Memory) -> tuple[jax.Array, ...]:
         """Return what the agents see: per group (robots, obs_size)."""
 
     @abstractmethod
-    def evaluate(self, view: TaskView, memory: Any) -> StepResult:  # noqa: ANN401
+    def evaluate(self, view: TaskView, memory: Memory) -> StepResult:
         """Return what the step that ended with this view was worth."""
 
 

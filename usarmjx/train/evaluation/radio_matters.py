@@ -11,7 +11,6 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
@@ -87,7 +86,7 @@ def measure(
     worlds: int,
     seeds: Sequence[int],
     engine: str = "auto",
-    **overrides: Any,  # noqa: ANN401
+    **overrides: object,
 ) -> tuple[VariantResult, ...]:
     """Return what the task's baseline scores in each variant.
 

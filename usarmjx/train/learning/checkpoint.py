@@ -10,18 +10,20 @@ import json
 import shutil
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.record import RunRecord, load_record
-from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
-from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.learning.train_state import TrainState, make_networks, make_train_state, policy_params
+from usarmjx.train.learning.trajectory import RolloutState
+from usarmjx.train.processes.group import ProcessGroup, Tree
 
 FOLDER = "checkpoints"
 FORMAT = 2
@@ -30,11 +32,11 @@ names."""
 PARTIAL = ".partial"
 
 
-def _is_key(leaf: Any) -> bool:  # noqa: ANN401 - any leaf
+def _is_key(leaf: object) -> TypeGuard[jax.Array]:
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def _arrays(tree: Any) -> dict[str, np.ndarray]:  # noqa: ANN401 - any tree
+def _arrays(tree: object) -> dict[str, np.ndarray]:
     """Return a tree's leaves by their path, as NumPy arrays; random keys as their numbers."""
     leaves = jax.tree.flatten_with_path(tree)[0]
     plain = [(path, jax.random.key_data(leaf) if _is_key(leaf) else leaf) for path, leaf in leaves]
@@ -55,7 +57,7 @@ def _flat(array: np.ndarray) -> np.ndarray:
     return row.view(np.uint32) if row.itemsize == 8 else row
 
 
-def _write(folder: Path, name: str, tree: Any, process_group: ProcessGroup) -> None:  # noqa: ANN401
+def _write(folder: Path, name: str, tree: object, process_group: ProcessGroup) -> None:
     """Write what this process has of a tree; all processes do, into one array with a row of each."""
     arrays = _arrays(tree)
     rows = {f"{i:05d}": _flat(array)[None] for i, array in enumerate(arrays.values()) if array.size}
@@ -83,7 +85,7 @@ def _read(folder: Path, name: str, wanted: dict[str, np.ndarray], index: int) ->
     ]
 
 
-def read_part(folder: Path, name: str, template: Any, index: int = 0) -> Any:  # noqa: ANN401 - as the template
+def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
     """Return a part of a checkpoint.
 
     Args:
@@ -118,11 +120,10 @@ def read_part(folder: Path, name: str, template: Any, index: int = 0) -> Any:  #
     return jax.tree.unflatten(shape, [_like(leaf, one) for leaf, one in zip(leaves, found, strict=True)])
 
 
-def _like(leaf: Any, array: np.ndarray) -> Any:  # noqa: ANN401 - as the leaf
+def _like(leaf: object, array: np.ndarray) -> Array:
     """Return an array as what the leaf is."""
     if _is_key(leaf):
-        key: jax.Array = jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
-        return key
+        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else np.array(array)
 
 
@@ -192,7 +193,9 @@ class Checkpoints:
         score = self.meta(path)["score"]
         return (float("-inf") if score is None else score, path.name)
 
-    def save(self, iteration: int, train_state: Any, worlds: Any, note: dict[str, Any]) -> None:  # noqa: ANN401
+    def save(
+        self, iteration: int, train_state: TrainState, worlds: RolloutState, note: dict[str, Any]
+    ) -> None:
         """Write a checkpoint, unless there is one of that iteration, and drop old ones; all processes do.
 
         Args:

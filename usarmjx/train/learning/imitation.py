@@ -1,7 +1,7 @@
 """Learning to do what a policy written by hand does, before PPO makes it better.
 
-The learner acts, the teacher says what he would have done (DAgger; Ross, Gordon and Bagnell 2011), so that
-the states are those that the learner gets into. Meanwhile the critic learns what the learner's own actions
+The policy acts, the teacher says what he would have done (DAgger; Ross, Gordon and Bagnell 2011), so that
+the states are those that the policy gets into. Meanwhile the critic learns what the policy's own actions
 bring.
 """
 

@@ -1,7 +1,7 @@
 """Robots act for a while under the present policy; what they observe and get is kept."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,9 @@ from usarmjx.train.learning.trajectory import (
     Trajectory,
     step_view,
 )
+
+Collected: TypeAlias = tuple[RolloutState, Trajectory, RolloutEnds, dict[str, jax.Array]]
+"""Worlds after a rollout, its steps, its ends, and sums over it for the log."""
 
 
 def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Trajectory, dict[str, jax.Array]]:
@@ -62,7 +65,7 @@ class Rollout:
         self._account = jax.jit(self._accounted)
         self._stack = jax.jit(_stacked)
         self._bound = jax.jit(self._bounded)
-        self.collect: Callable[..., tuple[RolloutState, Trajectory, RolloutEnds, dict[str, jax.Array]]] = (
+        self.collect: Callable[[TrainState, RolloutState, jax.Array], Collected] = (
             jax.jit(self._scan) if env.traceable else self._loop
         )
         """From train state, rollout state and key to the next rollout state, trajectory, ends, and sums for
@@ -104,7 +107,7 @@ class Rollout:
         view: StepView,
         carry: tuple[GroupArrays, GroupArrays, Carry],
         worlds: jax.Array,
-        key: Any,  # noqa: ANN401
+        key: tuple[jax.Array, jax.Array | np.int32],
     ) -> tuple[GroupArrays, Decision]:
         """Return actions, and how they came about; `key` is the rollout's and the number of the step."""
         policy = self.networks.policy
@@ -227,8 +230,8 @@ class Rollout:
         train_state: TrainState,
         now: RolloutState,
         key: jax.Array,
-        step: Any,  # noqa: ANN401 - int32 of any make
-    ) -> tuple[RolloutState, tuple[Trajectory, Any]]:
+        step: jax.Array | np.int32,
+    ) -> tuple[RolloutState, tuple[Trajectory, dict[str, jax.Array]]]:
         before = step_view(now.env_state)
         carry = (now.policy_carry, now.critic_carry, now.teacher_carry)
         actions, decision = self._decide(train_state, before, carry, now.world_index, (key, step))
@@ -246,12 +249,12 @@ class Rollout:
         )
         return now, (row, sums)
 
-    def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Any:  # noqa: ANN401
+    def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         numbers = jnp.arange(self.config.rollout)
         now, (steps, sums) = jax.lax.scan(lambda now, i: self._step(train_state, now, key, i), start, numbers)
         return now, steps, self._ends(train_state, start, now), jax.tree.map(lambda one: one.sum(0), sums)
 
-    def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Any:  # noqa: ANN401
+    def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         now = start
         rows: list[tuple[Trajectory, dict[str, jax.Array]]] = []
         for step in range(self.config.rollout):

@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import jax
 import numpy as np
@@ -19,6 +19,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.train.processes.launch import ProcessInfo, process_info
 
+Tree = TypeVar("Tree")
+"""Any tree of arrays."""
 PROCESS_AXIS = "process"
 """Axis of the mesh of all processes."""
 
@@ -94,7 +96,7 @@ class ProcessGroup:
         self.device = firsts[self.index]
         self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (PROCESS_AXIS,))
 
-    def device_put(self, tree: Any) -> Any:  # noqa: ANN401 - any tree
+    def device_put(self, tree: Tree) -> Tree:
         """Return a tree with its JAX arrays placed on this process's device; others stay as they are."""
         # Without weak types, so that the second iteration finds what the first one compiled.
         return jax.tree.map(
@@ -102,7 +104,7 @@ class ProcessGroup:
             tree,
         )
 
-    def to_global(self, tree: Any, axis: int | None) -> Any:  # noqa: ANN401
+    def to_global(self, tree: Tree, axis: int | None) -> Tree:
         """Return global arrays, of which this process has the local part `tree`.
 
         Args:
@@ -121,7 +123,7 @@ class ProcessGroup:
         return jax.tree.map(join_up, tree)
 
     @staticmethod
-    def to_local(tree: Any) -> Any:  # noqa: ANN401
+    def to_local(tree: Tree) -> Tree:
         """Return the local part of global arrays."""
         return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
