@@ -35,6 +35,7 @@ def with_camera(scene: Scene, camera: Camera, size: tuple[int, int]) -> mujoco.M
     mujoco.mju_mat2Quat(quat, (camera.mat @ OUR_TO_MUJOCO).ravel())
     upright = 2 * np.arctan(np.tan(camera.default_fov / 2) * size[1] / size[0])
     body = spec.body(f"r0/{scene.groups[0].plan.parts[camera.body]}")
+    assert body is not None
     body.add_camera(pos=camera.pos, quat=quat, fovy=np.degrees(upright))
     body.add_light(pos=[0.0, 0.0, 3.0], dir=[0.0, 0.0, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec.compile()

@@ -1,0 +1,80 @@
+"""`typings/mujoco` is true: what it names exists, and what we use is named there."""
+
+import ast
+from importlib import import_module
+from pathlib import Path
+
+import mujoco
+import pytest
+
+ROOT = Path(__file__).parents[2]
+STUB = ast.parse((ROOT / "typings/mujoco/__init__.pyi").read_text())
+CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+NAMES = {node.name for node in STUB.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+OF_INSTANCES = {"_Enum", "_View", "_JointView", "_NumericView", "_Vector", "_MjContact"}
+"""What has another name in MuJoCo, or one for each kind of element; an instance has it."""
+SCENE = """
+<mujoco>
+  <custom><numeric name="n" data="1"/></custom>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="b"><joint name="j"/><geom name="g" size="1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def members(node):
+    """Yield the names in a class body."""
+    for item in node.body:
+        if isinstance(item, ast.FunctionDef):
+            yield item.name
+        elif isinstance(item, ast.AnnAssign):
+            yield item.target.id
+        elif isinstance(item, ast.Assign):
+            yield item.targets[0].id
+
+
+def used():
+    """Return every `mujoco.<name>` of the package, and the enumerators behind a name."""
+    found = set()
+    for path in (ROOT / "usarmjx").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                if node.value.id == "mujoco":
+                    found.add((node.attr,))
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute):
+                owner = node.value
+                if isinstance(owner.value, ast.Name) and owner.value.id == "mujoco":
+                    found.add((owner.attr, node.attr))
+    return sorted(found - {("mjx",)})
+
+
+@pytest.mark.parametrize("name", sorted(NAMES - OF_INSTANCES))
+def test_what_the_stub_names_exists(name):
+    real = getattr(mujoco, name, None) or getattr(import_module("mujoco._structs"), name)
+    if name in CLASSES:
+        assert [member for member in members(CLASSES[name]) if not hasattr(real, member)] == []
+
+
+def test_what_the_stub_says_of_views_and_contacts_exists():
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    instances = {
+        "_View": model.geom("g"),
+        "_JointView": model.joint("j"),
+        "_NumericView": model.numeric("n"),
+        "_MjContact": data.contact[0],
+        "_Enum": mujoco.mjtGeom.mjGEOM_BOX,
+    }
+    for name, instance in instances.items():
+        assert [member for member in members(CLASSES[name]) if not hasattr(instance, member)] == [], name
+
+
+@pytest.mark.parametrize("path", used(), ids=".".join)
+def test_what_we_use_is_in_the_stub(path):
+    assert path[0] in NAMES
+    if len(path) > 1 and path[0] in CLASSES:
+        inherited = {"__members__"} if path[0].startswith("mjt") else set()
+        assert path[1] in set(members(CLASSES[path[0]])) | inherited

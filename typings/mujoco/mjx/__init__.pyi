@@ -1,0 +1,37 @@
+# What this package uses of MJX. What its two implementations keep to themselves (`_impl`) is Any.
+from typing import Any, Self
+
+from jax import Array
+from mujoco import MjModel
+
+class _Node:
+    def replace(self, **overrides: Any) -> Self: ...
+    def tree_replace(self, params: dict[str, Any]) -> Self: ...
+
+class Model(_Node):
+    geom_pos: Array
+    geom_quat: Array
+    geom_size: Array
+    geom_aabb: Array
+    geom_rbound: Array
+
+class Data(_Node):
+    time: Array
+    qpos: Array
+    qvel: Array
+    act: Array
+    ctrl: Array
+    xfrc_applied: Array
+    qacc_warmstart: Array
+    geom_xpos: Array
+    _impl: Any
+
+def put_model(m: MjModel, device: Any = None, impl: str | None = None) -> Model: ...
+def make_data(
+    m: MjModel | Model,
+    device: Any = None,
+    impl: str | None = None,
+    naconmax: int | None = None,
+    njmax: int | None = None,
+) -> Data: ...
+def step(m: Model, d: Data) -> Data: ...

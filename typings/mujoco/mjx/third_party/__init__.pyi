@@ -1,0 +1,3 @@
+from typing import Any
+
+mujoco_warp: Any
