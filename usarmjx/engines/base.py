@@ -96,15 +96,15 @@ class Engine(ABC):
         spec: mujoco.MjSpec,
         physics: Physics,
         worlds: int,
-        moved: MovedGeoms | None = None,
-        bodies: RandomizedBodies | None = None,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
     ) -> None:
         self.physics = physics
         self.worlds = worlds
-        self.moved_geoms = moved
-        self.varied_bodies = bodies
+        self.moved_geoms = moved_geoms
+        self.varied_bodies = varied_bodies
         self.model = self.compile(spec)
-        self.varied_model = None if bodies is None else VariedModel(self.model, bodies, self.name == "c")
+        self.varied_model = None if varied_bodies is None else VariedModel(self.model, varied_bodies, self.name == "c")
         check_features(self.model, self.name)
         # A geom that lies in its body's frame would be taken for one that always does.
         names = () if self.moved_geoms is None else self.moved_geoms.names

@@ -26,7 +26,15 @@ BUFFER_WARNINGS = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarn
 
 
 class CState(NamedTuple):
-    """Integration states (worlds, n), the visible part of them, and warnings about full buffers (worlds,)."""
+    """What C MuJoCo's worlds go on from.
+
+    Attributes:
+        integration: MuJoCo's integration states (worlds, n).
+        qpos: The positions among them (worlds, nq).
+        qvel: The velocities among them (worlds, nv).
+        act: The activations among them (worlds, na).
+        overflow: Warnings about full buffers in the last control step (worlds,).
+    """
 
     integration: np.ndarray
     qpos: np.ndarray
@@ -89,14 +97,14 @@ class CEngine(Engine):
         spec: mujoco.MjSpec,
         physics: Physics,
         worlds: int,
-        moved: MovedGeoms | None = None,
-        bodies: RandomizedBodies | None = None,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
     ) -> None:
-        super().__init__(spec, physics, worlds, moved, bodies)
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         self._parts = state_slices(self.model)
         count = min(worlds, cores())
         # Each thread has its own model, as what differs in the world that it steps is part of it.
-        same = moved is None and bodies is None
+        same = moved_geoms is None and varied_bodies is None
         self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
         self._fields = None if self.varied_model is None else jax.jit(self.varied_model.fields)
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]

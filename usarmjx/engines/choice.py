@@ -40,8 +40,8 @@ def make_engine(
     spec: mujoco.MjSpec,
     physics: Physics,
     worlds: int,
-    moved: MovedGeoms | None = None,
-    bodies: RandomizedBodies | None = None,
+    moved_geoms: MovedGeoms | None = None,
+    varied_bodies: RandomizedBodies | None = None,
 ) -> Engine:
     """Build an engine by name; the other arguments are those of `Engine`.
 
@@ -52,4 +52,4 @@ def make_engine(
     """
     module, kind = ENGINES.get(name)
     engine: type[Engine] = getattr(import_module(module), kind)
-    return engine(spec, physics, worlds, moved, bodies)
+    return engine(spec, physics, worlds, moved_geoms, varied_bodies)

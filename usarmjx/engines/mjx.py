@@ -49,10 +49,10 @@ class MjxEngine(Engine):
         spec: mujoco.MjSpec,
         physics: Physics,
         worlds: int,
-        moved: MovedGeoms | None = None,
-        bodies: RandomizedBodies | None = None,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
     ) -> None:
-        super().__init__(spec, physics, worlds, moved, bodies)
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         self.mx = self._put_model(self.model)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
@@ -153,12 +153,12 @@ class JaxEngine(MjxEngine):
         spec: mujoco.MjSpec,
         physics: Physics,
         worlds: int,
-        moved: MovedGeoms | None = None,
-        bodies: RandomizedBodies | None = None,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
     ) -> None:
         threads.check_pool_size()
         cylinder_box.register_collision()
-        super().__init__(spec, physics, worlds, moved, bodies)
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
         groups = collision_driver._geom_groups(self.model)  # private, as the table that cylinder_box fills
@@ -171,9 +171,9 @@ class JaxEngine(MjxEngine):
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model with long walls in pieces, which bounding spheres tell apart."""
-        if self.moved is not None and self.moved.resized:
-            self._short = ShortBoxes(self.moved, MAX_BOX_LENGTH)
-            self.moved = self._short.moved_geoms
+        if self.moved_geoms is not None and self.moved_geoms.resized:
+            self._short = ShortBoxes(self.moved_geoms, MAX_BOX_LENGTH)
+            self.moved_geoms = self._short.moved_geoms
             model = self._short.compile(spec)
         else:
             model = split_long_boxes(spec, MAX_BOX_LENGTH)
@@ -217,8 +217,8 @@ class WarpEngine(MjxEngine):
         spec: mujoco.MjSpec,
         physics: Physics,
         worlds: int,
-        moved: MovedGeoms | None = None,
-        bodies: RandomizedBodies | None = None,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
     ) -> None:
         try:
             import warp  # noqa: F401 - optional
@@ -226,7 +226,7 @@ class WarpEngine(MjxEngine):
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
-        super().__init__(spec, physics, worlds, moved, bodies)
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
         # Its kernels print a line per world and step when the solver uses all its iterations; that alone

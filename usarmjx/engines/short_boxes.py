@@ -41,6 +41,7 @@ class ShortBoxes:
         """Return the model with the pieces in place of the boxes."""
         spec = spec.copy()
         arena = spec.body("arena")
+        assert arena is not None
         kept = (
             "type", "size", "pos", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim",
             "mass", "solref", "solimp",

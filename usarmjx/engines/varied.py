@@ -49,16 +49,6 @@ class VariedModel:
         joints = model.jnt_bodyid
         self._joint_owner = np.where(model.jnt_actfrclimited != 0, bodies.owner[joints], -1)
 
-    @property
-    def varies_size(self) -> bool:
-        """Whether sizes of geoms vary."""
-        return self._bodies.vary.wheel is not None
-
-    @property
-    def min_mass_factor(self) -> float:
-        """The lowest factor on a mass."""
-        return 1.0 if self._bodies.vary.mass is None else self._bodies.vary.mass[0]
-
     def _derived(self, factor: float) -> dict[str, np.ndarray]:
         """Return what MuJoCo makes of all chassis with that many times their mass."""
         model, own = copy.copy(self._model), self._bodies.chassis[self._bodies.varies]
