@@ -53,8 +53,8 @@ class CameraCase:
 
 def _loop(case: CameraCase, batch: Batch, state: BatchState) -> Callable[[jax.Array], jax.Array]:
     """Return a function that takes pictures `steps` times, and sums them up so that all are needed."""
-    place = camera_index(batch.scene.groups[0].robot)
-    eye, size = (0, cameras_of(batch.scene.groups[0].robot)[place], place), (case.width, case.height)
+    index = camera_index(batch.scene.groups[0].robot)
+    eye, size = (0, cameras_of(batch.scene.groups[0].robot)[index], index), (case.width, case.height)
     check_size(eye[1], *size)
     worlds, physics = state.worlds, batch.physics(state)
 
@@ -79,11 +79,11 @@ def _loop(case: CameraCase, batch: Batch, state: BatchState) -> Callable[[jax.Ar
 def _scene_summary(scene: Scene, batch: Batch, state: BatchState) -> dict[str, Any]:
     """Return what there is to see in a world."""
     world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
-    stage, _ = build_render_scene(scene, world, physics)
+    render_scene, _ = build_render_scene(scene, world, physics)
     materials: dict[str, int] = {}
-    for material, block in zip(stage.geoms.materials, stage.geoms.blocks, strict=True):
+    for material, block in zip(render_scene.geoms.materials, render_scene.geoms.blocks, strict=True):
         materials[material] = materials.get(material, 0) + len(block.owner)
-    lit_by = "the sun" if float(daylight(stage.lights)) else f"{len(stage.lights.rgb)} lamps"
+    lit_by = "the sun" if float(daylight(render_scene.lights)) else f"{len(render_scene.lights.rgb)} lamps"
     return {"geoms": sum(materials.values()), "materials": materials, "lit_by": lit_by}
 
 

@@ -43,10 +43,10 @@ class RadioCase:
 
 def random_walls(key: jax.Array, walls: int) -> Geoms:
     """Return an arena of upright boxes, 0.05 m to 0.3 m thick, 1 m to 4 m long, 0.6 m to 2 m high."""
-    place, turn, size = jax.random.split(key, 3)
+    position, turn, size = jax.random.split(key, 3)
     low, high = jnp.array([0.025, 0.5, 0.3]), jnp.array([0.15, 2.0, 1.0])
     size = jax.random.uniform(size, (walls, 3), minval=low, maxval=high)
-    at = jax.random.uniform(place, (walls, 2), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
+    at = jax.random.uniform(position, (walls, 2), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
     yaw = jax.random.uniform(turn, (walls,), maxval=2 * jnp.pi)
     cos, sin, none, one = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros(walls), jnp.ones(walls)
     mat = jnp.stack([cos, -sin, none, sin, cos, none, none, none, one], -1).reshape(walls, 3, 3)
@@ -57,22 +57,22 @@ def random_walls(key: jax.Array, walls: int) -> Geoms:
 
 
 def _random_antennas(key: jax.Array, robots: int) -> tuple[jax.Array, jax.Array]:
-    """Return places 0.3 m to 1 m above the floor, and by how much they move between two evaluations [m]."""
-    place, move = jax.random.split(key)
+    """Return positions 0.3 m to 1 m above the floor, and their moves between two evaluations [m]."""
+    position, move = jax.random.split(key)
     low, high = (
         jnp.array([-ARENA_SIDE / 2, -ARENA_SIDE / 2, 0.3]),
         jnp.array([ARENA_SIDE / 2, ARENA_SIDE / 2, 1.0]),
     )
     level = jnp.array([MOVE_PER_EVALUATION, MOVE_PER_EVALUATION, 0.0])
-    places = jax.random.uniform(place, (robots, 3), minval=low, maxval=high)
-    return places, jax.random.uniform(move, (robots, 3), minval=-level, maxval=level)
+    positions = jax.random.uniform(position, (robots, 3), minval=low, maxval=high)
+    return positions, jax.random.uniform(move, (robots, 3), minval=-level, maxval=level)
 
 
 def _loop(case: RadioCase, geoms: Geoms, *, shared: bool, key: jax.Array) -> Callable[[Links], Links]:
     """Return a function that evaluates the links of all worlds `steps` times."""
     numbers = jnp.arange(case.worlds)
     keys = jax.vmap(partial(jax.random.fold_in, key))(numbers)
-    places, moves = jax.vmap(partial(_random_antennas, robots=case.robots))(keys)
+    positions, moves = jax.vmap(partial(_random_antennas, robots=case.robots))(keys)
     in_use = jnp.ones((case.worlds, case.robots), bool)
     look = jax.vmap(
         partial(evaluate_links, RadioSettings()), in_axes=(None if shared else 0, (0, 0), 0, 0, None)
@@ -80,13 +80,13 @@ def _loop(case: RadioCase, geoms: Geoms, *, shared: bool, key: jax.Array) -> Cal
 
     # Everything is an argument: what a jitted function closes over is compiled in as constants.
     @jax.jit
-    def run(links: Links, geoms: Geoms, places: jax.Array, moves: jax.Array) -> Links:
+    def run(links: Links, geoms: Geoms, positions: jax.Array, moves: jax.Array) -> Links:
         def body(i: jax.Array, links: Links) -> Links:
-            return look(geoms, (places + i * moves, in_use), links, keys, i)
+            return look(geoms, (positions + i * moves, in_use), links, keys, i)
 
         return jax.lax.fori_loop(0, case.steps, body, links)
 
-    return lambda links: run(links, geoms, places, moves)
+    return lambda links: run(links, geoms, positions, moves)
 
 
 def measure_radio(case: RadioCase, file: Path | None = None) -> str:

@@ -31,7 +31,7 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.raycast import GeomHits, distance_to, nearest_hits
+from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, distance_to, nearest_hits
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 from usarmjx.sensors.suite import suite_of
 
@@ -56,7 +56,7 @@ class RayCase:
 
 
 class _MovingRobots(struct.PyTreeNode, kw_only=True):
-    """Robots of one world: places [m] (n, 3) and headings [rad] (n,), and how they change per scan."""
+    """Robots of one world: positions [m] (n, 3) and headings [rad] (n,), and how they change per scan."""
 
     pos: jax.Array
     yaw: jax.Array
@@ -68,9 +68,9 @@ class _MovingRobots(struct.PyTreeNode, kw_only=True):
 
 
 def _moving_robots(key: jax.Array, robots: int, height: float) -> _MovingRobots:
-    place, yaw, move, turn = jax.random.split(key, 4)
+    position, yaw, move, turn = jax.random.split(key, 4)
     flat = jnp.array([1.0, 1.0, 0.0])
-    at = jax.random.uniform(place, (robots, 3), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
+    at = jax.random.uniform(position, (robots, 3), minval=-ARENA_SIDE / 2, maxval=ARENA_SIDE / 2)
     return _MovingRobots(
         pos=at * flat + jnp.array([0.0, 0.0, height]),
         yaw=jax.random.uniform(yaw, (robots,), maxval=2 * jnp.pi),
@@ -79,15 +79,15 @@ def _moving_robots(key: jax.Array, robots: int, height: float) -> _MovingRobots:
     )
 
 
-def _bodies(plan: KinematicTree, team: _MovingRobots) -> BodyPoses:
+def _bodies(plan: KinematicTree, moving: _MovingRobots) -> BodyPoses:
     """Return the robots' bodies; their joints are at zero."""
-    count, joints = len(team.yaw), len(plan.parts) - 1
+    count, joints = len(moving.yaw), len(plan.parts) - 1
     zero = jnp.zeros(count)
-    quat = jnp.stack([jnp.cos(team.yaw / 2), zero, zero, jnp.sin(team.yaw / 2)], -1)
+    quat = jnp.stack([jnp.cos(moving.yaw / 2), zero, zero, jnp.sin(moving.yaw / 2)], -1)
     still = {"linear": jnp.zeros((count, 3)), "angular": jnp.zeros((count, 3))}
     at_rest = {"joint_pos": jnp.zeros((count, joints)), "joint_vel": jnp.zeros((count, joints))}
     return jax.vmap(partial(forward_kinematics, plan))(
-        RobotState(pos=team.pos, quat=quat, **still, **at_rest)
+        RobotState(pos=moving.pos, quat=quat, **still, **at_rest)
     )
 
 
@@ -125,22 +125,22 @@ def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
 
 
 def _bounding_volume_cast(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
-    first: GeomHits = nearest_hits(geoms, *fans.rays(), viewer, fans=fans)
+    first: GeomHits = nearest_hits(geoms, *fans.rays(), RayQuery(exclude_owner=viewer), fans)
     return first.distance
 
 
 def _scans(
-    caster: Callable[..., jax.Array], plan: KinematicTree, walls: GeomBlock, team: _MovingRobots
+    caster: Callable[..., jax.Array], plan: KinematicTree, walls: GeomBlock, moving: _MovingRobots
 ) -> jax.Array:
     """Return one world's scans (robots, beams)."""
-    bodies = _bodies(plan, team)
+    bodies = _bodies(plan, moving)
     geoms = _geoms(plan, walls, bodies)
     scanner = _scanner(plan)
 
     def scan(body: BodyPoses, slot: jax.Array) -> jax.Array:
         return caster(geoms, scanner.fans(body), slot)
 
-    return jax.vmap(scan)(bodies, jnp.arange(len(team.yaw)))
+    return jax.vmap(scan)(bodies, jnp.arange(len(moving.yaw)))
 
 
 def _scanner(plan: KinematicTree) -> RangeScanner:
@@ -157,19 +157,19 @@ def _loop(
     caster: Callable[..., jax.Array],
     plan: KinematicTree,
     walls: GeomBlock,
-    teams: _MovingRobots,
+    moving: _MovingRobots,
 ) -> Callable[[jax.Array], jax.Array]:
     """Return a function that scans `steps` times in all worlds, and returns the last scans."""
 
     @jax.jit
-    def run(scans: jax.Array, walls: GeomBlock, teams: _MovingRobots) -> jax.Array:
+    def run(scans: jax.Array, walls: GeomBlock, moving: _MovingRobots) -> jax.Array:
         def body(i: jax.Array, scans: jax.Array) -> jax.Array:
             del scans
-            return jax.vmap(partial(_scans, caster, plan))(walls, teams.after(i))
+            return jax.vmap(partial(_scans, caster, plan))(walls, moving.after(i))
 
         return jax.lax.fori_loop(0, case.steps, body, scans)
 
-    return lambda scans: run(scans, walls, teams)
+    return lambda scans: run(scans, walls, moving)
 
 
 def measure_rays(case: RayCase, file: Path | None = None) -> str:
@@ -182,15 +182,17 @@ def measure_rays(case: RayCase, file: Path | None = None) -> str:
     key = jax.random.key(case.seed)
     plan = kinematic_tree_of(ROBOTS.get(case.robot))
     walls = jax.vmap(lambda k: random_walls(k, case.walls).blocks[0])(jax.random.split(key, case.worlds))
-    teams = jax.vmap(partial(_moving_robots, robots=case.robots, height=plan.clearance))(
+    moving = jax.vmap(partial(_moving_robots, robots=case.robots, height=plan.clearance))(
         jax.random.split(jax.random.fold_in(key, 1), case.worlds)
     )
     beams = len(_scanner(plan).directions())
     scans = jnp.zeros((case.worlds, case.robots, beams))
     first, times, ours = time_repeats(
-        _loop(case, _bounding_volume_cast, plan, walls, teams), scans, case.repeats
+        _loop(case, _bounding_volume_cast, plan, walls, moving), scans, case.repeats
     )
-    slow_first, slow, theirs = time_repeats(_loop(case, brute_force, plan, walls, teams), scans, case.repeats)
+    slow_first, slow, theirs = time_repeats(
+        _loop(case, brute_force, plan, walls, moving), scans, case.repeats
+    )
     rays = case.worlds * case.robots * beams
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     both = np.isfinite(ours) & np.isfinite(theirs)

@@ -32,7 +32,7 @@ from usarmjx.sim.scene import RobotGroup, Scene, build_scene, start_height
 from usarmjx.sim.site import moved_geom_poses
 
 RESET_SHARE = 0.01
-"""Share of worlds that start again at each control step of the whole step."""
+"""Share of worlds that are reset at each control step of the whole step."""
 BASELINE_STEPS = 400
 SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
@@ -85,10 +85,10 @@ def _bare_inputs(batch: Batch, speeds: jax.Array) -> Inputs:
     )
 
 
-def _random_values(batch: Batch, team: RobotGroup, key: jax.Array) -> dict[str, jax.Array]:
-    """Return a random number within its limits for every key of a team's DRIVE (worlds, robots)."""
-    full, shape = team.robot.drive.full_scale, (batch.worlds, len(team.slots))
-    keys = (jax.random.fold_in(key, int(team.slots[0]) * 16 + i) for i in range(len(full)))
+def _random_values(batch: Batch, group: RobotGroup, key: jax.Array) -> dict[str, jax.Array]:
+    """Return a random number within its limits for every key of a group's DRIVE (worlds, robots)."""
+    full, shape = group.robot.drive.full_scale, (batch.worlds, len(group.slots))
+    keys = (jax.random.fold_in(key, int(group.slots[0]) * 16 + i) for i in range(len(full)))
     return {
         name: jax.random.uniform(k, shape, minval=-top, maxval=top)
         for k, (name, top) in zip(keys, full.items(), strict=True)
@@ -106,17 +106,19 @@ def _physics_only(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         now = batch.engine.state(physics)
         ctrl, act = jnp.zeros((batch.worlds, batch.scene.model.nu)), now.act
-        for team in batch.scene.groups:
-            values = _random_values(batch, team, jax.random.fold_in(key, i))
-            shape = (batch.worlds, len(team.slots))
+        for group in batch.scene.groups:
+            values = _random_values(batch, group, jax.random.fold_in(key, i))
+            shape = (batch.worlds, len(group.slots))
             still = jax.tree.map(
-                lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle_command(team.robot)
+                lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle_command(group.robot)
             )
-            here = team.plan.actuated
-            told = set_drive(team.robot, still, values)
-            speeds = jnp.where(told.mode == ControlMode.VELOCITY, told.target, 0.0)
-            ctrl = ctrl.at[:, team.actuator_ids].set(speeds[..., here]).at[:, team.hold_actuator_ids].set(1.0)
-            act = act.at[:, team.actadr].set(now.qpos[:, team.qposadr[:, here]])
+            here = group.plan.actuated
+            command = set_drive(group.robot, still, values)
+            speeds = jnp.where(command.mode == ControlMode.VELOCITY, command.target, 0.0)
+            ctrl = (
+                ctrl.at[:, group.actuator_ids].set(speeds[..., here]).at[:, group.hold_actuator_ids].set(1.0)
+            )
+            act = act.at[:, group.actadr].set(now.qpos[:, group.qposadr[:, here]])
         return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, geom_poses=standing))
 
     return body
@@ -127,8 +129,8 @@ def _full_step(
 ) -> Callable[[jax.Array, BatchState], BatchState]:
     def body(i: jax.Array, state: BatchState) -> BatchState:
         now = jax.random.fold_in(key, i)
-        for t, team in enumerate(batch.scene.groups):
-            state = batch.drive(state, t, _random_values(batch, team, now))
+        for t, group in enumerate(batch.scene.groups):
+            state = batch.drive(state, t, _random_values(batch, group, now))
         state = batch.step(state)
         if sensing:
             state, _ = batch.observe(state)
@@ -144,10 +146,10 @@ def _baseline(scene: Scene, speeds: np.ndarray) -> float:
     """Robot-steps per second of plain `mj_step` on one CPU core, one world."""
     model = c_model(scene.model)
     data = mujoco.MjData(model)
-    for team in scene.groups:
-        for slot, address in zip(team.slots, team.root_qposadr, strict=True):
+    for group in scene.groups:
+        for slot, address in zip(group.slots, group.root_qposadr, strict=True):
             start = scene.arena.starts[slot]
-            data.qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, team.robot))
+            data.qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, group.robot))
     data.ctrl[: speeds.size] = speeds
     mujoco.mj_step(model, data, nstep=BASELINE_STEPS // 4)
     began = time.perf_counter()
@@ -184,7 +186,7 @@ def measure_step(case: StepCase, file: Path | None = None) -> str:
     batch.check_overflow(state)
     work = case.worlds * scene.num_robots * case.substeps * case.steps
     status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.faults))
-    rays = sum(len(team.slots) * sum(team.suite.ray_counts) for team in scene.groups)
+    rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)
     bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
     record = {
         **record_header("step", host=engine == "c"),
@@ -204,7 +206,9 @@ def measure_step(case: StepCase, file: Path | None = None) -> str:
         "bare_robot_steps_per_s": bare_rate,
         "robot_steps_per_s": whole_rate,
         "whole_to_bare": whole_rate / bare_rate,
-        "sensors": {team.robot.name: [sensor.kind for sensor in team.suite.sensors] for team in scene.groups},
+        "sensors": {
+            group.robot.name: [sensor.kind for sensor in group.suite.sensors] for group in scene.groups
+        },
         "sensors_share": 1 - statistics.median(blind) / statistics.median(whole),
         "bare_times_s": bare,
         "whole_times_s": whole,

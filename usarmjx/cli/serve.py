@@ -111,8 +111,8 @@ def serve(
         number = format_number(image_format)
         pictures = ImageSettings(host, image_port, size, image_fps, number, multi_view=shared)
         given = {"port": port, "max_connections": max_connections}
-        told = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
-        settings = BotServerSettings(host=host, realtime_factor=realtime_factor, **told)
+        fields = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
+        settings = BotServerSettings(host=host, realtime_factor=realtime_factor, **fields)
         configure_from(ini, uu_per_metre)
         world = make_world(
             arena,

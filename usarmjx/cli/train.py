@@ -3,11 +3,15 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from usarmjx.cli.tools import ErrorExit, SeedOption
+
+if TYPE_CHECKING:
+    from usarmjx.train.envs.env import Env
+    from usarmjx.train.learning.config import Config
 
 app = typer.Typer()
 
@@ -43,10 +47,12 @@ def train(
                 raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
         from usarmjx.train.processes.group import distributed_run
 
-        with distributed_run() as place:
-            told = {"worlds": worlds, "steps": steps, "seed": seed}
-            score = _train(task, told, settings or [], (out, engine, resume, not quiet and not place.index))
-            if place.index == 0:
+        with distributed_run() as process:
+            chosen = {"worlds": worlds, "steps": steps, "seed": seed}
+            score = _train(
+                task, chosen, settings or [], (out, engine, resume, not quiet and not process.index)
+            )
+            if process.index == 0:
                 typer.echo(score)
 
 
@@ -69,10 +75,10 @@ def _train(
     from usarmjx.train.make import make
 
     out, engine, resume, bar = how
-    told = {key: value for key, value in given.items() if value is not None}
-    config, overrides = _split_settings(task, pairs, told)
+    chosen = {key: value for key, value in given.items() if value is not None}
+    config, overrides = _split_settings(task, pairs, chosen)
 
-    def worlds_of(count: int, first: int) -> Any:  # noqa: ANN401 - an Env
+    def worlds_of(count: int, first: int) -> "Env":
         return make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
 
     typed = dict(pair.split("=", 1) for pair in pairs)
@@ -82,7 +88,7 @@ def _train(
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
 
 
-def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple["Config", dict[str, Any]]:
     """Return the settings of the training, and the fields of the task that are set otherwise."""
     from dataclasses import asdict, fields
 

@@ -42,7 +42,7 @@ LABELS: dict[int, tuple[str, str]] = {
 
 
 def label_indices(segmentation: np.ndarray) -> np.ndarray:
-    """Return labels as places in `LABELS`; all robots count as one."""
+    """Return labels as indices in `LABELS`; all robots count as one."""
     return np.searchsorted(list(LABELS), np.minimum(segmentation, ROBOT_LABEL))
 
 
@@ -60,7 +60,7 @@ def _camera(figure: Figure) -> None:
     drawn = depth.imshow(np.where(np.isfinite(seen.depth), seen.depth, np.nan), cmap="viridis_r")
     figure.colorbar(drawn, ax=depth, label="depth [m]", orientation="horizontal", shrink=0.8, pad=0.04)
     _image(depth, "depth")
-    numbers = label_indices(seen.segmentation)
+    numbers = label_indices(np.asarray(seen.segmentation))
     palette = ListedColormap([colour for _, colour in LABELS.values()])
     bounds = BoundaryNorm(np.arange(len(LABELS) + 1) - 0.5, len(LABELS))
     labels.imshow(numbers, cmap=palette, norm=bounds, interpolation="nearest")

@@ -83,9 +83,9 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool 
 def _draw_loose(axes: Axes, arena: ArenaSpec, line: float) -> None:
     """Draw loose objects and doors; an arc shows where a door swings."""
     for loose in arena.loose:
-        turn = mat_from_angles(*np.array(loose.rotation))
+        mat = np.asarray(mat_from_angles(*np.array(loose.rotation)))
         for shape in loose.shapes:
-            placed = _placed(shape, np.array(loose.at), turn)
+            placed = _placed(shape, np.array(loose.at), mat)
             axes.add_patch(Polygon(outline(placed), fc=shape.rgba, ec=LOOSE, lw=line, zorder=3))
     for door in arena.doors:
         width, x, y = door.size[0], door.at[0], door.at[1]
@@ -97,11 +97,11 @@ def _draw_loose(axes: Axes, arena: ArenaSpec, line: float) -> None:
         axes.add_patch(swing)
 
 
-def _placed(shape: Shape, at: np.ndarray, turn: np.ndarray) -> Shape:
+def _placed(shape: Shape, at: np.ndarray, mat: np.ndarray) -> Shape:
     """Return a solid of a loose object in the arena's axes."""
-    rotation = angles_from_mat(turn @ mat_from_angles(*np.array(shape.rotation)))
-    place = at + turn @ np.array(shape.at)
-    return Shape(**{**vars(shape), "at": tuple(place), "rotation": tuple(rotation)})
+    rotation = angles_from_mat(mat @ mat_from_angles(*np.array(shape.rotation)))
+    pos = at + mat @ np.array(shape.at)
+    return Shape(**{**vars(shape), "at": tuple(pos), "rotation": tuple(rotation)})
 
 
 def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
@@ -109,7 +109,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
     if not (arena.victims or arena.false_alarms):
         return
     table = victim_table(arena.victims, arena.false_alarms)
-    pos, quat = segment_poses(table, np.float32(0.0))
+    pos, quat = segment_poses(table, np.zeros((), np.float32))
     bones = []
     for i in range(table.num_boxes):
         mat = np.zeros(9)

@@ -17,9 +17,9 @@ CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-
 
 def outline(shape: Shape) -> np.ndarray:
     """Return the polygon that a solid covers, counter-clockwise (corners, 2) [m]."""
-    turn, at = mat_from_angles(*np.array(shape.rotation)), np.array(shape.at)
-    points = _corners(shape) @ turn[:2].T
-    points = (points[:, None] + _shadow(shape, turn)).reshape(-1, 2) + at[:2]
+    mat, at = np.asarray(mat_from_angles(*np.array(shape.rotation))), np.array(shape.at)
+    points = _corners(shape) @ mat[:2].T
+    points = (points[:, None] + _shadow(shape, mat)).reshape(-1, 2) + at[:2]
     return points[ConvexHull(points).vertices]
 
 
@@ -62,11 +62,11 @@ def _radii(shape: Shape) -> np.ndarray:
     return np.full(3, shape.size[0]) if shape.kind in ("sphere", "capsule") else np.zeros(3)
 
 
-def _shadow(shape: Shape, turn: np.ndarray) -> np.ndarray:
+def _shadow(shape: Shape, mat: np.ndarray) -> np.ndarray:
     """Return what such an ellipsoid, or the disc of a cylinder, covers around its centre (n, 2)."""
     if shape.kind == "cylinder":
-        return shape.size[0] * CIRCLE @ turn[:2, :2].T
-    spread = turn[:2] * _radii(shape)
+        return shape.size[0] * CIRCLE @ mat[:2, :2].T
+    spread = mat[:2] * _radii(shape)
     if not spread.any():
         return np.zeros((1, 2))
     # A linear image of the unit ball, which is the image of the unit circle under a root of M M^T.

@@ -17,13 +17,13 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
 
 ANTENNA_HEIGHT = 0.5
-"""Antennas are this high above the floor unless told otherwise [m]: about a P2AT's."""
+"""Antennas are this high above the floor unless said otherwise [m]: about a P2AT's."""
 MARGIN = 0.5
 """The map goes this far beyond the arena's plan [m]."""
 MIN_STEP = 0.02
-"""Grids have at least this between their places [m]."""
+"""Grids have at least this between their points [m]."""
 GRID_POINTS = 300
-"""Places along the longer side of an arena, unless told otherwise."""
+"""Points along the longer side of an arena, unless said otherwise."""
 COLOUR_MIN_DISTANCE = 0.5
 """Nearer to the sender than this colours change no more [m]."""
 COLOURS, CUTOFF_LINE = "viridis", "#d1622b"
@@ -47,18 +47,18 @@ class PowerMap:
 
 
 def parse_position(text: str) -> tuple[float, ...]:
-    """Return the numbers of a place given as "x,y" or "x,y,z".
+    """Return the numbers of a position given as "x,y" or "x,y,z".
 
     Raises:
         UsageError: It is not of that form.
     """
     try:
-        place = tuple(float(part) for part in text.split(","))
+        position = tuple(float(part) for part in text.split(","))
     except ValueError:
-        place = ()
-    if len(place) not in (2, 3) or not np.isfinite(place).all():
+        position = ()
+    if len(position) not in (2, 3) or not np.isfinite(position).all():
         raise UsageError(f"{text!r} is not of the form x,y or x,y,z [m]")
-    return place
+    return position
 
 
 def power_map(
@@ -77,7 +77,7 @@ def power_map(
             floor, in the arena's axes [m].
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
-        step: Distance of two places on the grid [m]; None: `GRID_POINTS` along the arena.
+        step: Distance of two points on the grid [m]; None: `GRID_POINTS` along the arena.
 
     Raises:
         UsageError: A step too fine to be drawn.
@@ -134,8 +134,8 @@ def radio_picture(
     axes = figure.add_subplot()
     axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
     axes.set_title(_title(arena, source, settings), loc="left", fontsize=11)
-    # The few places right at the sender would take half of the colours.
-    top = min(drawn.power.max(), float(received_power(settings, COLOUR_MIN_DISTANCE, 0)))
+    # The few points right at the sender would take half of the colours.
+    top = min(drawn.power.max(), float(received_power(settings, np.array(COLOUR_MIN_DISTANCE), np.array(0))))
     colours = axes.pcolormesh(
         drawn.x, drawn.y, drawn.power, cmap=COLOURS, vmax=top, shading="nearest", zorder=1
     )
@@ -149,8 +149,8 @@ def radio_picture(
 
 
 def _title(arena: ArenaSpec, source: Sequence[float], settings: RadioSettings) -> str:
-    place = ", ".join(f"{number:g}" for number in source)
-    return f"{arena.name}: power received from ({place}) m; links hold from {settings.cutoff:g} dBm on"
+    position = ", ".join(f"{number:g}" for number in source)
+    return f"{arena.name}: power received from ({position}) m; links hold from {settings.cutoff:g} dBm on"
 
 
 def _draw_cutoff(axes: Axes, drawn: PowerMap, cutoff: float) -> None:

@@ -10,16 +10,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.lenses import TILE, tiled, untiled
 from usarmjx.cameras.light import SUN_DIRECTION, no_headlights, point_lights
-from usarmjx.cameras.paint import EXCLUDE_NONE, GeomAppearance
+from usarmjx.cameras.paint import GeomAppearance
 from usarmjx.cameras.shading import CHECKER_RGB, SKY_RGB, RenderScene, shade
 from usarmjx.models.spec.robot import GLASS, MIRROR, OPAQUE
 from usarmjx.plots.scenery import RenderGeoms
 from usarmjx.plots.viewpoint import camera_rays
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.sensors.rays.targets import indices_by_key, make_geoms
 
 __all__ = ["CHECKER_RGB", "CHUNK", "DEFAULT_LIGHTING", "SKY_RGB", "Lighting", "render_picture"]
@@ -73,14 +75,14 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
         sun_direction=np.array(setting.sun, np.float32) / np.float32(np.linalg.norm(setting.sun)),
         lights=point_lights((), 0.0),
         headlights=no_headlights(),
-        checker_size=np.float32(setting.checker_size),
+        checker_size=np.array(setting.checker_size, np.float32),
         checker_bounds=np.array(setting.checker_extent, np.float32),
     )
 
 
 @jax.jit
-def _shade(stage: RenderScene, start: jax.Array, along: jax.Array) -> jax.Array:
-    return shade(stage, start, along, jnp.asarray(EXCLUDE_NONE)).rgb
+def _shade(render_scene: RenderScene, start: Array, direction: Array) -> jax.Array:
+    return shade(render_scene, start, direction, EXCLUDE_NONE).rgb
 
 
 def render_picture(
@@ -104,12 +106,12 @@ def render_picture(
     Raises:
         UnsupportedGeomError: A geom type that rays cannot hit.
     """
-    stage = _render_scene(solids, lighting)
+    render_scene = _render_scene(solids, lighting)
     rows = camera_rays(eye, target, width, height).reshape(height, width, 3)
     room = ((0, -height % TILE), (0, -width % TILE), (0, 0))
     rays = tiled(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))
     padded = np.concatenate([rays, np.repeat(rays[-1:], -len(rays) % chunk, 0)])
     start = np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3))
-    seen = [np.asarray(_shade(stage, start, part)) for part in padded.reshape(-1, chunk, 3)]
+    seen = [np.asarray(_shade(render_scene, start, part)) for part in padded.reshape(-1, chunk, 3)]
     return np.asarray(untiled(jnp.asarray(np.concatenate(seen)[: len(rays)]), width, height))

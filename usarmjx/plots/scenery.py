@@ -91,8 +91,8 @@ def render_geoms_of(
     )
     return RenderGeoms(
         kind=pieces.kind,
-        pos=pos,
-        mat=mat,
+        pos=np.asarray(pos),
+        mat=np.asarray(mat),
         size=pieces.size,
         rgb=model.geom_rgba[ids, :3].astype(np.float32)[pieces.geom],
         transparency=transparencies(pieces.material),

@@ -137,7 +137,8 @@ def _rfid(figure: Figure) -> None:
     settings, axes = RfidSettings(), figure.add_subplot()
     distance = np.linspace(0.3, 5.0, 400)
     for blocked, colour, label in ((False, BLUE, "nothing between"), (True, ORANGE, "behind an obstacle")):
-        power, reach = signal_strength(settings, distance, blocked, np), rfid_range(settings, blocked=blocked)
+        power = signal_strength(settings, distance, np.array(blocked), np)
+        reach = rfid_range(settings, blocked=blocked)
         axes.plot(distance, power, color=colour, lw=2, label=label)
         axes.plot(reach, settings.rx_sensitivity_dbm, "o", color=colour, ms=7, zorder=5)
         axes.plot([reach, reach], [-130, settings.rx_sensitivity_dbm], ":", color=colour, lw=1.2)
@@ -237,7 +238,7 @@ def _noise(figure: Figure) -> None:
 def _gps(figure: Figure) -> None:
     settings = GpsSettings()
     for axes, satellites in zip(figure.subplots(1, 3, sharey=True), (12, 8, 4), strict=True):
-        errors, largest = gps_errors(satellites, 400), float(largest_error(settings, satellites))
+        errors, largest = gps_errors(satellites, 400), float(largest_error(settings, np.array(satellites)))
         axes.plot(*errors.T, ".", color=BLUE, ms=3)
         corners = largest * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
         axes.add_patch(Polygon(corners, fc="none", ec=ORANGE, ls="--", lw=1.2))

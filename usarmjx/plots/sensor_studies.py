@@ -35,7 +35,7 @@ DRIVE_SECONDS = 300.0
 
 @dataclass(frozen=True, eq=False)
 class RangeStudy:
-    """What the range sensors of a robot read at one place, in world axes.
+    """What the range sensors of a robot read at one position, in world axes.
 
     Attributes:
         pose: x, y [m] and yaw [rad] of the robot (3,).
@@ -71,15 +71,15 @@ def range_study(
     start = StartPose(tag="Here", at=(*at, START_HEIGHT), yaw=yaw)
     batch = Batch(build_scene(replace(arena, starts=(start,)), [spec]), engine="c", seed=seed)
     state, ((*readings,),) = batch.observe(batch.reset())
-    team = batch.scene.groups[0]
+    group = batch.scene.groups[0]
     world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
-    bodies = jax.tree.map(lambda x: x[0], sense_self(batch.scene, world, physics, team).bodies)
-    scanner, ring = (team.suite.index(kind) for kind in ("RangeScanner", "Sonar"))
-    beams, echoes = (np.asarray(readings[place].value)[0, 0] for place in (scanner, ring))
-    origin, along = (np.asarray(v)[:, :2] for v in team.suite.sensors[scanner].rays(bodies))
-    pos, mat = map(np.asarray, team.suite.sensors[ring].mount_poses(bodies))
-    limit = team.suite.sensors[scanner].settings[0].max_range
-    sonars = team.suite.sensors[ring].settings
+    bodies = jax.tree.map(lambda x: x[0], sense_self(batch.scene, world, physics, group).bodies)
+    scanner, ring = (group.suite.index(kind) for kind in ("RangeScanner", "Sonar"))
+    beams, echoes = (np.asarray(readings[index].value)[0, 0] for index in (scanner, ring))
+    origin, along = (np.asarray(v)[:, :2] for v in group.suite.sensors[scanner].rays(bodies))
+    pos, mat = map(np.asarray, group.suite.sensors[ring].mount_poses(bodies))
+    limit = group.suite.sensors[scanner].settings[0].max_range
+    sonars = group.suite.sensors[ring].settings
     return RangeStudy(
         pose=np.array([*np.asarray(bodies.pos)[0, :2], angles_from_mat(np.asarray(bodies.mat)[0])[2]]),
         origin=origin[0],
@@ -122,7 +122,7 @@ def single_sensor(kind: str, **settings: object) -> Sensor:
 def sensor_input_at(
     sensor: Sensor, pos: jax.Array, yaw: jax.Array, time: jax.Array, hits: Hits = NO_HITS
 ) -> SensorInput:
-    """Return what a sensor draws on at a place (3,) and with a heading (), the robot's wheels at rest."""
+    """Return what a sensor draws on at a position (3,) and with a heading (), the robot's wheels at rest."""
     joints = jnp.zeros(len(sensor.plan.parts) - 1)
     zero, turn = jnp.zeros(3), jnp.stack([jnp.cos(yaw / 2), 0.0 * yaw, 0.0 * yaw, jnp.sin(yaw / 2)])
     state = RobotState(pos=pos, quat=turn, linear=zero, angular=zero, joint_pos=joints, joint_vel=joints)
@@ -168,9 +168,9 @@ def gps_errors(satellites: int, readings: int, seed: int = 0, **settings: object
     sensor = single_sensor("GPS", **settings)
     seen = jnp.where(jnp.arange(MAX_SATELLITES) < satellites, jnp.inf, 1.0)
     hits = Hits(distance=seen, cosine=jnp.zeros(MAX_SATELLITES))
-    sight = sensor_input_at(sensor, jnp.zeros(3), jnp.float32(0.0), jnp.float32(0.0), hits)
+    inputs = sensor_input_at(sensor, jnp.zeros(3), jnp.float32(0.0), jnp.float32(0.0), hits)
     keys = jax.random.split(jax.random.key(seed), readings)
-    return np.asarray(jax.jit(jax.vmap(lambda key: sensor.read(sight, (), key)[1][:2]))(keys))
+    return np.asarray(jax.jit(jax.vmap(lambda key: sensor.read(inputs, (), key)[1][:2]))(keys))
 
 
 def reported_ranges(distance: np.ndarray, settings: RangeSettings, seed: int = 0) -> np.ndarray:

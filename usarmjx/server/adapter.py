@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots import ROBOTS
@@ -202,17 +203,18 @@ class Client:
         """Give one joint an order as the wire numbers them; return whether there is such an order."""
         robot = self._present
         target, present = robot.command.target[joint], robot.command.mode[joint]
+        goal: ArrayLike = value
         if order == BRAKE:
-            value, mode = 0.0, ControlMode.VELOCITY
+            goal, mode = 0.0, ControlMode.VELOCITY
         elif order in RELATIVE_MODES:
             mode = RELATIVE_MODES[order]
             now = self._world.state(robot).joint_pos[joint] if mode == ControlMode.POSITION else 0.0
-            value += target if mode != ControlMode.POSITION and present == mode else now
+            goal = value + (target if mode != ControlMode.POSITION and present == mode else now)
         elif order in tuple(ControlMode):
             mode = ControlMode(order)
         else:
             return False
-        self._update_command(CommandUpdate(joints={robot.plan.parts[1 + joint]: value}, mode=mode))
+        self._update_command(CommandUpdate(joints={robot.plan.parts[1 + joint]: goal}, mode=mode))
         return True
 
     def _set_named_joint(self, name: str, order: int, value: float) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.cameras.mounts import Camera, cameras_of
 from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, part_name
@@ -309,7 +310,7 @@ def _link_configuration(link: Link) -> LinkConfiguration:
 
 
 def robot_report(
-    plan: KinematicTree, command: RobotCommand, joints: np.ndarray, time: float, battery: int, view: int = -1
+    plan: KinematicTree, command: RobotCommand, joints: Array, time: float, battery: int, view: int = -1
 ) -> Message:
     """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
 
@@ -339,7 +340,7 @@ def robot_report(
     )
 
 
-def package_report(robot: RobotSpec, joints: np.ndarray, time: float) -> list[Message]:
+def package_report(robot: RobotSpec, joints: Array, time: float) -> list[Message]:
     """Return the MISSTA messages of a robot's mission packages."""
     names, messages = joint_names(robot), []
     for package in robot.packages:

@@ -27,7 +27,7 @@ def draw_sketch(rgb: np.ndarray, depth: np.ndarray, viewpoint: Viewpoint, sketch
         viewpoint: From where it was taken; its eye is where it is itself.
         sketch: What to draw; points become balls.
     """
-    start, end, colors = (rows[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb))
+    start, end, colors = (np.asarray(rows)[sketch.shown] for rows in (sketch.start, sketch.end, sketch.rgb))
     colors, points = np.round(255 * colors).astype(np.uint8), (start == end).all(-1)
     for line in zip(start[~points], end[~points], colors[~points], strict=True):
         _line(rgb, depth, viewpoint, *line)

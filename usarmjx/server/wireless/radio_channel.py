@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import Vec3, flip_vector
 from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT, antenna_of
 from usarmjx.comms.attenuation import RadioSettings, received_power
@@ -161,7 +162,7 @@ def antenna_position(robot: Robot, state: RobotState, floor: float) -> Vec3:
     return (x, y, max(z, floor + MIN_ANTENNA_HEIGHT))
 
 
-def _vec3(values: np.ndarray) -> Vec3:
+def _vec3(values: Array) -> Vec3:
     x, y, z = (float(value) for value in values)
     return (x, y, z)
 

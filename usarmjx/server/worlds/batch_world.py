@@ -173,9 +173,7 @@ class BatchWorld(ServedWorld):
         self._state = self._batch.step(self._state)
         self._steps += 1
         if int(self._state.worlds.episode[self._instance]) != before:
-            log.error(
-                "the physics of world %d was not finite: it starts again, robots parked", self._instance
-            )
+            log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
             self.robots.clear()
 
     def observe(self, due: list[Robot]) -> None:

@@ -63,7 +63,7 @@ class CompiledRobot:
         bodies, origin, _ = self.bodies_and_rays(state, surroundings)
         hits = Hits(distance=jnp.zeros(len(origin)), cosine=jnp.zeros(len(origin)))
         inputs = SensorInput(
-            time=np.float32(0), state=state, bodies=bodies, hits=NO_HITS, surroundings=surroundings
+            time=np.zeros((), np.float32), state=state, bodies=bodies, hits=NO_HITS, surroundings=surroundings
         )
         key = jax.random.key(0)
         self.start = _compile(suite.init_memory, inputs, key)
@@ -78,7 +78,7 @@ class CompiledRobot:
             return compute_actuation(plan, command, state, act, now, period), drowned
 
         command, act = jax.tree.map(np.array, idle_command(robot)), np.zeros(len(plan.actuated), np.float32)
-        compiled = _compile(run, command, state, act, np.float32(0), np.bool_(True))
+        compiled = _compile(run, command, state, act, np.zeros((), np.float32), np.array(True))
         self.drive = lambda *inputs: jax.device_get(compiled(*inputs))
 
 

@@ -178,7 +178,7 @@ class DynamicWorld(ServedWorld):
 
     def _move_victims(self) -> None:
         if len(self._swinging):
-            pos, quat = segment_poses(self._victims, np.float32(self.time))
+            pos, quat = segment_poses(self._victims, np.array(self.time, np.float32))
             move_geoms(self._model, self._bones, pos[self._swinging], quat[self._swinging])
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
@@ -233,7 +233,7 @@ class DynamicWorld(ServedWorld):
             for passes, mine in compiled.ray_queries:
                 seen = self._cast(geoms, origin, direction, _ray_query(passes, robot.slot))
                 hits = seen if hits is NO_HITS else jax.tree.map(partial(jnp.where, mine), seen, hits)
-            time = np.float32(self.time - robot.spawn_time)
+            time = np.array(self.time - robot.spawn_time, np.float32)
             inputs = SensorInput(time=time, state=state, bodies=bodies, hits=hits, surroundings=surroundings)
             key = self._noise_key(robot, self._steps)
             memory, readings = compiled.read(inputs, self._memory[robot.slot], key)
@@ -253,12 +253,12 @@ class DynamicWorld(ServedWorld):
         state = self._state(robot.slot)
         around = self._surroundings() if robot.suite.needs_surroundings else None
         bodies, _, _ = self._compiled[robot.spec.name].bodies_and_rays(state, around)
-        time = np.float32(self.time - robot.spawn_time)
+        time = np.array(self.time - robot.spawn_time, np.float32)
         return SensorInput(time=time, state=state, bodies=bodies, hits=NO_HITS, surroundings=around)
 
     def _surroundings(self) -> Surroundings:
         """Return the victims and tags as they are now."""
-        time, floor = np.float32(self.time), np.float32(self.arena.floor)
+        time, floor = np.array(self.time, np.float32), np.array(self.arena.floor, np.float32)
         around = surroundings_at(self._victims, self._tags, self.tags, time, floor, np)
         return jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == np.float64 else x, around)
 
@@ -342,7 +342,7 @@ class DynamicWorld(ServedWorld):
     def _below(self, robot: Robot, effecter: Effecter) -> np.ndarray:
         """Return the ground below an effecter [m] (3,), infinitely low where there is none."""
         bodies = self._sensor_input(robot).bodies
-        point = effecter_position(effecter, robot.plan, jax.device_get(bodies)).astype(float)
+        point = np.asarray(effecter_position(effecter, robot.plan, jax.device_get(bodies)), float)
         hit = np.zeros(1, np.int32)
         depth = mujoco.mj_ray(self._ground, self._ground_data, point, (0.0, 0.0, -1.0), None, 1, -1, hit)
         return point - (0.0, 0.0, depth if hit[0] >= 0 else np.inf)
@@ -355,7 +355,7 @@ def _capacity_for(*indices: dict[BlockKey, np.ndarray]) -> dict[BlockKey, int]:
 
 
 def _ray_query(transparent: frozenset[str], slot: int) -> RayQuery:
-    return RayQuery(transparent=transparent, incidence=True, exclude_owner=np.int32(slot))
+    return RayQuery(transparent=transparent, incidence=True, exclude_owner=np.array(slot, np.int32))
 
 
 def _blank_geoms(capacity: dict[BlockKey, int]) -> Geoms:

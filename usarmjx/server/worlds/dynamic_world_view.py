@@ -77,7 +77,7 @@ def dynamic_render_scene(
         sun_direction=sun / np.linalg.norm(sun),
         lights=point_lights(arena.lights, arena.floor),
         headlights=_headlights(data, index, lights),
-        checker_size=np.float32(CHECKER_SIZE),
+        checker_size=np.array(CHECKER_SIZE, np.float32),
         checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
     )
 
@@ -95,8 +95,8 @@ def _columns(
         piece[slot == robot] = np.arange((slot == robot).sum())
     pos, mat = pieces.world_poses(data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3))
     return {
-        "pos": pos,
-        "mat": mat,
+        "pos": np.asarray(pos),
+        "mat": np.asarray(mat),
         "size": pieces.size,
         "owner": np.where(slot >= 0, robot_geom_owner(slot, piece), -1),
         "rgb": model.geom_rgba[pieces.geom, :3],

@@ -226,15 +226,17 @@ class ServedWorld(ABC):
         Returns:
             Whether it has become what was asked for; 0 and what is beyond the limits is not (KRobot.uc).
         """
-        robot.fovs[camera] = float(robot.cameras[camera].clamp(fov))
+        robot.fovs[camera] = float(robot.cameras[camera].clamp(np.array(fov)))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
     def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
         """Return from where a picture would be rendered now; numpy arrays."""
         if isinstance(request, ViewpointRequest):
             return request.viewpoint
-        robot, fov = request.robot, np.float32(request.robot.fovs[request.camera])
-        return camera_viewpoint(robot.cameras[request.camera], self.bodies(robot), np.int32(robot.slot), fov)
+        robot, camera = request.robot, request.robot.cameras[request.camera]
+        slot = np.array(robot.slot, np.int32)
+        fov = np.array(robot.fovs[request.camera], np.float32)
+        return camera_viewpoint(camera, self.bodies(robot), slot, fov)
 
     @abstractmethod
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:

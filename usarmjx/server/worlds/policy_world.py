@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
@@ -101,7 +102,7 @@ class PolicyWorld(BatchWorld):
         view: TaskView,
         memory: Any,  # noqa: ANN401
         actions: tuple[jax.Array, ...],
-        claimed: jax.Array,
+        claimed: Array,
     ) -> World:
         """Carry out actions of the robots that nobody has claimed (robots,)."""
         task, scene = self._env.task, self._env.scene
