@@ -176,6 +176,7 @@ class BotServer:
         self._world.step()
         for client in self._clients:
             client.add_trace_point()
+        # Readings are taken after the step and just before the reports: what clients get is never a step old.
         due = [client for client in self._clients if client.due() and not client.lost]
         if due:
             self._world.observe([client.robot for client in due if client.robot is not None])

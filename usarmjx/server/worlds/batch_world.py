@@ -157,6 +157,7 @@ class BatchWorld(ServedWorld):
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
+        # The world's own time begins at 0 again when it is reset, that of its clients goes on.
         shift = jnp.asarray(self._world_time() - self.time)
         robot.command = command
         self._edit(robot, command=command.replace(flip_until=command.flip_until + shift))

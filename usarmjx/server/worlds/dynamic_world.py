@@ -165,6 +165,7 @@ class DynamicWorld(ServedWorld):
             self._recompile()
 
     def _recompile(self) -> None:
+        # The state of all that stays is kept, but indices into it shift: whatever holds some is made again.
         self._model, self._data = self._spec.recompile(self._model, self._data)
         self._free_bones()
         self._sort_pieces()
