@@ -79,7 +79,7 @@ class ViewBindings:
             PeerError: There are too many.
         """
         if client not in self._bound and len(self._bound) >= self.limit:
-            raise PeerError(f"{self.limit} views are bound already")
+            raise PeerError(f"{self.limit} views are tied already")
         self._bound[client] = (robot, camera)
 
     def unbind(self, client: str) -> None:
