@@ -238,7 +238,7 @@ def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_ove
     """Manual 3.2.6.2: B = 2 StereoSpacing; the left eye's picture is in the left half."""
     one = Batch(build_scene(WALL_AHEAD, [ROBOT_SPEC]), 1, engine="c")
     state = one.reset()
-    pair = one.render_robot(state, 0, 0, "Stereo", 2 * WIDE, 16)
+    pair = one.render_robot(state, 0, 0, "Stereo", 2 * WIDE, 2)
     halves = (jax.tree.map(lambda x, i=i: np.split(np.asarray(x), 2, 1)[i], pair) for i in range(2))
     check_disparity(one, state, ROBOT_SPEC.cameras[1], 1.0, *halves)
     with pytest.raises(UsageError, match="even"):
@@ -251,7 +251,7 @@ def test_the_two_cameras_of_a_stereo_p2at_do_so_too():
     one = Batch(build_scene(WALL_AHEAD, ["StereoP2AT"]), 1, engine="c")
     state, mounts = one.reset(), ROBOTS.get("StereoP2AT").cameras
     before = render_picture_jit._cache_size()
-    left, right = (one.render_robot(state, 0, 0, mount.name, WIDE, 16) for mount in mounts)
+    left, right = (one.render_robot(state, 0, 0, mount.name, WIDE, 2) for mount in mounts)
     assert render_picture_jit._cache_size() <= before + 1, "one compilation for both"
     check_disparity(one, state, mounts[0], cameras_of(ROBOTS.get("StereoP2AT"))[0].default_fov, left, right)
 

@@ -19,9 +19,10 @@ from usarmjx.cameras.light import (
     Headlights,
     point_lights,
 )
-from usarmjx.cameras.paint import EXCLUDE_NONE, GLASS_TRANSPARENCY, MIRROR_REFLECTANCE, ROBOT_LABEL, SKY_LABEL
+from usarmjx.cameras.paint import GLASS_TRANSPARENCY, MIRROR_REFLECTANCE, ROBOT_LABEL, SKY_LABEL
 from usarmjx.cameras.shading import BRICK_CONTRAST, CHECKER_RGB, NIGHT_RGB, SKY_RGB, shade
 from usarmjx.models.spec.arena import Light
+from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 
 EXACT = 2e-5  # float32 distances of some metres, squared
 OFF = 5e-3  # shares: rays to a light start LIFT off the surface, 0.5 mm of some decimetres

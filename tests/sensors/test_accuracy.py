@@ -174,7 +174,7 @@ quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level":
 
 @quick_jit
 def see(geoms, origins, directions):
-    return cast_rays(geoms, origins, directions, jnp.int32(-2)).distance
+    return cast_rays(geoms, origins, directions).distance
 
 
 def tolerance(distance):

@@ -77,10 +77,10 @@ def test_it_sees_what_c_mujocos_rays_meet_and_where(watch, seed):
         )
     )
     far, which = room.met(origin, lines.astype(float) @ frame.T, time)
-    counts = np.bincount(which[(which >= 0) & (far <= 6.0)], minlength=room.people.boxes)
-    people = np.arange(room.people.boxes) < room.people.boxes - 1  # the last one is the false alarm
+    counts = np.bincount(which[(which >= 0) & (far <= 6.0)], minlength=room.people.num_boxes)
+    people = np.arange(room.people.num_boxes) < room.people.num_boxes - 1  # the last one is the false alarm
     assert (counts[people] > 0).sum() >= 3
-    seen = value[: room.people.boxes, 0].astype(bool)
+    seen = value[: room.people.num_boxes, 0].astype(bool)
     np.testing.assert_array_equal(seen[people], counts[people] > 0)
     around = room.around(time)
     for box in np.flatnonzero(seen):
@@ -100,7 +100,7 @@ def test_with_show_results_it_draws_where_c_mujocos_rays_end_and_what_they_meet(
     far, which = room.met(origin, lines)
     np.testing.assert_array_equal(overlay.start, overlay.end)
     assert overlay.shown.all()
-    people, alarms = room.people.boxes - 1, which == room.people.boxes - 1
+    people, alarms = room.people.num_boxes - 1, which == room.people.num_boxes - 1
     missed = far > 6.0
     colors = np.where(which[:, None] >= 0, (0, 1, 0), (1, 0, 0))
     colors[alarms] = (1, 1, 0)

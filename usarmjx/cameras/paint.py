@@ -30,8 +30,6 @@ ROBOT_LABEL = 16
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 MAX_ROBOT_GEOMS = 1 << 16
 """More than any robot has geoms."""
-EXCLUDE_NONE = -2
-"""A viewer to whom every geom is visible."""
 GLASS_TRANSPARENCY = 0.65
 """How much of what is behind it glass shows."""
 MIRROR_REFLECTANCE = 0.75

@@ -28,7 +28,7 @@ from usarmjx.cameras.light import (
     falloff,
     spot_falloff,
 )
-from usarmjx.cameras.paint import ARENA_LABEL, EXCLUDE_NONE, PLANE, SKY_LABEL, GeomAppearance
+from usarmjx.cameras.paint import ARENA_LABEL, PLANE, SKY_LABEL, GeomAppearance
 from usarmjx.models.spec.robot import GLASS, MATERIALS, MIRROR, SKY
 from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, nearest_hits, normals
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms
@@ -48,8 +48,8 @@ TILE_BUNDLE_SIZE = TILE * TILE
 """Rays that go about the same way."""
 MIN_LIGHT = 1e-3
 """Light that is not looked for."""
-SOLID_QUERY = RayQuery(frozenset({SKY, GLASS}), TILE_BUNDLE_SIZE)
-PANE_QUERY = RayQuery(frozenset(MATERIALS) - {GLASS}, TILE_BUNDLE_SIZE)
+SOLID_QUERY = RayQuery(transparent=frozenset({SKY, GLASS}), bundle_size=TILE_BUNDLE_SIZE)
+PANE_QUERY = RayQuery(transparent=frozenset(MATERIALS) - {GLASS}, bundle_size=TILE_BUNDLE_SIZE)
 """What rays pass that look for solids, and for panes."""
 
 
@@ -118,9 +118,11 @@ def shade(
         render_scene: What there is.
         origin: Where they start [m] (rays, 3).
         direction: Unit vectors (rays, 3).
-        exclude_owner: Geoms of this owner are transparent to them; `NOBODY`: none ().
+        exclude_owner: Geoms of this owner are transparent to them; `EXCLUDE_NONE`: none ().
     """
-    first = nearest_hits(render_scene.geoms, origin, direction, exclude_owner, SOLID_QUERY)
+    first = nearest_hits(
+        render_scene.geoms, origin, direction, SOLID_QUERY.replace(exclude_owner=exclude_owner)
+    )
     surface = _surface(render_scene, first, origin, direction)
     rgb = _lit(render_scene, surface)
     if MIRROR in render_scene.geoms.materials:
@@ -131,7 +133,8 @@ def shade(
             (gloss > 0).any(), lambda rgb: _reflected(render_scene, surface, direction, gloss, rgb), rgb
         )
     if GLASS in render_scene.geoms.materials:
-        pane = nearest_hits(render_scene.geoms, origin, direction, exclude_owner, PANE_QUERY)
+        query = PANE_QUERY.replace(exclude_owner=exclude_owner)
+        pane = nearest_hits(render_scene.geoms, origin, direction, query)
         pane = GeomHits(pane.distance, jnp.where(pane.distance < first.distance, pane.geom_index, -1))
         rgb = _if(
             (pane.geom_index >= 0).any(),
@@ -157,7 +160,7 @@ def _reflected(
     ahead = along.T
     back = ahead - 2 * _dot(ahead, surface.normal) * surface.normal
     start, back = _needed(gloss > 0, surface.point, back)
-    first = nearest_hits(render_scene.geoms, start, back, jnp.asarray(EXCLUDE_NONE), SOLID_QUERY)
+    first = nearest_hits(render_scene.geoms, start, back, SOLID_QUERY)
     mirrored = _lit(render_scene, _surface(render_scene, first, start, back))
     return jnp.where(gloss > 0, (1 - gloss) * rgb + gloss * mirrored, rgb)
 
@@ -272,7 +275,7 @@ def _way(point: jax.Array, to: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _between(render_scene: RenderScene, wanted: jax.Array, surface: _Surface, toward: jax.Array) -> GeomHits:
     """Return what is met first on the way from surfaces to a light."""
     start, along = _needed(wanted, surface.point, toward)
-    return nearest_hits(render_scene.geoms, start, along, jnp.asarray(EXCLUDE_NONE), SOLID_QUERY)
+    return nearest_hits(render_scene.geoms, start, along, SOLID_QUERY)
 
 
 def _needed(wanted: jax.Array, start: jax.Array, along: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -94,24 +94,28 @@ class Suite:
     ) -> Hits:
         """Cast the rays of the robot in `slot` (); angles of incidence only where a sensor needs them.
 
-        Rays of sensors that are not due (sensors,) may be left out, and meet nothing then; None: all are due.
+        Rays of sensors that are not due (sensors,) are not cast and meet nothing; None: all are due.
         """
         hits = []
         for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
             if count:
                 rays = sensor.aimed_rays(bodies, surroundings)
                 query = RayQuery(
-                    sensor.transparent, sensor.bundle_size, sensor.max_distance, sensor.needs_incidence
+                    transparent=sensor.transparent,
+                    bundle_size=sensor.bundle_size,
+                    max_distance=sensor.max_distance,
+                    incidence=sensor.needs_incidence,
+                    exclude_owner=slot,
+                    wanted=None if due is None else due[i],
                 )
-                wanted = None if due is None else due[i]
                 with jax.named_scope(sensor.kind):
-                    hits.append(cast_rays(geoms, *rays, slot, query, wanted, sensor.fans(bodies)))
+                    hits.append(cast_rays(geoms, *rays, query, sensor.fans(bodies)))
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
 
     def init_memory(self, inputs: SensorInput, key: jax.Array) -> SensorMemory:
         """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
 
-        No rays are cast for it: `sight.hits` is not used.
+        No rays are cast for it: `inputs.hits` is not used.
         """
         sensors = self._as_noisy_as(inputs)
         own = tuple(s.init_memory(inputs, jax.random.fold_in(key, i)) for i, s in enumerate(sensors))

@@ -1,18 +1,21 @@
 """Leaving out geoms that a bundle of rays cannot meet changes nothing but the time it takes."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
-from tests.sensors.rays.test_raycast import NOBODY, make_rays, make_room
+from tests.sensors.rays.test_raycast import make_rays, make_room
 from usarmjx.sensors.rays.bundles import Fans, bounding_cones, bundled
 from usarmjx.sensors.rays.raycast import (
     DEFAULT_QUERY,
+    EXCLUDE_NONE,
     RayQuery,
     brute_force_hits,
+    cast_rays,
     concatenated,
     culled_hits,
     gpu_hits,
@@ -39,24 +42,31 @@ def rays():
 ORIGIN, DIRECTION = rays()
 
 
-def on_a_gpu(seen, origin, direction, exclude_owner, query=DEFAULT_QUERY, **how):
-    return gpu_hits(seen, (origin, direction), exclude_owner, query, interpret=True, **how)
+def on_a_gpu(seen, origin, direction, query=DEFAULT_QUERY):
+    return gpu_hits(seen, (origin, direction), query, interpret=True)
 
 
 HOW = {"culled": culled_hits, "gpu": on_a_gpu}
+WAYS = {"brute force": brute_force_hits, **HOW}
+
+
+@cache
+def caster(how, compact):
+    """Blocks of the room and a function of rays, compiled once for all that a query leaves out."""
+    kinds = ROOM.geoms.kinds
+    seen = indexed_blocks(ROOM.geoms.replace(compact=tuple(compact and kind != 0 for kind in kinds)))
+    return seen, jax.jit(partial(HOW[how], seen))
 
 
 @pytest.mark.parametrize("compact", [False, True])
-@pytest.mark.parametrize("exclude_owner", [NOBODY, jnp.int32(0)])
+@pytest.mark.parametrize("exclude_owner", [jnp.int32(EXCLUDE_NONE), jnp.int32(0)])
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
-    kinds = ROOM.geoms.kinds
-    seen = indexed_blocks(ROOM.geoms.replace(compact=tuple(compact and kind != 0 for kind in kinds)))
-    plain = brute_force_hits(seen, ORIGIN, DIRECTION, exclude_owner)
+    seen, cast = caster(how, compact)
+    query = RayQuery(exclude_owner=exclude_owner)
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION, query)
     for bundle in (32, 9, 1):
-        found = jax.jit(partial(HOW[how], seen, query=RayQuery(bundle_size=bundle)))(
-            ORIGIN, DIRECTION, exclude_owner
-        )
+        found = cast(ORIGIN, DIRECTION, query.replace(bundle_size=bundle))
         np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
         np.testing.assert_array_equal(found.geom_index, plain.geom_index)
 
@@ -71,8 +81,8 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
     origin, direction = fans.rays()
     np.testing.assert_allclose(direction[-1], mat[-1] @ lines[-1, -1], atol=1e-6)
     seen = indexed_blocks(ROOM.geoms)
-    plain = brute_force_hits(seen, origin, direction, NOBODY)
-    found = jax.jit(lambda fans: gpu_hits(seen, fans, NOBODY, interpret=True))(fans)
+    plain = brute_force_hits(seen, origin, direction)
+    found = jax.jit(lambda fans: gpu_hits(seen, fans, interpret=True))(fans)
     assert np.isfinite(np.asarray(plain.distance)).mean() > 0.5
     np.testing.assert_array_equal(found.geom_index, plain.geom_index)
     np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
@@ -81,36 +91,87 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_out_of_reach_is_not_met(how):
     seen, reach = indexed_blocks(ROOM.geoms), 2.5
-    plain = brute_force_hits(seen, ORIGIN, DIRECTION, NOBODY)
-    found = jax.jit(partial(HOW[how], seen, query=RayQuery(max_distance=reach)))(ORIGIN, DIRECTION, NOBODY)
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION)
+    found = jax.jit(partial(HOW[how], seen))(ORIGIN, DIRECTION, RayQuery(max_distance=reach))
     near = np.asarray(plain.distance) < reach
     assert 0.1 < near.mean() < 0.9
     np.testing.assert_array_equal(found.geom_index, np.where(near, plain.geom_index, -1))
     np.testing.assert_allclose(found.distance, np.where(near, plain.distance, np.inf), atol=ATOL)
 
 
-@pytest.mark.parametrize("wanted", [False, True])
-def test_on_a_gpu_rays_that_nobody_wants_are_not_cast(wanted):
+@pytest.mark.parametrize("how", WAYS)
+def test_rays_that_nobody_wants_meet_nothing(how):
     seen = indexed_blocks(ROOM.geoms)
-    found = on_a_gpu(seen, ORIGIN, DIRECTION, NOBODY, wanted=jnp.asarray(wanted))
-    assert (np.asarray(found.geom_index) >= 0).any() == wanted
+    plain = brute_force_hits(seen, ORIGIN, DIRECTION)
+    cast = jax.jit(partial(WAYS[how], seen, ORIGIN, DIRECTION))
+    wanted, unwanted = (cast(RayQuery(wanted=jnp.asarray(wanted))) for wanted in (True, False))
+    np.testing.assert_array_equal(wanted.geom_index, plain.geom_index)
+    np.testing.assert_allclose(wanted.distance, plain.distance, atol=ATOL)
+    assert (np.asarray(unwanted.geom_index) == -1).all()
+    assert np.isinf(unwanted.distance).all()
 
 
-def test_each_world_and_robot_of_a_batch_is_as_alone():
-    """The GPU's kernel under two maps, with geoms of their own for each world."""
+def test_a_cast_that_nobody_wants_has_neither_distance_nor_angle():
+    cast = jax.jit(partial(cast_rays, ROOM.geoms, ORIGIN, DIRECTION))
+    queries = (RayQuery(incidence=True, wanted=wanted) for wanted in (None, np.bool_(True), np.bool_(False)))
+    plain, wanted, unwanted = map(cast, queries)
+    assert (np.asarray(plain.cosine) > 0).any()
+    jax.tree.map(np.testing.assert_array_equal, wanted, plain)
+    assert np.isinf(unwanted.distance).all()
+    assert not np.asarray(unwanted.cosine).any()
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_each_robot_of_a_batch_meets_what_it_alone_wants(how):
+    """Under two maps, with geoms of their own for each world; the GPU's kernel too."""
     near, far = indexed_blocks(ROOM.geoms), indexed_blocks(make_room(8).geoms)
     blocks = jax.tree.map(lambda *x: jnp.stack(x), *([p.block for p in some] for some in (near, far)))
-    excluded = jnp.array([-2, 0, 5])
+    excluded, wanted = jnp.array([-2, 0, 5]), jnp.array([[True, False, True], [False, False, True]])
 
-    def world(blocks):
+    def world(blocks, wanted):
         seen = [part._replace(block=block) for part, block in zip(near, blocks, strict=True)]
-        return jax.vmap(lambda v: on_a_gpu(seen, ORIGIN, DIRECTION, v))(excluded)
 
-    found = jax.jit(jax.vmap(world))(blocks)
+        def robot(slot, wanted):
+            return WAYS[how](seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot, wanted=wanted))
+
+        return jax.vmap(robot)(excluded, wanted)
+
+    cast = jax.jit(jax.vmap(world))
+    found, nothing = cast(blocks, wanted), cast(blocks, wanted & False)
+    assert (np.asarray(nothing.geom_index) == -1).all()
     for w, seen in enumerate((near, far)):
-        for r, exclude_owner in enumerate(excluded):
-            alone = brute_force_hits(seen, ORIGIN, DIRECTION, exclude_owner)
-            np.testing.assert_array_equal(found.geom_index[w, r], alone.geom_index)
+        for r, slot in enumerate(excluded):
+            alone = np.asarray(
+                brute_force_hits(seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot)).geom_index
+            )
+            np.testing.assert_array_equal(found.geom_index[w, r], np.where(wanted[w, r], alone, -1))
+
+
+@pytest.mark.parametrize("how", ["brute force", "culled"])
+def test_a_cpu_saves_what_no_robot_of_any_world_wants(how):
+    """Both maps leave one condition, on whether any of them wants it, about all the work."""
+    seen = indexed_blocks(ROOM.geoms)
+
+    def one(slot, wanted):
+        return WAYS[how](seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot, wanted=wanted))
+
+    args = jnp.zeros((2, 3), jnp.int32), jnp.ones((2, 3), bool)
+    outside = equations(
+        jax.make_jaxpr(jax.vmap(jax.vmap(one)))(*args).jaxpr, into={"jit", "pjit", "custom_vmap_call"}
+    )
+    assert [e.invars[0].aval.shape for e in outside if e.primitive.name == "cond"] == [()]
+    assert not {"scan", "while"} & {e.primitive.name for e in outside}
+
+
+def equations(jaxpr, into):
+    """All equations of a program and of the calls in it, but not those within other equations."""
+    found = []
+    for equation in jaxpr.eqns:
+        found.append(equation)
+        if equation.primitive.name in into:
+            for inner in jaxprs_in_params(equation.params):
+                found += equations(inner, into)
+    return found
 
 
 def test_a_cone_holds_its_rays():
@@ -128,7 +189,7 @@ def test_a_cone_holds_its_rays():
 
 
 def test_places_are_those_of_all_blocks_in_a_row():
-    found = nearest_hits(ROOM.geoms, ORIGIN, DIRECTION, NOBODY, RayQuery())
+    found = nearest_hits(ROOM.geoms, ORIGIN, DIRECTION)
     geom = jax.tree.map(lambda x: np.asarray(x)[np.maximum(found.geom_index, 0)], concatenated(ROOM.geoms))
     point = np.asarray(ORIGIN + found.distance[:, None] * DIRECTION)
     met = (np.asarray(found.geom_index) >= 0) & (geom.size > 0).all(-1)

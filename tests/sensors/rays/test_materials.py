@@ -24,7 +24,6 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 NOSE = (0.24, 0.0, 0.0)
 PANE, WALL = 1.0, 2.0  # m: where the faces of a pane and of the wall behind it are
-NOBODY = jnp.int32(-2)
 fender = jax.jit(RAY_KERNELS[FENDER_KIND])
 
 
@@ -80,10 +79,12 @@ def test_of_range_sensors_only_infrared_passes_glass_and_everything_passes_the_s
 
 def test_passed_materials_cost_nothing():
     """They are left out while tracing: the program has as many operations as that of a room without them."""
-    rays = jnp.zeros((4, 3)), jnp.ones((4, 3)), NOBODY
+    rays = jnp.zeros((4, 3)), jnp.ones((4, 3))
 
     def program(geoms: Geoms, passes: frozenset[str]) -> list[str]:
-        equations = jax.make_jaxpr(lambda *a: cast_rays(geoms, *a, RayQuery(passes)))(*rays).jaxpr.eqns
+        equations = jax.make_jaxpr(lambda *a: cast_rays(geoms, *a, RayQuery(transparent=passes)))(
+            *rays
+        ).jaxpr.eqns
         return [equation.primitive.name for equation in equations]
 
     full = room(GLASS)

@@ -124,13 +124,12 @@ def make_rays(room: Room, seed: int, count: int = RAYS):
 
 # Without XLA's optimiser, which would take longer than all the rays.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-see = quick_jit(cast_rays)
+see, see_for = quick_jit(partial(cast_rays)), quick_jit(partial(cast_rays))
 see_angle = quick_jit(partial(cast_rays, query=RayQuery(incidence=True)))
-NOBODY = jnp.int32(-2)
 
 
-def ours(function, room, rays, exclude_owner=NOBODY):
-    return function(room.geoms, *(jnp.asarray(a, jnp.float32) for a in rays), exclude_owner)
+def ours(function, room, rays, **how):
+    return function(room.geoms, *(jnp.asarray(a, jnp.float32) for a in rays), **how)
 
 
 @pytest.mark.oracle
@@ -178,9 +177,11 @@ def test_rays_pass_the_viewers_own_geoms():
     others, _, _ = room.oracle(*rays)
     assert (distance[clear] != others[clear]).sum() > 10  # it makes a difference
     np.testing.assert_allclose(
-        ours(see, room, rays, jnp.int32(0)).distance[clear], distance[clear], atol=RAY_ATOL
+        ours(see, room, rays, query=RayQuery(exclude_owner=jnp.int32(0))).distance[clear],
+        distance[clear],
+        atol=RAY_ATOL,
     )
-    hits = ours(see_angle, room, rays, jnp.int32(0))
+    hits = ours(see_angle, room, rays, query=RayQuery(incidence=True, exclude_owner=jnp.int32(0)))
     met = clear & np.isfinite(distance)
     np.testing.assert_allclose(hits.distance[clear], distance[clear], atol=RAY_ATOL)
     np.testing.assert_allclose(hits.cosine[met], cosine[met], atol=COSINE_ATOL)

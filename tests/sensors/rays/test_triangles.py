@@ -19,7 +19,6 @@ from usarmjx.sim.scene import build_scene
 RAY_ATOL = 1e-4  # m: float32 over a few metres, and what a range sensor may be off
 COSINE_ATOL = 1e-4  # a triangle's normal does not depend on where it is met: float32 of a product
 FEW = 0.05  # rays that graze an edge, at most
-NOBODY = jnp.int32(-2)
 # Without XLA's optimiser, which would take longer than all the rays.
 quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
@@ -31,7 +30,7 @@ def see(*rays):
 
 @quick_jit
 def see_angle(*rays):
-    return cast_rays(*rays, query=RayQuery(incidence=True))
+    return cast_rays(*rays, RayQuery(incidence=True))
 
 
 def seen(place, owner=-1):
@@ -43,7 +42,7 @@ def seen(place, owner=-1):
 
 
 def meets(place, rays):
-    return see_angle(seen(place), *(jnp.asarray(part, jnp.float32) for part in rays), NOBODY)
+    return see_angle(seen(place), *(jnp.asarray(part, jnp.float32) for part in rays))
 
 
 @pytest.mark.oracle
@@ -140,8 +139,12 @@ def test_the_viewers_own_triangles_are_passed():
     rng = np.random.default_rng(2)
     place = Land(land(*stones(rng, 3)))
     origins, directions = (jnp.asarray(part, jnp.float32) for part in rays_at(rng, place, 100))
-    assert np.isfinite(see(seen(place, 7), origins, directions, jnp.int32(3)).distance).any()
-    assert np.isinf(see(seen(place, 7), origins, directions, jnp.int32(7)).distance).all()
+    assert np.isfinite(
+        see(seen(place, 7), origins, directions, RayQuery(exclude_owner=jnp.int32(3))).distance
+    ).any()
+    assert np.isinf(
+        see(seen(place, 7), origins, directions, RayQuery(exclude_owner=jnp.int32(7))).distance
+    ).all()
 
 
 def test_a_scene_shows_its_meshes_and_terrain():
@@ -160,4 +163,4 @@ def test_a_scene_shows_its_meshes_and_terrain():
     )
     down = jnp.tile(jnp.array([0.0, 0.0, -1.0]), (3, 1))
     above = jnp.array([(2.0, 1.0, 3.0), (2.5, 1.0, 3.0), (4.0, 4.0, 3.0)])
-    np.testing.assert_allclose(see(geoms, above, down, NOBODY).distance, [1.6, 2.1, 2.6], atol=RAY_ATOL)
+    np.testing.assert_allclose(see(geoms, above, down).distance, [1.6, 2.1, 2.6], atol=RAY_ATOL)

@@ -7,7 +7,7 @@ are seen as their triangles, see `models.build.pieces`.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, Bool, Float, Int
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import (
     Cone,
@@ -30,6 +30,7 @@ from usarmjx.sensors.rays.bundles import (
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius, surface_normal
 from usarmjx.sensors.rays.raycast_gpu import GeomBlockInfo, nearest_of_bundles, pack
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms
+from usarmjx.sensors.rays.wanted import cast_if_wanted
 
 DEFAULT_BUNDLE_SIZE = 32
 """Rays after each other that go about the same way, if nobody says otherwise."""
@@ -37,6 +38,9 @@ COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 """Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
 CULLING_THRESHOLD = 100_000
 """Rays times geoms from which on leaving out geoms pays on a CPU."""
+
+EXCLUDE_NONE = np.int32(-2)
+"""No owner of any geom: robots' slots count from 0, and the arena is -1."""
 
 
 class Hits(struct.PyTreeNode, kw_only=True):
@@ -56,21 +60,25 @@ NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
 """Of a robot that casts no rays."""
 
 
-class RayQuery(NamedTuple):
-    """How rays are cast; static.
+class RayQuery(struct.PyTreeNode, kw_only=True):
+    """How rays are cast, and for whom; all backends honour all of it.
 
     Attributes:
         transparent: Materials that they go through, without any cost.
-        bundle_size: So many rays after each other start and go about the same way. What is nowhere near their cone
-            costs them next to nothing.
+        bundle_size: So many rays after each other start and go about the same way. What is nowhere near their
+            cone costs them next to nothing.
         max_distance: What is farther is not met [m].
         incidence: Whether to find out at which angle they meet surfaces.
+        exclude_owner: Slot of the robot that looks; its own geoms are transparent to it ().
+        wanted: Whether anybody wants to know; if not, nothing is met (); None: yes.
     """
 
-    transparent: frozenset[str] = frozenset()
-    bundle_size: int = DEFAULT_BUNDLE_SIZE
-    max_distance: float = math.inf
-    incidence: bool = False
+    transparent: frozenset[str] = struct.field(pytree_node=False, default=frozenset())
+    bundle_size: int = struct.field(pytree_node=False, default=DEFAULT_BUNDLE_SIZE)
+    max_distance: float = struct.field(pytree_node=False, default=math.inf)
+    incidence: bool = struct.field(pytree_node=False, default=False)
+    exclude_owner: Int[Array, ""] = EXCLUDE_NONE
+    wanted: Bool[Array, ""] | None = None
 
 
 DEFAULT_QUERY = RayQuery()
@@ -81,29 +89,31 @@ class GeomHits(NamedTuple):
 
     Attributes:
         distance: How far away, infinite where there is nothing [m] (rays,).
-        geom_index: Place of the geom among those of all blocks, one block after the other; -1 for none (rays,).
+        geom_index: Which geom of all blocks, one block after the other; -1 for none (rays,).
     """
 
     distance: jax.Array
     geom_index: jax.Array
 
-    def closer(self, distance: jax.Array, which: jax.Array) -> "GeomHits":
+    def closer(self, distance: jax.Array, index: jax.Array) -> "GeomHits":
         """Return what is closer, this or something else."""
         better = distance < self.distance
-        return GeomHits(jnp.where(better, distance, self.distance), jnp.where(better, which, self.geom_index))
+        return GeomHits(jnp.where(better, distance, self.distance), jnp.where(better, index, self.geom_index))
 
     def met(self) -> "GeomHits":
         """Return it with an infinite distance where nothing was met."""
         return GeomHits(jnp.where(self.geom_index < 0, jnp.inf, self.distance), self.geom_index)
 
 
-class IndexedBlock(NamedTuple):
-    """Geoms of a kind that rays do not pass, the place of the first of them, and whether they are compact."""
+NO_GEOM = GeomHits(math.inf, -1)  # type: ignore[arg-type] - numbers in place of arrays
+"""A miss."""
 
-    kind: int
+
+class IndexedBlock(NamedTuple):
+    """Geoms of a kind that rays do not pass, and what is known of them while compiling."""
+
+    info: GeomBlockInfo
     block: GeomBlock
-    first_index: int
-    compact: bool
 
 
 def distance_to(kind: int, geom: GeomBlock, origin: jax.Array, direction: jax.Array) -> jax.Array:
@@ -116,90 +126,118 @@ def distance_to(kind: int, geom: GeomBlock, origin: jax.Array, direction: jax.Ar
     return RAY_KERNELS[kind](local, along, jnp.moveaxis(geom.size, -1, 0))
 
 
-def indexed_blocks(geoms: Geoms, passes: frozenset[str] = frozenset()) -> list[IndexedBlock]:
+def indexed_blocks(geoms: Geoms, transparent: frozenset[str] = frozenset()) -> list[IndexedBlock]:
     """Return the geoms that rays do not pass; what is compact comes last, as the rest may hide it."""
-    firsts = np.cumsum([0, *(len(block.owner) for block in geoms.blocks)]).tolist()
     compact = geoms.compact or (False,) * len(geoms.blocks)
-    everything = [
-        (IndexedBlock(kind, block, first, small or kind in COMPACT_KINDS), material)
-        for kind, block, first, small, material in zip(
-            geoms.kinds, geoms.blocks, firsts, compact, geoms.materials, strict=False
-        )
-    ]
-    return sorted((part for part, material in everything if material not in passes), key=lambda p: p.compact)
+    found, first = list[IndexedBlock](), 0
+    for kind, block, small, material in zip(geoms.kinds, geoms.blocks, compact, geoms.materials, strict=True):
+        count = len(block.owner)
+        if material not in transparent:
+            info = GeomBlockInfo(kind, count, first, small or kind in COMPACT_KINDS)
+            found.append(IndexedBlock(info, block))
+        first += count
+    return sorted(found, key=lambda part: part.info.compact)
 
 
+@jax.named_scope("nearest_hits")
 def nearest_hits(
     geoms: Geoms,
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
+    origin: Float[Array, "rays 3"],
+    direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
-    wanted: jax.Array | None = None,
     fans: Fans | None = None,
 ) -> GeomHits:
     """Return what each ray meets first.
 
     Args:
         geoms: What there is to hit.
-        origin: Starts of the rays [m] (rays, 3).
+        origin: Origins of the rays [m] (rays, 3).
         direction: Unit vectors (rays, 3).
-        exclude_owner: Slot of the robot that looks; its own geoms are transparent to it ().
-        query: How.
-        wanted: Whether anybody wants to know (); if not, nothing is met. None: yes.
+        query: How, and for whom.
         fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
     seen = indexed_blocks(geoms, query.transparent)
     if jax.default_backend() == "gpu":
-        return gpu_hits(seen, (origin, direction) if fans is None else fans, exclude_owner, query, wanted)
-    how = (
-        culled_hits
-        if len(origin) * sum(len(part.block.owner) for part in seen) > CULLING_THRESHOLD
-        else brute_force_hits
-    )
-    return how(seen, origin, direction, exclude_owner, query)
+        return gpu_hits(seen, (origin, direction) if fans is None else fans, query)
+    pairs = len(origin) * sum(len(part.block.owner) for part in seen)
+    return (culled_hits if pairs > CULLING_THRESHOLD else brute_force_hits)(seen, origin, direction, query)
 
 
 def brute_force_hits(
     seen: Sequence[IndexedBlock],
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
+    origin: Float[Array, "rays 3"],
+    direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
     """As `nearest_hits`: all rays against one geom after the other.
 
     On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
     """
-    first = GeomHits(jnp.full(len(origin), query.max_distance), jnp.full(len(origin), -1))
-    for kind, block, before, _ in seen:
-
-        def closer(
-            first: GeomHits, one: tuple[GeomBlock, jax.Array], kind: int = kind
-        ) -> tuple[GeomHits, None]:
-            geom, place = one
-            t = distance_to(kind, geom, origin, direction)
-            return first.closer(jnp.where(geom.owner != exclude_owner, t, jnp.inf), place), None
-
-        first, _ = jax.lax.scan(closer, first, (block, before + jnp.arange(len(block.owner))))
-    return first.met()
+    return _cast_on_a_cpu(_brute_force, seen, origin, direction, query)
 
 
 def culled_hits(
     seen: Sequence[IndexedBlock],
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
+    origin: Float[Array, "rays 3"],
+    direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
     """As `nearest_hits`: each bundle of rays against the geoms that its cone meets, one after the other."""
-    start, along = bundled(origin, query.bundle_size), bundled(direction, query.bundle_size)
+    return _cast_on_a_cpu(_culled, seen, origin, direction, query)
+
+
+def _cast_on_a_cpu(
+    how: Callable[..., GeomHits],
+    seen: Sequence[IndexedBlock],
+    origin: Array,
+    direction: Array,
+    query: RayQuery,
+) -> GeomHits:
+    """Return what rays meet in that way, if it is wanted."""
+    blocks = [part.block for part in seen]
+    cast = partial(how, [part.info for part in seen], query.bundle_size, query.max_distance)
+    return cast_if_wanted(query.wanted, cast, NO_GEOM, blocks, origin, direction, query.exclude_owner)
+
+
+def _brute_force(
+    infos: Sequence[GeomBlockInfo],
+    bundle_size: int,
+    max_distance: float,
+    blocks: Sequence[GeomBlock],
+    origin: jax.Array,
+    direction: jax.Array,
+    exclude_owner: jax.Array,
+) -> GeomHits:
+    del bundle_size
+    first = GeomHits(jnp.full(len(origin), max_distance), jnp.full(len(origin), -1))
+    for info, block in zip(infos, blocks, strict=True):
+
+        def closer(
+            first: GeomHits, one: tuple[GeomBlock, jax.Array], kind: int = info.kind
+        ) -> tuple[GeomHits, None]:
+            geom, index = one
+            t = distance_to(kind, geom, origin, direction)
+            return first.closer(jnp.where(geom.owner != exclude_owner, t, jnp.inf), index), None
+
+        first, _ = jax.lax.scan(closer, first, (block, info.first_index + jnp.arange(info.count)))
+    return first.met()
+
+
+def _culled(
+    infos: Sequence[GeomBlockInfo],
+    bundle_size: int,
+    max_distance: float,
+    blocks: Sequence[GeomBlock],
+    origin: jax.Array,
+    direction: jax.Array,
+    exclude_owner: jax.Array,
+) -> GeomHits:
+    start, along = bundled(origin, bundle_size), bundled(direction, bundle_size)
     cone = bounding_cones(start, along)
-    first = GeomHits(jnp.full(along.shape[:2], query.max_distance), jnp.full(along.shape[:2], -1))
-    for kind, block, before, compact in seen:
-        count = len(block.owner)
-        near = jax.vmap(partial(_entries, kind, block, compact=compact))(cone)
-        met = (near < query.max_distance) & (block.owner != exclude_owner)
+    first = GeomHits(jnp.full(along.shape[:2], max_distance), jnp.full(along.shape[:2], -1))
+    for info, block in zip(infos, blocks, strict=True):
+        near = jax.vmap(partial(_entries, info.kind, block, compact=info.compact))(cone)
+        met = (near < max_distance) & (block.owner != exclude_owner)
         rank = jnp.cumsum(met, 1)
         most = rank[:, -1].max()
 
@@ -208,19 +246,17 @@ def culled_hits(
 
         def test(
             carry: tuple[jax.Array, GeomHits],
-            kind: int = kind,
+            info: GeomBlockInfo = info,
             block: GeomBlock = block,
             rank: jax.Array = rank,
-            before: int = before,
-            count: int = count,
         ) -> tuple[jax.Array, GeomHits]:
             turn, first = carry
             # The geom that is next for each bundle: where the count of those met steps up.
             index = jax.vmap(lambda row: jnp.searchsorted(row, turn + 1))(rank)
-            geom = jax.tree.map(lambda x: x[jnp.minimum(index, count - 1)][:, None], block)
-            t = distance_to(kind, geom, start, along)
+            geom = jax.tree.map(lambda x: x[jnp.minimum(index, info.count - 1)][:, None], block)
+            t = distance_to(info.kind, geom, start, along)
             return turn + 1, first.closer(
-                jnp.where((index < count)[:, None], t, jnp.inf), (before + index)[:, None]
+                jnp.where((index < info.count)[:, None], t, jnp.inf), (info.first_index + index)[:, None]
             )
 
         _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
@@ -241,24 +277,16 @@ def _entries(kind: int, block: GeomBlock, cone: Cone, *, compact: bool) -> jax.A
 def gpu_hits(
     seen: Sequence[IndexedBlock],
     rays: tuple[jax.Array, jax.Array] | Fans,
-    exclude_owner: jax.Array,
     query: RayQuery = DEFAULT_QUERY,
-    wanted: jax.Array | None = None,
     interpret: bool = False,
 ) -> GeomHits:
     """As `nearest_hits`: see `raycast_gpu`."""
-    slabs = [
-        (
-            GeomBlockInfo(part.kind, len(part.block.owner), part.first_index, part.compact),
-            pack(part.kind, part.block),
-        )
-        for part in seen
-    ]
-    cast_at_all = jnp.ones((), bool) if wanted is None else wanted
+    packed = [(part.info, pack(part.info.kind, part.block)) for part in seen]
+    wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
     found = nearest_of_bundles(
-        slabs,
+        packed,
         rays,
-        (exclude_owner, cast_at_all),
+        (query.exclude_owner, wanted),
         bundle_size=query.bundle_size,
         max_distance=query.max_distance,
         interpret=interpret,
@@ -291,16 +319,20 @@ def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Arr
 
 def cast_rays(
     geoms: Geoms,
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
+    origin: Float[Array, "rays 3"],
+    direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
-    wanted: jax.Array | None = None,
     fans: Fans | None = None,
 ) -> Hits:
-    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the gaze asks."""
-    first = nearest_hits(geoms, origin, direction, exclude_owner, query, wanted, fans)
+    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks."""
+    first = nearest_hits(geoms, origin, direction, query, fans)
     cosine = jnp.zeros_like(first.distance)
     if query.incidence:
-        cosine = jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))
+        wanted = None if jax.default_backend() == "gpu" else query.wanted
+        cosine = cast_if_wanted(wanted, _cosines, 0.0, geoms, first, origin, direction)
     return Hits(distance=first.distance, cosine=cosine)
+
+
+@jax.named_scope("incidence")
+def _cosines(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Array) -> jax.Array:
+    return jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))

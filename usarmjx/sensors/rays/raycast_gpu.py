@@ -38,7 +38,7 @@ UNLIMITED_DISTANCE = 3e38
 
 
 class GeomBlockInfo(NamedTuple):
-    """What is known of geoms while compiling: kind, how many, place of the first, and `Part.compact`."""
+    """What is known of geoms while compiling: kind, how many, index of the first, and whether they are compact."""
 
     kind: int
     count: int
@@ -65,7 +65,14 @@ def _local(mat: Sequence[jax.Array], vector: Sequence[Any] | jax.Array) -> tuple
 
 
 class _Bundle(NamedTuple):
-    """One bundle: rays' starts and directions by component (size,), its cone by number, and who looks."""
+    """One bundle of rays.
+
+    Attributes:
+        origin: Their starts by component [m], (size,) each.
+        direction: Their directions by component, (size,) each.
+        cone: The cone about them, by number.
+        exclude_owner: Slot of the robot that looks ().
+    """
 
     origin: tuple[jax.Array, ...]
     direction: tuple[jax.Array, ...]
