@@ -70,7 +70,7 @@ def test_two_processes_end_with_the_weights_of_one(reference, two):
 
 
 def test_each_process_has_its_own_worlds_in_the_checkpoint(two):
-    """And both have the same learner."""
+    """And both have the same train state."""
     folder = two / "checkpoints" / "00000010"
     part = {file.stem: json.loads(file.read_text()) for file in folder.glob("*_[01].json")}
     assert part["learner_0"] == part["learner_1"]
@@ -87,7 +87,7 @@ def test_numbers_of_processes_that_the_worlds_cannot_be_shared_out_to_are_refuse
 
 
 @pytest.mark.parametrize(
-    ("environment", "place"),
+    ("environment", "info"),
     [
         ({}, None),
         ({"SLURM_NTASKS": "1", "SLURM_PROCID": "0"}, None),
@@ -103,8 +103,8 @@ def test_numbers_of_processes_that_the_worlds_cannot_be_shared_out_to_are_refuse
         ),
     ],
 )
-def test_launchers_are_understood(environment, place):
-    assert process_info(environment) == place
+def test_launchers_are_understood(environment, info):
+    assert process_info(environment) == info
 
 
 def test_torchrun_without_an_address_is_refused():
@@ -128,13 +128,13 @@ def test_a_process_whose_parent_is_gone_ends(monkeypatch):
 
 LOST = """
 from usarmjx.base.errors import UsageError
-from usarmjx.train.processes.group import Team, together
-with together() as place:
-    team = Team()
-    team.meet("here")
-    if place.index == 1:
+from usarmjx.train.processes.group import ProcessGroup, distributed_run
+with distributed_run() as info:
+    group = ProcessGroup()
+    group.barrier("here")
+    if info.index == 1:
         raise UsageError("this one is lost")
-    team.meet("there")
+    group.barrier("there")
 """
 
 

@@ -54,9 +54,9 @@ class BatchedRobots(BraxEnv):
         Args:
             rng: One key for all; of several (n,) the first counts.
         """
-        key: jax.Array = (
-            rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
-        )
+        key: jax.Array = rng
+        if not jnp.issubdtype(rng.dtype, jax.dtypes.prng_key):
+            key = jax.random.wrap_key_data(rng)
         seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
         return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
 

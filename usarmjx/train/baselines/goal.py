@@ -5,13 +5,13 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import wrap_angle
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.baselines.steering import (
     choose_direction,
     free_distances,
     obstacles,
     steer_toward,
-    wrap_angle,
 )
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy

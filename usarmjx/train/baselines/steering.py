@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
+from usarmjx.base.rotations import wrap_angle
 from usarmjx.models.drives import Ackermann, RotaryWing, SkidSteer, Tracks
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.scenes.clearance import bounding_box_of
@@ -107,8 +107,3 @@ def steer_toward(direction: jax.Array, free: jax.Array, robot: RobotSpec) -> jax
         return driver(robot)(jnp.where(behind, -0.5, slow), jnp.where(behind, -turn, turn))
     ahead = slow * jnp.clip(1.0 - jnp.abs(direction) / 0.8, 0.0, 1.0)
     return driver(robot)(ahead, turn)
-
-
-def wrap_angle(angle: Array) -> jax.Array:
-    """Return the angle in [-pi, pi) [rad]."""
-    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

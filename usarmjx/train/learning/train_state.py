@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
+from flax.struct import PyTreeNode
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
@@ -25,7 +25,7 @@ POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = ra
 """First folds of the run's key."""
 
 
-class ActorCriticParams(struct.PyTreeNode, kw_only=True):
+class ActorCriticParams(PyTreeNode, kw_only=True):
     """Parameters of all networks.
 
     Attributes:
@@ -51,7 +51,7 @@ class ActorCriticParams(struct.PyTreeNode, kw_only=True):
         )
 
 
-class TrainState(struct.PyTreeNode, kw_only=True):
+class TrainState(PyTreeNode, kw_only=True):
     """All that an update changes; the same in every process.
 
     Attributes:

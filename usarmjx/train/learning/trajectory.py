@@ -3,14 +3,14 @@
 from typing import Any
 
 import jax
-from flax import struct
+from flax.struct import PyTreeNode
 
 from usarmjx.train.envs.env import EnvState
 
 GroupArrays = tuple[jax.Array, ...]
 
 
-class Trajectory(struct.PyTreeNode, kw_only=True):
+class Trajectory(PyTreeNode, kw_only=True):
     """What happened, step by step.
 
     Attributes:
@@ -44,7 +44,7 @@ class Trajectory(struct.PyTreeNode, kw_only=True):
     teacher_action: GroupArrays
 
 
-class RolloutEnds(struct.PyTreeNode, kw_only=True):
+class RolloutEnds(PyTreeNode, kw_only=True):
     """What is known of the worlds before the first step and after the last.
 
     Attributes:
@@ -60,7 +60,7 @@ class RolloutEnds(struct.PyTreeNode, kw_only=True):
     last_value: GroupArrays
 
 
-class RolloutState(struct.PyTreeNode, kw_only=True):
+class RolloutState(PyTreeNode, kw_only=True):
     """The worlds of this process, and what goes on in them from one rollout to the next.
 
     Attributes:
@@ -82,7 +82,7 @@ class RolloutState(struct.PyTreeNode, kw_only=True):
     is_first: jax.Array
 
 
-class StepView(struct.PyTreeNode, kw_only=True):
+class StepView(PyTreeNode, kw_only=True):
     """What of an environment's state the trainer needs.
 
     Attributes:
@@ -117,7 +117,7 @@ def step_view(env: EnvState) -> StepView:
     return StepView(**{name: getattr(env, name) for name in StepView.__dataclass_fields__})
 
 
-class Decision(struct.PyTreeNode, kw_only=True):
+class Decision(PyTreeNode, kw_only=True):
     """What is decided in a step, and the carries after it.
 
     Attributes:

@@ -73,7 +73,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
         raise UsageError(f"squares of {cell} m, expected a side above 0")
     extents = np.array([arena.extent for arena in arenas])  # (arenas, x or y, low or high)
     low, high = extents[..., 0].min(0), extents[..., 1].max(0)
-    counts: np.ndarray = np.round((high - low) / cell).astype(int) + 1
+    counts = np.rint((high - low) / cell) + 1
     return MapGrid(low=(float(low[0]), float(low[1])), cell=cell, shape=(int(counts[0]), int(counts[1])))
 
 

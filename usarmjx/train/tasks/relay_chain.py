@@ -122,7 +122,7 @@ class RelayChain(TeamTask):
         scene, grid = view.scene, self.arena_grid(view.scene).grid
         memory, _, begun = self.advance(view, memory)
         chain, agents = memory.extra, self.agents(scene)
-        linked = reachable(view.links.in_range, station_slot(scene))
+        linked = reachable(jnp.asarray(view.links.in_range), station_slot(scene))
         depths = jnp.zeros(scene.num_robots)
         for g, group in enumerate(scene.groups):
             there = grid.index(view.robots(g).pos[:, :2])

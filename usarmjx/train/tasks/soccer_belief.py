@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
+from flax.struct import PyTreeNode
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import mat_from_angles
@@ -41,7 +41,7 @@ NUMBERS = 8
 """Of a message: the sender's x, y, yaw; the ball's x, y and its velocity; when it was seen."""
 
 
-class SoccerBelief(struct.PyTreeNode, kw_only=True):
+class SoccerBelief(PyTreeNode, kw_only=True):
     """What each robot believes, in the world's axes.
 
     Attributes:

@@ -119,7 +119,7 @@ def _round_others(way: jax.Array, others: jax.Array) -> jax.Array:
 
 def _push(ball: jax.Array, others: jax.Array) -> jax.Array:
     """Return where to push the ball (2,) (2,): to the goal, past others (n, 2), from where there is room."""
-    ways = _ways(IN_GOAL - ball)
+    ways = _ways(jnp.asarray(IN_GOAL) - ball)
     behind = depth_inside(ball - PUSH_START_DISTANCE * ways) > PUSH_ROOM
     free = _is_free(ways, others - ball, BALL_PATH_MARGIN, BALL_PATH_LENGTH)
     return ways[jnp.argmax(2 * behind + free)]
@@ -170,7 +170,7 @@ def _round_ball(position: jax.Array, ball: jax.Array, way: jax.Array) -> jax.Arr
 def _between(ball: jax.Array) -> jax.Array:
     """Return where to keep goal (2,): between it and the ball."""
     way = ball - OWN_GOAL
-    return _inside(OWN_GOAL + KEEPER_DISTANCE * way / jnp.maximum(jnp.linalg.norm(way), 1e-6))
+    return _inside(jnp.asarray(OWN_GOAL) + KEEPER_DISTANCE * way / jnp.maximum(jnp.linalg.norm(way), 1e-6))
 
 
 def _turn_to(ahead: jax.Array) -> jax.Array:

@@ -9,9 +9,9 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.sensors.motion import wrap_angle
 from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import STALE_AGE, Belief, GroupScan, other_slots
