@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from tests.scripts import EXAMPLES, load
-from tests.server.radios import crowded, on_air
+from tests.server.radio_servers import crowded, on_air
 from usarmjx.comms.attenuation import RadioSettings, link_range, radio_settings
 from usarmjx.models.arenas import ARENAS
 
