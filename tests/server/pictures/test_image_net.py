@@ -319,9 +319,9 @@ def test_a_flood_of_acknowledgements_and_junk(painted, painter):
     viewer = painted.viewer()
     for _ in range(5):
         viewer.next()
-    for guest in painted.service._connections:  # whoever does not read has no more than one picture waiting
-        assert guest.writer.transport.get_write_buffer_size() <= 9 + 3 * WIDTH * HEIGHT
-        assert len(guest.session._pending) < 17
+    for client in painted.service._clients:  # whoever does not read has no more than one picture waiting
+        assert client.writer.transport.get_write_buffer_size() <= 9 + 3 * WIDTH * HEIGHT
+        assert len(client.session._pending) < 17
 
 
 def test_who_does_not_read_is_dropped(world, painter, monkeypatch):
@@ -353,7 +353,7 @@ def test_who_leaves_in_the_middle_of_everything(painted):
         rude.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         rude.close()
     painted.viewer().picture()
-    wait_until(lambda: len(painted.service._connections) == 1, "the others to be gone")
+    wait_until(lambda: len(painted.service._clients) == 1, "the others to be gone")
 
 
 def test_the_most_silent_client_yields_when_all_places_are_taken(world, painter):

@@ -67,7 +67,7 @@ def dynamic_render_scene(
         rows = _padded(rows, n)
         blocks.append(GeomBlock(**{name: rows[name] for name in ("pos", "mat", "size", "owner")}))
         appearances.append(
-            GeomAppearance(**{name: rows[name] for name in ("rgb", "clear", "gloss", "label")})
+            GeomAppearance(**{name: rows[name] for name in ("rgb", "transparency", "reflectance", "label")})
         )
     kinds, materials = tuple(kind for kind, _ in keys), tuple(material for _, material in keys)
     sun = np.array(SUN_DIRECTION, np.float32)
@@ -100,8 +100,8 @@ def _columns(
         "size": pieces.size,
         "owner": np.where(slot >= 0, robot_geom_owner(slot, piece), -1),
         "rgb": model.geom_rgba[pieces.geom, :3],
-        "clear": transparencies(pieces.material),
-        "gloss": reflectances(pieces.material),
+        "transparency": transparencies(pieces.material),
+        "reflectance": reflectances(pieces.material),
         "label": np.where(slot >= 0, ROBOT_LABEL + slot, labels_of(model, arena)[pieces.geom]),
     }
 
@@ -115,8 +115,8 @@ def _water(arena: ArenaSpec) -> GeomColumns:
         "size": (high - low) / 2,
         "owner": np.full(n, -1),
         "rgb": np.tile(WATER_RGB, (n, 1)),
-        "clear": np.full(n, WATER_TRANSPARENCY),
-        "gloss": np.zeros(n),
+        "transparency": np.full(n, WATER_TRANSPARENCY),
+        "reflectance": np.zeros(n),
         "label": np.full(n, WATER_LABEL),
     }
 
