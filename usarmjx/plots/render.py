@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.lenses import TILE, tiled, untiled
@@ -81,8 +80,8 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
 
 
 @jax.jit
-def _shade(render_scene: RenderScene, start: Array, direction: Array) -> jax.Array:
-    return shade(render_scene, start, direction, EXCLUDE_NONE).rgb
+def _shade(render_scene: RenderScene, start: jax.Array, direction: jax.Array) -> jax.Array:
+    return shade(render_scene, start, direction, jnp.asarray(EXCLUDE_NONE)).rgb
 
 
 def render_picture(
@@ -112,6 +111,7 @@ def render_picture(
     rays = tiled(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))
     padded = np.concatenate([rays, np.repeat(rays[-1:], -len(rays) % chunk, 0)])
-    start = np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3))
-    seen = [np.asarray(_shade(render_scene, start, part)) for part in padded.reshape(-1, chunk, 3)]
+    start = jnp.asarray(np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3)))
+    parts = map(jnp.asarray, padded.reshape(-1, chunk, 3))
+    seen = [np.asarray(_shade(render_scene, start, part)) for part in parts]
     return np.asarray(untiled(jnp.asarray(np.concatenate(seen)[: len(rays)]), width, height))

@@ -46,7 +46,7 @@ def viewpoint_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
         eye_offsets=np.zeros((1, 3)),
         fov=np.array(FOV, np.float32),
         default_fov=np.array(FOV, np.float32),
-        slot=EXCLUDE_NONE,
+        slot=np.asarray(EXCLUDE_NONE),
         hidden_geoms=np.zeros(HIDDEN_GEOMS_MULTIPLE, bool),
         lens="pinhole",
     )

@@ -243,7 +243,8 @@ class BatchWorld(ServedWorld):
         where = np.zeros(self._state.worlds.groups[group].active.shape, bool)
         where[at] = True
         name = robot.effecters[effecter].mount.name
-        self._state, outcome = self._batch.operate(self._state, group, name, opcode.name, value, where)
+        what = name, opcode.name, np.array(value, np.float32)
+        self._state, outcome = self._batch.operate(self._state, group, *what, where)
         command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[group].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))

@@ -72,7 +72,7 @@ class CompiledRobot:
         def run(
             command: RobotCommand, state: RobotState, act: Array, time: Array, powered: Array
         ) -> tuple[ActuatorInputs, Array]:
-            depth = depth_in_water(arena, state.pos)
+            depth = depth_in_water(arena, jnp.asarray(state.pos))
             drowned = drowns(robot, depth)
             now = DriveConditions(time=time, powered=powered & ~drowned, depth=depth)
             return compute_actuation(plan, command, state, act, now, period), drowned
