@@ -1,5 +1,7 @@
 """Rotations of JAX arrays: quaternions (w first), matrices and rotation vectors."""
 
+from types import ModuleType
+
 import jax
 import jax.numpy as jnp
 
@@ -18,6 +20,11 @@ def mat_from_quat(quat: Array) -> jax.Array:
         jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
     )
     return jnp.stack(rows, -2)
+
+
+def wrap_angle(angle: Array, xp: ModuleType = jnp) -> Array:
+    """Return the angle in [-pi, pi) [rad] (...), of either array module."""
+    return xp.mod(angle + xp.pi, 2 * xp.pi) - xp.pi
 
 
 def matvec(mat: jax.Array, vector: Array) -> jax.Array:
