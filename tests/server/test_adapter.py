@@ -388,7 +388,7 @@ def test_of_commands_between_two_steps_the_last_one_counts(house, robot):
         robot,
         "DRIVE {Left 1} {Right 1}\r\nMISPKG {Name CameraPanTilt} {Link 1} {Value 0.3}\r\nDRIVE {Left 3}",
     )
-    pan = robot.robot.plan.joint("CameraPanTilt_Link1")
+    pan = robot.robot.plan.joint_index("CameraPanTilt_Link1")
     np.testing.assert_allclose(robot.robot.command.target[[0, 1, pan]], [3.0, 1.0, 0.3], rtol=1e-6)
 
 
