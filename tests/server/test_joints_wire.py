@@ -38,7 +38,7 @@ def house(world):
 
 def angle(house, client, joint):
     """How far a joint has turned [rad]."""
-    return float(house.world.state(client.robot).joint_pos[client.robot.plan.joint(joint)])
+    return float(house.world.state(client.robot).joint_pos[client.robot.plan.joint_index(joint)])
 
 
 def test_wheels_that_steer_are_told_one_by_one(house):
