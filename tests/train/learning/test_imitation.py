@@ -97,10 +97,10 @@ def test_after_the_lessons_only_ppo_counts():
     with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
     train_state, worlds = alone.start()
     train_state = train_state.replace(iteration=train_state.iteration + 1)
-    _, steps, bounds, sums = alone.rollout.collect(train_state, worlds, jax.random.key(0))
+    _, steps, ends, sums = alone.rollout.collect(train_state, worlds, jax.random.key(0))
     _, same, _, _ = with_teacher.rollout.collect(train_state, with_teacher.start()[1], jax.random.key(0))
     assert not any(np.asarray(shown).any() for shown in same.teacher_action)
-    experience = bounds, {name: one[None] for name, one in sums.items()}
+    experience = ends, {name: one[None] for name, one in sums.items()}
     expected, _ = alone._update(train_state, (steps, *experience))
     found, known = with_teacher._update(train_state, (same, *experience))
     assert "loss/imitation" in known

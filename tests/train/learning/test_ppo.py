@@ -27,9 +27,9 @@ def trainer():
 def collected(trainer):
     """Learner, and what was collected under it; some of it bad."""
     train_state, worlds = trainer.start()
-    worlds, steps, bounds, sums = trainer.rollout.collect(train_state, worlds, jax.random.key(3))
+    worlds, steps, ends, sums = trainer.rollout.collect(train_state, worlds, jax.random.key(3))
     assert np.asarray(steps.bad).any()
-    return train_state, steps, bounds, {name: one[None] for name, one in sums.items()}
+    return train_state, steps, ends, {name: one[None] for name, one in sums.items()}
 
 
 def leaves(tree):
@@ -71,8 +71,8 @@ def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
 
 def test_bad_transitions_teach_nothing(trainer, collected):
     """What they hold may be anything: the update is the same, bit for bit."""
-    train_state, steps, bounds, sums = collected
-    expected, _ = trainer._update(train_state, (steps, bounds, sums))
+    train_state, steps, ends, sums = collected
+    expected, _ = trainer._update(train_state, (steps, ends, sums))
 
     def spoil(bad, leaf):
         mask = bad.reshape(*bad.shape, *[1] * (leaf.ndim - 2))
@@ -83,25 +83,25 @@ def test_bad_transitions_teach_nothing(trainer, collected):
     spoilt = steps.replace(
         **{name: tuple(spoil(steps.bad, one) for one in getattr(steps, name)) for name in names}
     )
-    found, _ = trainer._update(train_state, (spoilt, bounds, sums))
+    found, _ = trainer._update(train_state, (spoilt, ends, sums))
     for one, other in zip(leaves(expected), leaves(found), strict=True):
         assert_array_equal(one, other)
 
 
 def test_good_transitions_teach(trainer, collected):
     """The other way round, so that the test above can fail."""
-    train_state, steps, bounds, sums = collected
-    expected, _ = trainer._update(train_state, (steps, bounds, sums))
+    train_state, steps, ends, sums = collected
+    expected, _ = trainer._update(train_state, (steps, ends, sums))
     found, _ = trainer._update(
-        train_state, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), bounds, sums)
+        train_state, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), ends, sums)
     )
     assert any((one != other).any() for one, other in zip(leaves(expected), leaves(found), strict=True))
 
 
 def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, collected):
     """And the statistics stay finite."""
-    train_state, steps, bounds, sums = collected
-    new, _ = trainer._update(train_state, (steps.replace(bad=jnp.ones_like(steps.bad)), bounds, sums))
+    train_state, steps, ends, sums = collected
+    new, _ = trainer._update(train_state, (steps.replace(bad=jnp.ones_like(steps.bad)), ends, sums))
     for one, other in zip(
         leaves((train_state.params, train_state.obs_statistics)),
         leaves((new.params, new.obs_statistics)),
@@ -111,9 +111,9 @@ def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, c
 
 
 def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
-    train_state, steps, bounds, sums = collected
+    train_state, steps, ends, sums = collected
     broken = steps.replace(reward=tuple(r.at[0, 0].set(jnp.inf) for r in steps.reward))
-    new, known = trainer._update(train_state, (broken, bounds, sums))
+    new, known = trainer._update(train_state, (broken, ends, sums))
     assert known["loss/skipped"] == 1
     for one, other in zip(leaves(train_state.params), leaves(new.params), strict=True):
         assert_array_equal(one, other)
@@ -121,11 +121,11 @@ def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
 
 def test_critics_see_more_than_policies(trainer, collected):
     """And both are of a class: another critic, another policy for each."""
-    train_state, steps, bounds, _ = collected
+    train_state, steps, ends, _ = collected
     seen, fresh = (steps.obs, steps.privileged), steps.is_first
-    values, _ = critic_values(trainer.networks, train_state, seen, bounds.critic_carry, fresh)
+    values, _ = critic_values(trainer.networks, train_state, seen, ends.critic_carry, fresh)
     others, _ = critic_values(
-        trainer.networks, train_state, (steps.obs, steps.privileged + 1), bounds.critic_carry, fresh
+        trainer.networks, train_state, (steps.obs, steps.privileged + 1), ends.critic_carry, fresh
     )
     for value, other in zip(values, others, strict=True):
         assert (value != other).all()
@@ -138,8 +138,8 @@ def test_critics_see_more_than_policies(trainer, collected):
 @pytest.mark.oracle
 def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collected):
     """Of all steps that are not bad, by NumPy in double precision."""
-    train_state, steps, bounds, sums = collected
-    new, _ = trainer._update(train_state, (steps, bounds, sums))
+    train_state, steps, ends, sums = collected
+    new, _ = trainer._update(train_state, (steps, ends, sums))
     good = ~np.asarray(steps.bad)
     for found, seen in zip(new.obs_statistics, steps.obs, strict=True):
         rows = np.asarray(seen, np.float64)[good].reshape(-1, seen.shape[-1])
