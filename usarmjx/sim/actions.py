@@ -62,7 +62,7 @@ class Actions:
         messages: Messages to send, in worlds with mail; None: none.
     """
 
-    drive: Mapping[int, Mapping[str, Array]] = field(default_factory=dict)
+    drive: Mapping[int, Mapping[str, Array]] = field(default_factory=dict[int, Mapping[str, Array]])
     joint_actions: tuple[JointAction, ...] = ()
     effecter_actions: tuple[EffecterAction, ...] = ()
     messages: OutgoingMessages | None = None

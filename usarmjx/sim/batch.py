@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import EngineError, UsageError
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.comms.links import Links
@@ -113,13 +113,12 @@ class Batch:
         self._render_scene = self._compile(partial(render_scene_of_world, scene))
         self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
-        traceable = self.engine.traceable
-        self.step: Callable[[BatchState], BatchState] = self._compile(self._step) if traceable else self._step
+        self.step: Callable[[BatchState], BatchState] = self._step
         """Advance every world by one control step under the commands in force."""
-        self.reset_where: Callable[[BatchState, jax.Array], BatchState] = (
-            self._compile(self._reset_where) if traceable else self._reset_where
-        )
+        self.reset_where: Callable[[BatchState, jax.Array], BatchState] = self._reset_where
         """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
+        if self.engine.traceable:
+            self.step, self.reset_where = self._compile(self._step), self._compile(self._reset_where)
 
     def _keys_of(self, seed: int) -> jax.Array:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
@@ -209,7 +208,9 @@ class Batch:
         links = self._links(state.worlds, self.physics(state))
         return state.replace(worlds=state.worlds.replace(links=links)), links
 
-    def send(self, state: BatchState, to: Array, payload: Array, length: Array | None = None) -> BatchState:
+    def send(
+        self, state: BatchState, to: ArrayLike, payload: ArrayLike, length: ArrayLike | None = None
+    ) -> BatchState:
         """Let each robot send a message to any of the others, over the links of `links`.
 
         What arrives is in `state.worlds.mail` at once, and what did not is counted there.
@@ -227,16 +228,16 @@ class Batch:
         state, _ = self.links(state)
         return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, messages)))
 
-    def clear_mail(self, state: BatchState, where: Array = True) -> BatchState:
+    def clear_mail(self, state: BatchState, where: ArrayLike = True) -> BatchState:
         """Empty the boxes of robots that have read their mail: those masked, broadcast to (worlds, robots).
 
         Raises:
             UsageError: The scene has no mail.
         """
-        mail = clear_inboxes(mailboxes(self.scene, state.worlds), where)
+        mail = clear_inboxes(mailboxes(self.scene, state.worlds), jnp.asarray(where))
         return state.replace(worlds=state.worlds.replace(mail=mail))
 
-    def drive(self, state: BatchState, group: int, values: Mapping[str, Array]) -> BatchState:
+    def drive(self, state: BatchState, group: int, values: Mapping[str, ArrayLike]) -> BatchState:
         """Set keys of DRIVE for a group's robots; the other keys keep what they were last set to.
 
         Args:
@@ -255,7 +256,7 @@ class Batch:
         self,
         state: BatchState,
         group: int,
-        targets: Mapping[str, Array],
+        targets: Mapping[str, ArrayLike],
         mode: ControlMode = ControlMode.POSITION,
     ) -> BatchState:
         """Tell joints of a group's robots where to go, how fast to move or what to exert.
@@ -283,8 +284,8 @@ class Batch:
         group: int,
         name: str,
         opcode: str,
-        value: Array | None = None,
-        where: Array = True,
+        value: ArrayLike | None = None,
+        where: ArrayLike = True,
     ) -> tuple[BatchState, OperationResult]:
         """Let a group's robots operate an effecter (manual 8), as SET does.
 
@@ -303,12 +304,10 @@ class Batch:
             UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
             UsageError: The operation needs a parameter.
         """
-        effecter, operation, value = find_operation(self.scene.groups[group], name, opcode, value)
+        effecter, operation, number = find_operation(self.scene.groups[group], name, opcode, value)
         shape = state.worlds.groups[group].active.shape
-        value, mask = jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape), jnp.broadcast_to(where, shape)
-        worlds, result = self._operate(
-            state.worlds, self.physics(state), (group, effecter), operation, value, mask
-        )
+        told = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
+        worlds, result = self._operate(state.worlds, self.physics(state), (group, effecter), operation, *told)
         return state.replace(worlds=worlds), result
 
     def render(
@@ -351,7 +350,7 @@ class Batch:
         with jax.default_matmul_precision("highest"):
             body = jax.tree.map(lambda x: x[member], bodies[group])
             fov = state.worlds.groups[group].fov[world, member, index]
-            viewpoint = camera_viewpoint(lens, body, np.int32(slot), fov)
+            viewpoint = camera_viewpoint(lens, body, jnp.int32(slot), fov)
             return render_picture_jit(render_scene, viewpoint, width, height)
 
     def render_view(
@@ -363,7 +362,7 @@ class Batch:
             return render_picture_jit(render_scene, viewpoint, width, height)
 
     def zoom(
-        self, state: BatchState, group: int, camera: str | int | None, fov: Array, where: Array = True
+        self, state: BatchState, group: int, camera: str | int | None, fov: ArrayLike, where: ArrayLike = True
     ) -> BatchState:
         """Set a camera's field of view, as SET does: within its limits, and 0 is the default (manual 9.4).
 
@@ -378,7 +377,7 @@ class Batch:
             UnknownNameError: The robots have no such camera; lists those they have.
         """
         members, (_, lens, index) = state.worlds.groups[group], find_camera(self.scene, group, camera)
-        told = jnp.where(where, lens.clamp(fov, jnp), members.fov[..., index])
+        told = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
         return self.with_group(state, group, members.replace(fov=members.fov.at[..., index].set(told)))
 
     @staticmethod

@@ -250,8 +250,8 @@ class CommandUpdate:
         flip_until: Until when they shall be righted [s] (...,).
     """
 
-    drive: Mapping[str, ArrayLike] = field(default_factory=dict)
-    joints: Mapping[str, ArrayLike] = field(default_factory=dict)
+    drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
+    joints: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
     mode: ControlMode = ControlMode.POSITION
     light: ArrayLike | None = None
     flip_until: ArrayLike | None = None
@@ -321,7 +321,7 @@ def compute_actuation(
         target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
     )
     ctrl, hold, act = _servo(plan, command, state, act, period, conditions)
-    wrench = robot.drive.passive_wrench(state, conditions.depth)
+    wrench = jnp.asarray(robot.drive.passive_wrench(state, conditions.depth))
     setpoint = command.setpoint if conditions.speed is None else command.setpoint * conditions.speed
     wrench += jnp.where(conditions.powered, robot.drive.wrench(setpoint, state, conditions.depth), 0.0)
     if robot.drive.is_wheeled:

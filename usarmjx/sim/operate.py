@@ -140,11 +140,10 @@ def _update_command(
     what: Operation, effect: Effect, command: RobotCommand, done: Array, xp: ModuleType
 ) -> RobotCommand:
     """Return the commands (n, ...) of robots that have an effect on themselves."""
-    target = effect.target
-    moved = [
-        part for part in parts_of(what.robot) if target is not None and part.name in what.effecter.joints
-    ]
-    joints = {part.name: what.effecter.joint_target(part, target, xp) for part in moved}
+    joints: dict[str, ArrayLike] = {}
+    for part in parts_of(what.robot):
+        if effect.target is not None and part.name in what.effecter.joints:
+            joints[part.name] = what.effecter.joint_target(part, effect.target, xp)
     update = CommandUpdate(joints=joints, mode=ControlMode(effect.mode), light=effect.light)
     return update_command(kinematic_tree_of(what.robot), command, update, done, xp)
 
@@ -166,11 +165,11 @@ def effecter_position(effecter: Effecter, plan: KinematicTree, bodies: BodyPoses
     return bodies.pos[body] + bodies.mat[body] @ np.array(flip_vector(effecter.mount.at), np.float32)
 
 
-def ground_below(geoms: Geoms, point: jax.Array) -> jax.Array:
+def ground_below(geoms: Geoms, point: Array) -> jax.Array:
     """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
     down = jnp.array([[0.0, 0.0, -1.0]])
     hits = cast_rays(geoms, point[None], down, RayQuery(transparent=frozenset({SKY})))
-    return point.at[2].add(-hits.distance[0])
+    return jnp.asarray(point).at[2].add(-hits.distance[0])
 
 
 @jax.named_scope("operate")

@@ -70,7 +70,9 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[j
     places, in_use = jnp.zeros((scene.num_robots, 3)), jnp.zeros(scene.num_robots, bool)
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
-        here = antenna_positions(group.robot, robots.pos, robots.quat, scene.arena.floor)
+        here = antenna_positions(
+            group.robot, jnp.asarray(robots.pos), jnp.asarray(robots.quat), scene.arena.floor
+        )
         places, in_use = places.at[group.slots].set(here), in_use.at[group.slots].set(state.active)
     return places, in_use
 

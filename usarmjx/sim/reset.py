@@ -38,8 +38,16 @@ def init_world(
     """Return a new world and the qpos (nq,) it starts from; see `reset`."""
     zero = jnp.zeros((), jnp.int32)
     faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
-    before = {"arena_state": None, "episode": zero - 1, "step": zero, "groups": (), "tags": no_dropped_tags()}
-    world = World(key=key, number=number, faults=faults, **before)
+    world = World(
+        key=key,
+        number=number,
+        arena_state=None,
+        episode=zero - 1,
+        step=zero,
+        groups=(),
+        tags=no_dropped_tags(),
+        faults=faults,
+    )
     return reset(scene, world, arenas, shuffle=shuffle)
 
 
@@ -72,10 +80,10 @@ def reset(
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
-    groups = []
+    groups: list[GroupState] = []
     for group in scene.groups:
         n = len(group.slots)
-        active = jnp.array([not scene.roster[slot].parked for slot in group.slots])
+        active = jnp.array([not scene.roster[int(slot)].parked for slot in group.slots])
         command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle_command(group.robot))
         groups.append(
             GroupState(

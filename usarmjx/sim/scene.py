@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
@@ -206,7 +206,9 @@ class Scene:
             return None
         names = tuple(f"{VICTIM_PREFIX}{i}" for i in self.moving_victim_boxes)
         return MovedGeoms(
-            names=names, max_half_length=self.victims.size[self.moving_victim_boxes].max(-1), resized=False
+            names=names,
+            max_half_length=np.asarray(self.victims.size)[self.moving_victim_boxes].max(-1),
+            resized=False,
         )
 
     @cached_property
@@ -254,7 +256,7 @@ class Scene:
         if self.arenas is None:
             return self.arena
         arenas = self.arenas.arenas
-        return arenas[arena_index_of(number, episode, len(arenas))]
+        return arenas[int(arena_index_of(np.asarray(number), np.asarray(episode), len(arenas)))]
 
     def group_of(self, slot: int) -> tuple[int, int]:
         """Return (group, place in the group) of a roster slot."""
@@ -276,14 +278,14 @@ def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
     return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
 
 
-def origin_height(arena: ArenaSpec, height: Array, robot: RobotSpec) -> Array:
+def origin_height(arena: ArenaSpec, height: ArrayLike, robot: RobotSpec) -> ArrayLike:
     """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
     return arena.floor + height - START_ELEVATION + kinematic_tree_of(robot).clearance + START_GAP
 
 
 def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
     """Return the height of a robot's origin when it stands on the ground under a start pose [m]."""
-    return origin_height(arena, start.at[2], robot)
+    return float(origin_height(arena, start.at[2], robot))
 
 
 def build_scene(
@@ -336,7 +338,7 @@ def build_scene(
         add_robot(spec, robot, prefix_of(slot), parking_position(arena, slot))
     cap_contacts(spec, physics, arena, robots)
     model = spec.compile()
-    check_ray_kinds(model.geom_type, [model.geom(i).name for i in range(model.ngeom)])
+    check_ray_kinds(model.geom_type.tolist(), [model.geom(i).name for i in range(model.ngeom)])
     return Scene(
         arena=arena,
         physics=physics,
@@ -355,7 +357,7 @@ def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[Ro
     slots: dict[RobotSpec, list[int]] = {}
     for slot, entry in enumerate(entries):
         slots.setdefault(entry.spec, []).append(slot)
-    groups = []
+    groups: list[RobotGroup] = []
     for robot, members in slots.items():
         groups.append(
             RobotGroup(

@@ -102,12 +102,12 @@ def _geom_table(
     model: mujoco.MjModel, arena: ArenaSpec, geoms: np.ndarray, pos: np.ndarray, mat: np.ndarray
 ) -> GeomTable:
     pieces = ray_primitives_of(model, geoms, materials_of(model, arena))
-    pos, mat = pieces.world_poses(pos, mat)
+    world_pos, world_mat = pieces.world_poses(pos, mat)
     return GeomTable(
         geom=geoms[pieces.geom],
         kind=pieces.kind,
-        pos=pos.astype(np.float32),
-        mat=mat.astype(np.float32),
+        pos=np.asarray(world_pos, np.float32),
+        mat=np.asarray(world_mat, np.float32),
         size=pieces.size,
         material=pieces.material,
         rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),

@@ -43,7 +43,7 @@ def surroundings(
 def start_poses(scene: Scene, arena_state: ArenaState | None) -> jax.Array:
     """Return the start poses of a world: x, y, z above the arena's floor [m] and yaw [rad] (starts, 4)."""
     if arena_state is not None:
-        return arena_state.starts
+        return jnp.asarray(arena_state.starts)
     return jnp.array([(*start.at, start.yaw) for start in scene.arena.starts])
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.cameras.light import SUN_DIRECTION, Headlights, PointLights, point_lights
 from usarmjx.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.cameras.paint import ROBOT_LABEL
@@ -85,7 +86,7 @@ def build_render_scene(
         sun_direction=sun / np.linalg.norm(sun),
         lights=lamps,
         headlights=_headlights(scene, world, bodies),
-        checker_size=np.float32(CHECKER_SIZE),
+        checker_size=np.asarray(CHECKER_SIZE, np.float32),
         checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
     )
     return render_scene, bodies
@@ -93,7 +94,9 @@ def build_render_scene(
 
 def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
     """Return the headlights; those of robots without power are off."""
-    pos, along, on = [], [], []
+    pos: list[Array] = []
+    along: list[Array] = []
+    on: list[Array] = []
     for group, state, body in zip(scene.groups, world.groups, bodies, strict=True):
         lamp = headlight_of(group.robot)
         mat = body.mat[:, lamp.body]
@@ -101,8 +104,12 @@ def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> He
         along.append(mat @ lamp.direction)
         on.append(state.command.light & powered(scene, world, group, state))
     slots = np.concatenate([group.slots for group in scene.groups])
-    joined = [jnp.concatenate(parts) for parts in (pos, along, on)]
-    return Headlights(pos=joined[0], direction=joined[1], on=joined[2], label=ROBOT_LABEL + slots)
+    return Headlights(
+        pos=jnp.concatenate(pos),
+        direction=jnp.concatenate(along),
+        on=jnp.concatenate(on),
+        label=ROBOT_LABEL + slots,
+    )
 
 
 @jax.named_scope("render")
@@ -141,7 +148,11 @@ def render_groups(
     scene: Scene, worlds: World, physics: PhysicsState, group_camera: GroupCamera, size: tuple[int, int]
 ) -> Picture:
     """Return what `render_group` does, of all worlds (worlds, robots, ...)."""
-    return map_pictures(lambda *one: render_group(scene, *one, group_camera, size), worlds, physics)
+
+    def one(world: World, physics: PhysicsState) -> Picture:
+        return render_group(scene, world, physics, group_camera, size)
+
+    return map_pictures(one, worlds, physics)
 
 
 def map_pictures(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees
@@ -151,5 +162,9 @@ def map_pictures(function: Callable[..., Picture], *values: Any) -> Picture:  # 
     left out, which is three times as fast.
     """
     if jax.default_backend() == "cpu":
-        return jax.lax.map(lambda row: function(*row), values)
+
+        def one(row: tuple[Any, ...]) -> Picture:
+            return function(*row)
+
+        return jax.lax.map(one, values)
     return jax.vmap(function)(*values)

@@ -72,39 +72,39 @@ class VisibleGeoms(NamedTuple):
 
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
     """Return rows as what rays are cast at."""
-    # Kept as arrays: else XLA works out the poses of all geoms again for every ray, and compiles for minutes.
-    joined = jax.lax.optimization_barrier([_joined(rows, name) for name in ("pos", "mat", "size", "owner")])
-    return make_geoms(*_columns(rows, joined))
+    kind, material, compact = _sorting_keys(rows)
+    pos, mat, size, owner = _joined(rows, "pos", "mat", "size", "owner")
+    return make_geoms(kind, pos, mat, size, owner, material, compact)
 
 
 def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     """Return rows as what cameras look at: owners are those of `paint.robot_geom_owner`."""
-    names = ("pos", "mat", "size", "owner", "rgb", "label")
-    *joined, owner, rgb, label = jax.lax.optimization_barrier([_joined(rows, name) for name in names])
-    piece = np.concatenate([row.geom_index for row in rows])
-    geoms = make_geoms(
-        *_columns(rows, [*joined, jnp.where(owner >= 0, robot_geom_owner(owner, piece), owner)])
-    )
-    kind, *_, material, compact = _columns(rows, [])
+    kind, material, compact = _sorting_keys(rows)
+    pos, mat, size, owner, rgb, label = _joined(rows, "pos", "mat", "size", "owner", "rgb", "label")
+    geom_index = np.concatenate([row.geom_index for row in rows])
+    owner = jnp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
+    geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
     order = np.concatenate(list(indices_by_key(kind, material, compact).values()))
-    clear = np.concatenate([row.transparency for row in rows])
-    paint = GeomAppearance(
+    appearance = GeomAppearance(
         rgb=rgb[order],
-        transparency=clear[order],
+        transparency=np.concatenate([row.transparency for row in rows])[order],
         reflectance=reflectances(np.array(material, object)[order]),
         label=label[order],
     )
-    return geoms, paint
+    return geoms, appearance
 
 
-def _joined(rows: Sequence[VisibleGeoms], name: str) -> jax.Array:
-    return jnp.concatenate([jnp.asarray(getattr(row, name)) for row in rows])
+def _joined(rows: Sequence[VisibleGeoms], *names: str) -> list[jax.Array]:
+    columns = [jnp.concatenate([jnp.asarray(getattr(row, name)) for row in rows]) for name in names]
+    # Kept as arrays: else XLA works out the poses of all geoms again for every ray, and compiles for minutes.
+    return jax.lax.optimization_barrier(columns)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
 
 
-def _columns(rows: Sequence[VisibleGeoms], joined: Sequence[jax.Array]) -> tuple:
+def _sorting_keys(rows: Sequence[VisibleGeoms]) -> tuple[np.ndarray, list[str], list[bool]]:
+    """Return kinds, materials and compactness of all geoms, by which `make_geoms` sorts."""
     kind, material = (np.concatenate([getattr(row, name) for row in rows]) for name in ("kind", "material"))
     compact = np.repeat([row.compact for row in rows], [len(row.kind) for row in rows])
-    return kind, *joined, material.tolist(), compact.tolist()
+    return kind, material.tolist(), compact.tolist()
 
 
 def visible_arena(scene: Scene, arena_state: ArenaState | None, time: jax.Array) -> list[VisibleGeoms]:
@@ -163,7 +163,7 @@ def visible_robots(
     scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[jax.Array]
 ) -> list[VisibleGeoms]:
     """Return the robots, by group; those that are not in use are far away."""
-    rows = []
+    rows: list[VisibleGeoms] = []
     for group, body, used in zip(scene.groups, bodies, active, strict=True):
         plan, n, g = group.plan, len(group.slots), len(group.plan.geom_type)
         pos, mat = jax.vmap(partial(geom_poses, plan))(body)
@@ -206,7 +206,9 @@ def _boxes(
     )
 
 
-def _visible(table: GeomTable, pos: Array = None, mat: Array = None, size: Array = None) -> VisibleGeoms:
+def _visible(
+    table: GeomTable, pos: Array | None = None, mat: Array | None = None, size: Array | None = None
+) -> VisibleGeoms:
     """Return geoms that are no robot's, where the scene has them or elsewhere."""
     return VisibleGeoms(
         kind=table.kind,

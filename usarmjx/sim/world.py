@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes
 from usarmjx.engines.base import Inputs, PhysicsState
@@ -47,9 +48,9 @@ class CommandHistory(struct.PyTreeNode, kw_only=True):
         setpoint: `RobotCommand.setpoint` (steps, keys).
     """
 
-    target: jax.Array
-    mode: jax.Array
-    setpoint: jax.Array
+    target: Array
+    mode: Array
+    setpoint: Array
 
 
 class GroupState(struct.PyTreeNode, kw_only=True):
@@ -195,14 +196,14 @@ def sense(scene: Scene, world: World, physics: PhysicsState) -> tuple[SensorInpu
             )(
                 sensor_input.bodies,
                 jnp.asarray(group.slots),
-                jax.vmap(partial(group.suite.due, sensor_input.time))(state.memory),
+                jax.vmap(partial(group.suite.due, jnp.asarray(sensor_input.time)))(state.memory),
             )
         )
         for group, sensor_input, state in zip(scene.groups, sensor_inputs, world.groups, strict=True)
     )
 
 
-def depth_in_water(arena: ArenaSpec, pos: jax.Array) -> jax.Array:
+def depth_in_water(arena: ArenaSpec, pos: Array) -> jax.Array:
     """Return how far a point (3,) is below the surface of water, negative above it [m] (); else `DRY`."""
     depth = jnp.full((), DRY_DEPTH)
     for water in arena.waters:
@@ -230,23 +231,15 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
     Parked robots are pinned where they wait; robots with an empty battery brake (KRobot.uc).
     """
     time = time_of(scene, world)
-    inputs = Inputs(
-        ctrl=jnp.zeros(scene.model.nu),
-        act=physics.act,
-        xfrc_applied=jnp.zeros((scene.model.nbody, 6)),
-        pinned=jnp.zeros(scene.model.nq, bool),
-        pinned_dof=jnp.zeros(scene.model.nv, bool),
-        qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
-        geom_poses=moved_geom_poses(scene, world.arena_state, time),
-        varied=world.varied,
-    )
+    ctrl, act = jnp.zeros(scene.model.nu), jnp.asarray(physics.act)
+    xfrc_applied = jnp.zeros((scene.model.nbody, 6))
+    pinned, pinned_dof = jnp.zeros(scene.model.nq, bool), jnp.zeros(scene.model.nv, bool)
     if world.arena_state is not None:
-        loose, missing = scene.loose_geoms, ~world.arena_state.present
-        inputs = inputs.replace(
-            pinned=_set_mask(inputs.pinned, loose.root_qposadr, missing),
-            pinned_dof=_set_mask(inputs.pinned_dof, loose.root_dof, missing),
-        )
-    refused, groups = world.faults.refused, []
+        loose, missing = scene.loose_geoms, jnp.asarray(~world.arena_state.present)
+        pinned = _set_mask(pinned, loose.root_qposadr, missing)
+        pinned_dof = _set_mask(pinned_dof, loose.root_dof, missing)
+    refused = world.faults.refused
+    groups: list[GroupState] = []
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
         depth = jax.vmap(partial(depth_in_water, scene.arena))(robots.pos)
@@ -260,22 +253,26 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         run = jax.vmap(partial(compute_actuation, group.plan, period=scene.physics.period))
         driven = run(command, robots, physics.act[group.actadr], now)
         parked = ~state.active
-        inputs = inputs.replace(
-            ctrl=inputs.ctrl.at[group.actuator_ids]
-            .set(driven.ctrl)
-            .at[group.hold_actuator_ids]
-            .set(driven.hold),
-            act=inputs.act.at[group.actadr].set(jnp.where(parked[:, None], 0.0, driven.act)),
-            xfrc_applied=inputs.xfrc_applied.at[group.chassis].set(
-                jnp.where(parked[:, None], 0.0, driven.wrench)
-            ),
-            pinned=_set_mask(_set_mask(inputs.pinned, group.root_qposadr, parked), group.qposadr, parked),
-            pinned_dof=_set_mask(
-                _set_mask(inputs.pinned_dof, group.root_dofadr, parked), group.dofadr, parked
-            ),
-        )
+        ctrl = ctrl.at[group.actuator_ids].set(driven.ctrl).at[group.hold_actuator_ids].set(driven.hold)
+        act = act.at[group.actadr].set(jnp.where(parked[:, None], 0.0, driven.act))
+        wrench = jnp.where(parked[:, None], 0.0, driven.wrench)
+        xfrc_applied = xfrc_applied.at[group.chassis].set(wrench)
+        for addresses in (group.root_qposadr, group.qposadr):
+            pinned = _set_mask(pinned, addresses, parked)
+        for addresses in (group.root_dofadr, group.dofadr):
+            pinned_dof = _set_mask(pinned_dof, addresses, parked)
         refused = refused + driven.refused.sum().astype(jnp.int32)
         groups.append(state)
+    inputs = Inputs(
+        ctrl=ctrl,
+        act=act,
+        xfrc_applied=xfrc_applied,
+        pinned=pinned,
+        pinned_dof=pinned_dof,
+        qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
+        geom_poses=moved_geom_poses(scene, world.arena_state, time),
+        varied=world.varied,
+    )
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs
 
 
@@ -339,7 +336,8 @@ def observe(
     """Read the sensors that are due; per group and sensor a reading with a leading axis over robots."""
     sensor_inputs = sense(scene, world, physics)
     key = jax.random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
-    groups, readings = [], []
+    groups: list[GroupState] = []
+    readings: list[tuple[Reading, ...]] = []
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
         with jax.named_scope(group.robot.name):
             memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
