@@ -18,7 +18,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-PACE = 20.0
+PACE = 10.0
 """Times real time: faster than that would only take cores from what compiles."""
 F4 = r"-?\d+\.\d{4}"
 HEADLIGHT = r"{LightToggle False} {LightIntensity 0} {Battery \d+} {View -1}"
@@ -160,11 +160,11 @@ TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
 
 @pytest.fixture(scope="module")
 def ports():
-    """Servers of all arenas that the trips need, running as fast as they can."""
+    """Servers of all arenas that the trips need."""
     worlds = [DynamicWorld(ARENAS.get(name), Physics(), jax.random.key(1)) for name in ("field", "pool")]
     with (
-        serving(worlds[0], realtime_factor=0) as (field, _),
-        serving(worlds[1], realtime_factor=0) as (pool, _),
+        serving(worlds[0], realtime_factor=PACE) as (field, _),
+        serving(worlds[1], realtime_factor=PACE) as (pool, _),
     ):
         yield {"field": field, "pool": pool}
 
