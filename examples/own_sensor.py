@@ -23,8 +23,9 @@ import numpy as np
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import GLASS, SKY, Mount, Shape
+from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import POSITIVE
+from usarmjx.models.spec.shapes import GLASS, SKY, Shape
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, noisy
 from usarmjx.sensors.quantities import Quantity

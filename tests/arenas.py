@@ -3,7 +3,7 @@
 import math
 
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 RAMP = Shape(
     kind="box",

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.rig import PERIOD, Rig
 from usarmjx.models.build.parts import joint_names
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 NEAR = 1.0
 """x of the first step's face [m]."""

@@ -10,7 +10,8 @@ from usarmjx.models.effecters import effecters_of, no_dropped_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import Link, MissionPackage, Motor, Mount, Shape, options
+from usarmjx.models.spec.robot import Link, MissionPackage, Motor, Mount, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.operate import EffecterState, Operation, apply_operation
 
 LIFT = MissionPackage(

@@ -19,7 +19,7 @@ from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec, Light, LooseObject, StartPose, Tag, Victim
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.motion import InsMemory
 from usarmjx.sensors.rays.raycast import Hits, cast_rays

@@ -6,7 +6,7 @@ import numpy as np
 from usarmjx.cameras.light import Headlights, PointLights, no_headlights, point_lights
 from usarmjx.cameras.paint import ARENA_LABEL, ROBOT_LABEL, GeomAppearance, reflectances, transparencies
 from usarmjx.cameras.shading import RenderScene
-from usarmjx.models.spec.robot import OPAQUE
+from usarmjx.models.spec.shapes import OPAQUE
 from usarmjx.sensors.rays.targets import indices_by_key, make_geoms
 
 BOX, PLANE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_PLANE)

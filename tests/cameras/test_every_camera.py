@@ -15,7 +15,7 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.rays.targets import indices_by_key
 from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
 from usarmjx.sim.scene import build_scene

@@ -28,7 +28,8 @@ from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.omni_pioneer import OMNI_P2DX
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, StartPose, Victim
-from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from usarmjx.cli import demo_run as demo
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 HALF = (0.5, 0.3)
 BOX = np.array([[2.0, -1.0, 3.0, 1.0]])

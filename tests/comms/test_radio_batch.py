@@ -20,7 +20,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.robots.station import COMSTATION
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.radio import robot_antennas, update_links
 from usarmjx.sim.scene import RosterEntry, build_scene

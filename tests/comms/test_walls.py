@@ -17,7 +17,7 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose_arena import VICTIM_PREFIX
 from usarmjx.models.build.pieces import FENDER_KIND
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
 from usarmjx.sim.scene import build_scene
 

@@ -13,7 +13,7 @@ from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatur
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -24,7 +24,7 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.robot import HeightField, Shape
+from usarmjx.models.spec.shapes import HeightField, Shape
 from usarmjx.plots import floor_plan, gallery, picture, render
 from usarmjx.plots.scenery import MIRROR_REFLECTANCE
 from usarmjx.plots.viewpoint import camera_rays

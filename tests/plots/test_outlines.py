@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 from usarmjx.plots.outlines import CIRCLE_POINTS, area, height_range, outline
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.plots import picture
 
 ROOM = ArenaSpec(

@@ -14,7 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.comms.attenuation import RadioSettings, link_range
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.plots import picture
 from usarmjx.plots.radio_map import ANTENNA_HEIGHT, CUTOFF_LINE, parse_position, power_map, radio_picture
 

@@ -17,7 +17,7 @@ from usarmjx.cameras.paint import ARENA_LABEL, ROBOT_LABEL, VICTIM_LABEL
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.plots import camera_plots, sensor_plots, sensor_studies
 from usarmjx.sensors.ranging import RangeSettings, SonarSettings
 from usarmjx.sensors.rfid import RfidSettings, signal_strength

@@ -9,7 +9,8 @@ import pytest
 from tests.rig import Rig
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, Shape, options
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.settings import resolve_settings
 from usarmjx.sensors.touch import TouchSettings, button_ray_origins
 from usarmjx.server.messages.sensors import configuration, sensor_report

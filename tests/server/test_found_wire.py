@@ -12,7 +12,8 @@ from tests.arenas import FLAT
 from tests.handy import TAGGER, known
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.spec.arena import HelpSound, SegmentMotion, Tag, Victim
-from usarmjx.models.spec.robot import Mount, Shape, options
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.server.adapter import Client
 from usarmjx.server.pictures.views import snapshot
 from usarmjx.server.protocol import commands as wire

@@ -22,7 +22,7 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.robot import GLASS, Shape
+from usarmjx.models.spec.shapes import GLASS, Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

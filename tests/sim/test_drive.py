@@ -15,7 +15,7 @@ from tests.arenas import FLAT
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.server.protocol.frames import flip_wire_angles
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import FLIP_TIME

@@ -18,7 +18,8 @@ from usarmjx.models.effecters import MAX_DROPPED_TAGS
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.robot import Mount, Shape, options
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.operate import NO_NUMBER
 from usarmjx.sim.scene import build_scene

@@ -7,7 +7,7 @@ import pytest
 
 from usarmjx.models.build.victims import box_names, segment_poses, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, LooseObject, SegmentMotion, StartPose, Victim
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene

@@ -15,7 +15,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization, RandomizedValues
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.reset import init_world

@@ -10,7 +10,7 @@ import numpy as np
 from usarmjx.comms.links import no_links
 from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.reset import init_world

@@ -20,7 +20,7 @@ import numpy as np
 from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate_links, no_links
-from usarmjx.models.spec.robot import OPAQUE
+from usarmjx.models.spec.shapes import OPAQUE
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 
 ARENA_SIDE = 20.0

@@ -10,7 +10,7 @@ from usarmjx.models.build.compose_arena import ARENA as ARENA_NAMES
 from usarmjx.models.build.compose_arena import DOOR, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.build.victims import victim_table
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import GLASS, MIRROR
+from usarmjx.models.spec.shapes import GLASS, MIRROR
 
 (
     OUTSIDE_LABEL,

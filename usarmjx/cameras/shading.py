@@ -29,7 +29,7 @@ from usarmjx.cameras.light import (
     spot_falloff,
 )
 from usarmjx.cameras.paint import ARENA_LABEL, PLANE, SKY_LABEL, GeomAppearance
-from usarmjx.models.spec.robot import GLASS, MATERIALS, MIRROR, SKY
+from usarmjx.models.spec.shapes import GLASS, MATERIALS, MIRROR, SKY
 from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, nearest_hits, normals
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms
 

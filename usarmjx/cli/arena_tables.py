@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import MATERIALS, OPAQUE
+from usarmjx.models.spec.shapes import MATERIALS, OPAQUE
 
 ARENA_HEAD = (
     "| arena | what it is | size [m] | solids | loose | doors | victims | false alarms | tags | starts "

@@ -32,7 +32,7 @@ from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import OPAQUE, SKY
+from usarmjx.models.spec.shapes import OPAQUE, SKY
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12

@@ -18,7 +18,7 @@ from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.build.tags import tag_ids
 from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
 from usarmjx.plots.outlines import height_range, outline
 from usarmjx.plots.picture import ARROW, DPI, GROUND, PAPER, STYLES, WALL, WIDTH, draw_shapes
 

@@ -17,7 +17,7 @@ from usarmjx.cameras.paint import WATER_RGB, WATER_TRANSPARENCY, labels_of
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import SKY, Shape
+from usarmjx.models.spec.shapes import SKY, Shape
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.outlines import area, height_range, outline
 from usarmjx.plots.picture import overhead_height

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 CIRCLE_POINTS = 32
 """Corners that stand for a circle."""

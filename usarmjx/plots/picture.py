@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
 from usarmjx.plots.outlines import height_range, outline
 
 DPI = 120

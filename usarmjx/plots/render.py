@@ -16,7 +16,7 @@ from usarmjx.cameras.lenses import TILE, tiled, untiled
 from usarmjx.cameras.light import SUN_DIRECTION, no_headlights, point_lights
 from usarmjx.cameras.paint import GeomAppearance
 from usarmjx.cameras.shading import CHECKER_RGB, SKY_RGB, RenderScene, shade
-from usarmjx.models.spec.robot import GLASS, MIRROR, OPAQUE
+from usarmjx.models.spec.shapes import GLASS, MIRROR, OPAQUE
 from usarmjx.plots.scenery import RenderGeoms
 from usarmjx.plots.viewpoint import camera_rays
 from usarmjx.sensors.rays.kernels import RAY_KERNELS

@@ -15,7 +15,7 @@ from usarmjx.cameras.paint import (
     transparencies,
 )
 from usarmjx.models.build.pieces import ray_primitives_of
-from usarmjx.models.spec.robot import OPAQUE, SKY
+from usarmjx.models.spec.shapes import OPAQUE, SKY
 
 __all__ = [
     "BOX",

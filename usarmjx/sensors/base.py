@@ -20,8 +20,9 @@ from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import SKY, Mount
+from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey
+from usarmjx.models.spec.shapes import SKY
 from usarmjx.sensors.quantities import Quantity, total_size
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits

@@ -11,8 +11,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.robot import GLASS, SKY
 from usarmjx.models.spec.settings import POSITIVE, ManualKey, NumberLimits
+from usarmjx.models.spec.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.surroundings import Surroundings

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.robot import GLASS, SKY
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
+from usarmjx.models.spec.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.rays.bundles import Fans

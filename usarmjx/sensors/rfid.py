@@ -11,8 +11,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.robot import GLASS, SKY
 from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey, OneOf
+from usarmjx.models.spec.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.sketch import OverlayLines, no_overlay
 from usarmjx.sensors.surroundings import Surroundings

@@ -17,7 +17,8 @@ from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, Effect, Effecter, Opcode
-from usarmjx.models.spec.robot import SKY, RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.shapes import SKY
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command

@@ -16,7 +16,7 @@ from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, Outgo
 from usarmjx.comms.walls import arena_solids, bare_floor, with_boxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.doors import door_boxes
-from usarmjx.models.spec.robot import SKY
+from usarmjx.models.spec.shapes import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.streams import Stream

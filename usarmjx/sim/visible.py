@@ -31,7 +31,7 @@ from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.build.body_plan import BodyPoses, geom_poses
 from usarmjx.models.build.doors import door_boxes
-from usarmjx.models.spec.robot import GLASS, OPAQUE
+from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms, indices_by_key, make_geoms
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.scene_geoms import GeomTable

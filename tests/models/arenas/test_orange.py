@@ -27,7 +27,7 @@ from usarmjx.models.arenas.orange import (
 from usarmjx.models.build.victims import victim_table
 from usarmjx.models.check.arena import check_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import GLASS
+from usarmjx.models.spec.shapes import GLASS
 
 TABLE_2 = (1.2, -2.3, 1.16)  # manual, Table 2: start position in the orange arena, wire axes
 ATOL = 1e-9  # m: rays in double precision

@@ -13,7 +13,7 @@ from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TRE
 from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION
-from usarmjx.models.spec.robot import SKY
+from usarmjx.models.spec.shapes import SKY
 from usarmjx.sim.scene import build_scene
 
 DEEP = 0.002  # m

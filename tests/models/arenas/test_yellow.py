@@ -16,7 +16,7 @@ from usarmjx.engines.c import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
 from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR
 from usarmjx.sim.control import servos_of
 from usarmjx.sim.scene import build_scene, start_height
 

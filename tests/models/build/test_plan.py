@@ -13,7 +13,8 @@ from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import index_robot
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Link, MissionPackage, Shape
+from usarmjx.models.spec.robot import Link, MissionPackage
+from usarmjx.models.spec.shapes import Shape
 
 KINEMATICS_ATOL = 1e-5  # float32 at room scale: positions up to 5 m round to 5e-7, times some products
 HEIGHT_ATOL = 1e-6  # float64 in the compiled model

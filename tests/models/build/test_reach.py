@@ -16,7 +16,7 @@ from usarmjx.models.build.raster import Grid, rasterize
 from usarmjx.models.build.reach import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose, Victim
-from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 
 SPLIT = settings(max_examples=20, deadline=None)
 FAST = 0.1  # m: squares of the small arenas here

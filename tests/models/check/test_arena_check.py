@@ -10,7 +10,7 @@ from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.check.arena import check_arena
 from usarmjx.models.spec.arena import ArenaSpec, Door, LooseObject, StartPose, Tag, Victim, Water
-from usarmjx.models.spec.robot import HeightField, Shape
+from usarmjx.models.spec.shapes import HeightField, Shape
 
 START = StartPose(tag="A", at=(0, 0, 0.188))
 ROOM = ArenaSpec(name="room", starts=(START,), extent=((-5, 5), (-5, 5)))

@@ -20,7 +20,8 @@ from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.effecters.roller import RADIUS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import UP, Motor, Mount, Part, Shape, options
+from usarmjx.models.spec.robot import UP, Motor, Mount, Part, options
+from usarmjx.models.spec.shapes import Shape
 
 MM = 1e-3
 

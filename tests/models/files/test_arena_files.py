@@ -30,7 +30,7 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.robot import MATERIALS, SURFACES, HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import MATERIALS, SURFACES, HeightField, Mesh, Shape
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 USED_BY = {"wedge.obj": "workshop.yaml", "rubble.obj": "workshop.yaml", "office.pgm": "office-map.yaml"}

@@ -15,7 +15,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import ControlMode, servos_of
 

@@ -14,7 +14,8 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import FENDER_KIND, ray_primitives_of
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
-from usarmjx.models.spec.robot import FENDER, GLASS, MATERIALS, MIRROR, OPAQUE, SKY, Mount, Shape, options
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.shapes import FENDER, GLASS, MATERIALS, MIRROR, OPAQUE, SKY, Shape
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.rays.kernels import BAR_WIDTH, GRID_PITCH, RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays

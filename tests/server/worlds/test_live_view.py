@@ -15,7 +15,7 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
-from usarmjx.models.spec.robot import Mesh, Shape
+from usarmjx.models.spec.shapes import Mesh, Shape
 from usarmjx.sensors.rays.targets import indices_by_key
 from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
 from usarmjx.sim.batch import Batch

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping.maps import (
     FREE,

@@ -8,7 +8,7 @@ from usarmjx.cli.demo_run import clearance as demo_clearance
 from usarmjx.engines import PhysicsState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.task import TaskView

@@ -10,7 +10,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import STONE, WOOD, Rgba, block
 from usarmjx.models.arenas.pieces import CONCRETE, loose_box
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 Position2D = tuple[float, float]
 

@@ -10,7 +10,7 @@ import math
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 Rgba = tuple[float, float, float, float]
 

@@ -2,7 +2,7 @@
 
 from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
 from usarmjx.models.arenas.pieces import CONCRETE, MESHWORK, PANE, SILVER, STEEL, span, table
-from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
 
 LENGTH, WIDTH, HEIGHT = 24.0, 16.0, 3.0
 OUTER, INNER = 0.2, 0.1

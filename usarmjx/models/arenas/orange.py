@@ -44,7 +44,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.robot import GLASS
+from usarmjx.models.spec.shapes import GLASS
 
 FLOOR = -1.44
 ORIGIN = (-4.2, -4.3)

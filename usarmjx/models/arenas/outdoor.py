@@ -26,7 +26,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.robot import SKY, HeightField, Shape
+from usarmjx.models.spec.shapes import SKY, HeightField, Shape
 
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""

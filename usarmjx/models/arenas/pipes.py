@@ -10,7 +10,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import CELL, WOOD, block
 from usarmjx.models.arenas.pieces import STEEL
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import ZERO, Shape
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 PIPE = 0.06
 """Outer diameter of a 2 inch pipe [m]."""

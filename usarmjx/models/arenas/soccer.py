@@ -14,7 +14,7 @@ import math
 
 from usarmjx.models.arenas.elements import Rgba, block
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 LENGTH, WIDTH = 5.4, 3.6
 """Between the goal lines and between the side lines [m]."""

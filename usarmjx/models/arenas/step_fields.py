@@ -10,7 +10,7 @@ import math
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.arenas.elements import WOOD
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 POST = 0.10
 """Width of a post [m]."""

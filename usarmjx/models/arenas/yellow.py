@@ -26,7 +26,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.robot import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
 
 FLOOR = -2.08
 ORIGIN = (-2.4, -4.8)

@@ -20,7 +20,7 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import VictimTable, pad_table, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 PARKED_POS, PARKED_SIZE = (0.0, 0.0, -1000.0), (1e-3, 1e-3, 1e-3)
 """Where boxes wait that an arena does not have, and how large they are [m]: nothing comes there."""

@@ -16,7 +16,8 @@ from usarmjx.models.build.compose_arena import add_arena
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.build.parts import chassis_shapes, parts_of
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import CHASSIS, HOLD_SUFFIX, SURFACES, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotSpec
+from usarmjx.models.spec.shapes import SURFACES, Shape
 
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""

@@ -12,7 +12,7 @@ from usarmjx.models.build.doors import door_panel
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, Door, LooseObject
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """MuJoCo: a plane with zero half sizes is unbounded."""

@@ -7,7 +7,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.arena import ArenaSpec, Door
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 DOOR_GAP = 0.01
 """Between a door and the floor [m]."""

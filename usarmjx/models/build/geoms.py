@@ -5,7 +5,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.spec.robot import FENDER, MATERIALS, SKY, SURFACES, Shape
+from usarmjx.models.spec.shapes import FENDER, MATERIALS, SKY, SURFACES, Shape
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,

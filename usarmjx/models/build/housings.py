@@ -5,8 +5,9 @@ seen, by pictures and by the rays of other robots, but weigh nothing and are nev
 """
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.models.spec.settings import field_name
+from usarmjx.models.spec.shapes import Shape
 
 HOUSING_SIZE = (0.02, 0.012, 0.008)
 """Half lengths of a housing: longest along the axis that the sensor looks along [m] (chosen)."""

@@ -4,7 +4,7 @@ import mujoco
 
 from usarmjx.models.build.compose_arena import ARENA, LOOSE_PREFIX
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import OPAQUE
+from usarmjx.models.spec.shapes import OPAQUE
 
 
 def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:

@@ -9,7 +9,8 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.build.housings import housings
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 """Servo of a mission package joint [N m/rad], [N m s/rad], [kg m2]: stiff for parts of some 0.5 kg."""

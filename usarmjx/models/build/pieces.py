@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.models.spec.robot import FENDER, OPAQUE
+from usarmjx.models.spec.shapes import FENDER, OPAQUE
 
 TRIANGLE_KIND, FENDER_KIND, COLUMN_KIND = 201, 202, 203
 """Kinds of geoms beside MuJoCo's own `mjtGeom`. A triangle's position is its first corner, the x axis of its

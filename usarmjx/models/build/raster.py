@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.spec.robot import SKY, SURFACES, Shape
+from usarmjx.models.spec.shapes import SKY, SURFACES, Shape
 
 FLAT = 1e-9
 """A face whose normal has less than this along z is upright."""

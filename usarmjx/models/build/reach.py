@@ -32,7 +32,8 @@ from usarmjx.models.build.surfaces import (
 )
 from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, LooseObject, StartPose, Victim
-from usarmjx.models.spec.robot import ZERO, RobotSpec, Shape
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 DEFAULT_CELL_SIZE = 0.05
 """Side of a square [m]; more in arenas that would need more than MOST_SQUARES of them."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.robot import ZERO
+from usarmjx.models.spec.shapes import ZERO
 
 BODY_HEIGHT = 1.75
 """Height of a standing victim [m]."""

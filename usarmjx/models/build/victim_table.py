@@ -11,7 +11,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, POSTURES, Bone
 from usarmjx.models.spec.arena import FalseAlarm, SegmentMotion, Victim
-from usarmjx.models.spec.robot import ZERO
+from usarmjx.models.spec.shapes import ZERO
 
 MAX_SEGMENTS = 8
 """Most segments with a motion of their own (manual 14.1.3)."""

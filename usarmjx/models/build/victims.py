@@ -20,7 +20,7 @@ from usarmjx.models.build.victim_table import (
     pad_table,
 )
 from usarmjx.models.spec.arena import FalseAlarm, Victim
-from usarmjx.models.spec.robot import ZERO
+from usarmjx.models.spec.shapes import ZERO
 
 __all__ = [
     "BODY_HEIGHT",

@@ -17,7 +17,8 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, mat_from_angles
-from usarmjx.models.spec.robot import Mount, Part, Shape
+from usarmjx.models.spec.robot import Mount, Part
+from usarmjx.models.spec.shapes import Shape
 
 MAX_DROPPED_TAGS = 64
 """Most RFID tags that lie in one world (the manual's releasers have ids for 1001)."""

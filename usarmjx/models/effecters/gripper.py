@@ -6,7 +6,8 @@ from types import ModuleType
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.spec.robot import Motor, Part, Shape
+from usarmjx.models.spec.robot import Motor, Part
+from usarmjx.models.spec.shapes import Shape
 
 # All measures are chosen: the manual gives none.
 LEVER = 0.12

@@ -9,7 +9,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.models.files.meshes import convex_pieces
 from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Pose, usarsim_angles, usarsim_vector, volume
-from usarmjx.models.spec.robot import HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 
 GeomType = mujoco.mjtGeom
 

@@ -10,7 +10,7 @@ from usarmjx.models.files.content import Content, Rectangle
 from usarmjx.models.files.fields import check_keys, option, read, required
 from usarmjx.models.files.images import read_grey
 from usarmjx.models.files.values import YamlValue
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
 DEFAULT_WALL_HEIGHT = 1.2

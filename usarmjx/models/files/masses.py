@@ -8,7 +8,7 @@ import numpy as np
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.files.mjcf_solids import Inertia, inertia_box, mat_of
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 INERTIA_TOLERANCE = 1e-3
 """Relative difference of inertias that counts as none."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.content import surface_of
-from usarmjx.models.spec.robot import Mesh, Shape
+from usarmjx.models.spec.shapes import Mesh, Shape
 
 MOST_VERTICES = 200
 """Corners of one solid's hull: MJX looks at all of them in every contact."""

@@ -15,7 +15,7 @@ from usarmjx.models.files.geoms import geom_mass, geom_shapes
 from usarmjx.models.files.masses import with_masses
 from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
 from usarmjx.models.spec.arena import Door, LooseObject
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
 FLOOR_TOLERANCE = 1e-6

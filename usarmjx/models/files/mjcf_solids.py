@@ -8,7 +8,8 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
-from usarmjx.models.spec.robot import Shape, Vec3
+from usarmjx.models.spec.robot import Vec3
+from usarmjx.models.spec.shapes import Shape
 
 KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",

@@ -25,7 +25,8 @@ from usarmjx.models.files.mjcf_solids import (
     usarsim_vector,
     volume,
 )
-from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec, Shape, Spring
+from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec, Spring
+from usarmjx.models.spec.shapes import Shape
 
 USUAL_SPEED = 6.2832
 """Highest speed of a joint whose actuator sets none [rad/s or m/s]: the wheel joint's in the UDK version."""

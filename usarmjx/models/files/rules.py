@@ -7,7 +7,7 @@ from typing import Any
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.victim_table import build_table, check
 from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
-from usarmjx.models.spec.robot import FENDER, MATERIALS, SURFACES, Shape
+from usarmjx.models.spec.shapes import FENDER, MATERIALS, SURFACES, Shape
 
 SIZES = {
     "box": (3, "half lengths along x, y and z"),

@@ -10,7 +10,7 @@ import yaml
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.images import write_heights
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import HeightField, Mesh
+from usarmjx.models.spec.shapes import HeightField, Mesh
 
 HEADER = "# An arena of usarmjx. Lengths in metres, angles in radians; x forward, y left, z up.\n"
 WIDTH = 110

@@ -16,7 +16,7 @@ from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.files.values import read_yaml
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import OPAQUE, ZERO, HeightField, Shape
+from usarmjx.models.spec.shapes import OPAQUE, ZERO, HeightField, Shape
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)

@@ -14,7 +14,7 @@ from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles, usarsim_vector
 from usarmjx.models.files.values import read_bytes
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"

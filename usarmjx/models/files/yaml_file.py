@@ -16,7 +16,7 @@ from usarmjx.models.files.rules import problem
 from usarmjx.models.files.sources import SOLID_SOURCES, Scale
 from usarmjx.models.files.values import YamlValue
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import HeightField, Mesh
+from usarmjx.models.spec.shapes import HeightField, Mesh
 
 
 def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:

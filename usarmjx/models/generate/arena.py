@@ -14,7 +14,7 @@ from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, CellGrid, double
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 SMALLEST, LARGEST = 3, 64
 """Cells along a side."""

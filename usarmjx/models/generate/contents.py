@@ -38,7 +38,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 INNER = (CELL - THICKNESS) / 2
 """From the middle of a cell to its walls [m]."""

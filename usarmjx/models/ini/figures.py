@@ -9,7 +9,8 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_number, as_vector
-from usarmjx.models.spec.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Part, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
 """The original's defaults (manual 14.4.2.3): what our robots' own figures stand for."""

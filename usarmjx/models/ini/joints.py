@@ -15,7 +15,8 @@ from usarmjx.models.ini.figures import DEFAULT_SUSPENSION_TRAVEL
 from usarmjx.models.ini.pairs import JointPair, part_rotation, spin_axis, steering_axis, unit_of
 from usarmjx.models.ini.read import as_class, fail, key_text, number_of, vector_of
 from usarmjx.models.robots.kit import BLACK, car_wheel, wheel
-from usarmjx.models.spec.robot import STEER_SUFFIX, Motor, Part, RobotSpec, Shape, Spring
+from usarmjx.models.spec.robot import STEER_SUFFIX, Motor, Part, RobotSpec, Spring
+from usarmjx.models.spec.shapes import Shape
 
 # All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
 # a P2AT's (667 and 33 times the inertia), and torque for a friction coefficient of 1.

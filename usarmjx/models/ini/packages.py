@@ -25,7 +25,8 @@ from usarmjx.models.ini.read import (
     vector_of,
 )
 from usarmjx.models.robots.packages import PACKAGES, mount_package
-from usarmjx.models.spec.robot import ZERO, Link, MissionPackage, RobotSpec, Shape
+from usarmjx.models.spec.robot import Link, MissionPackage, RobotSpec
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 PREFIX = "usarmispkg."
 LINK_FIELDS = (

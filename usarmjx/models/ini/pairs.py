@@ -24,7 +24,8 @@ from usarmjx.models.ini.read import (
     reject_unknown,
     vector_of,
 )
-from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, ZERO
+from usarmjx.models.spec.robot import CHASSIS, LEFT, UP
+from usarmjx.models.spec.shapes import ZERO
 
 FIELDS = (
     "PartName", "PartClass", "JointClass", "bSteeringLocked", "bSuspensionLocked", "Parent", "ParentPos",

@@ -19,7 +19,8 @@ from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import Units, as_number, as_vector, fail
 from usarmjx.models.ini.stereo import with_stereo
 from usarmjx.models.robots.track_kit import mass_of
-from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 LOCATED_MESSAGE = re.compile(r".+:\d+: ")
 """How a message begins that names file and line."""

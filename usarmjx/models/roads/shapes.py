@@ -13,7 +13,7 @@ import numpy as np
 
 from usarmjx.models.roads.geodesy import LatLon, to_local_xy
 from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
-from usarmjx.models.spec.robot import Shape
+from usarmjx.models.spec.shapes import Shape
 
 LANE_WIDTH = 12.0
 """Of lanes whose network does not say it [feet] (chosen: that of highways)."""

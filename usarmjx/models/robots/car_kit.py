@@ -5,16 +5,8 @@ from dataclasses import dataclass
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, car_wheel, firm_motor, wheel
-from usarmjx.models.spec.robot import (
-    STEER_SUFFIX,
-    MissionPackage,
-    Mount,
-    Part,
-    RobotSpec,
-    Shape,
-    Spring,
-    options,
-)
+from usarmjx.models.spec.robot import STEER_SUFFIX, MissionPackage, Mount, Part, RobotSpec, Spring, options
+from usarmjx.models.spec.shapes import Shape
 
 MAX_SPIN = 100.0
 """Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, camera
 from usarmjx.models.robots.track_kit import FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
-from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, Shape, options
+from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
+from usarmjx.models.spec.shapes import Shape
 
 RIGHT = (0.0, 1.0, 0.0)
 ORANGE = (0.9, 0.45, 0.1, 1.0)

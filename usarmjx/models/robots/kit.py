@@ -9,16 +9,15 @@ from usarmjx.models.spec.robot import (
     STEER_SUFFIX,
     SUSPENSION_SUFFIX,
     UP,
-    ZERO,
     Link,
     MissionPackage,
     Motor,
     Mount,
     Part,
-    Shape,
     Spring,
     options,
 )
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 Rgba = tuple[float, float, float, float]
 

@@ -13,7 +13,8 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
-from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 LENGTH, WIDTH, HEIGHT = 0.45, 0.29, 0.35  # manual 12.16.1; the scanner is the highest
 MASS = 35.0  # manual 12.16.1

@@ -8,7 +8,8 @@ import math
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
-from usarmjx.models.spec.robot import STEER_SUFFIX, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import STEER_SUFFIX, Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 ORIGIN = 0.40
 RADIUS, TYRE = 0.125, 0.05

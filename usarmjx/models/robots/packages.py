@@ -5,7 +5,8 @@ from dataclasses import replace
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, pan_tilt
-from usarmjx.models.spec.robot import ZERO, Link, MissionPackage, Shape
+from usarmjx.models.spec.robot import Link, MissionPackage
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 GLASSY = (0.75, 0.8, 0.85, 1.0)
 PILLAR_STEP = 0.1

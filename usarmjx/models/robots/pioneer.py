@@ -17,7 +17,8 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
-from usarmjx.models.spec.robot import Motor, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import Motor, Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 RED = (0.75, 0.1, 0.1, 1.0)
 

@@ -15,7 +15,8 @@ from usarmjx.models.robots.kit import (
     wheel,
 )
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Motor, Mount, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import Motor, Mount, Part, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 GREEN = (0.2, 0.4, 0.25, 1.0)
 YELLOW = (0.85, 0.7, 0.15, 1.0)

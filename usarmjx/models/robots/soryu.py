@@ -3,7 +3,8 @@
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
 from usarmjx.models.robots.track_kit import Belt, drive_tracks, mass_of, track, track_names
-from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 RIGHT: Vec3 = (0.0, 1.0, 0.0)
 DOWN: Vec3 = (0.0, 0.0, 1.0)

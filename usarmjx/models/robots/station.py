@@ -2,7 +2,8 @@
 
 from usarmjx.models.drives import NoDrive
 from usarmjx.models.robots.kit import BLACK, Rgba
-from usarmjx.models.spec.robot import Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 GREY: Rgba = (0.6, 0.6, 0.65, 1.0)
 

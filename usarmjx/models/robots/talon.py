@@ -5,7 +5,8 @@ import math
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick_housing, sick_lms200
 from usarmjx.models.robots.track_kit import GRIPPER_FINGERS_MASS, Belt, drive_tracks, mass_of, track_pair
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 OLIVE = (0.35, 0.38, 0.22, 1.0)
 RED = (0.75, 0.1, 0.1, 1.0)

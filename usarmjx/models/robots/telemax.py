@@ -14,7 +14,8 @@ from usarmjx.models.robots.track_kit import (
     mass_of,
     track_pair,
 )
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, Shape
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
+from usarmjx.models.spec.shapes import Shape
 
 SILVER = (0.75, 0.75, 0.78, 1.0)
 

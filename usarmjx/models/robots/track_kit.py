@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Tracks
 from usarmjx.models.robots.kit import BLACK, wheel
-from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Motor, Part, Shape
+from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Motor, Part
+from usarmjx.models.spec.shapes import Shape
 
 BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
 """Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a

@@ -8,7 +8,7 @@ radians, masses kilograms. Solids are `spec.Shape`, as robots' are.
 from dataclasses import dataclass
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.robot import ZERO, Shape
+from usarmjx.models.spec.shapes import ZERO, Shape
 
 
 @dataclass(frozen=True, kw_only=True)

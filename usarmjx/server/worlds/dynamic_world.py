@@ -31,7 +31,8 @@ from usarmjx.models.build.victims import segment_poses, victim_table
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Effecter, Opcode, no_dropped_tags
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import OPAQUE, SKY, RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.shapes import OPAQUE, SKY
 from usarmjx.sensors.base import Sensor, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, BlockKey, GeomBlock, Geoms, indices_by_key

@@ -23,7 +23,8 @@ from usarmjx.cameras.shading import RenderScene
 from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.pieces import RayPrimitives
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import GLASS, RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.shapes import GLASS
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, BlockKey, GeomBlock, Geoms
 from usarmjx.sim.views import CHECKER_SIZE, UNBOUNDED_EXTENT
 

@@ -19,7 +19,8 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import RobotSpec, Shape
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.train.envs.task import TaskView
 
 DRIVABLE_HEIGHT = 0.1

@@ -13,7 +13,8 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.drives import RotaryWing
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import spec_of

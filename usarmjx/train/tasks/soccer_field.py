@@ -29,7 +29,8 @@ from usarmjx.models.arenas.soccer import (
 )
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec, Shape, options
+from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.train.scenes.equip import GROUND_TRUTH
 
 GOAL_LINE, SIDE_BOARD = LENGTH / 2, CARPET[1] / 2
