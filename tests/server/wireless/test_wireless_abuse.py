@@ -236,7 +236,7 @@ def test_strangers_yield_to_newcomers_and_robots_stay(world):
 
 
 def test_silent_strangers_are_dropped_and_robots_may_be_silent(world):
-    with on_air(world, idle=0.2) as radio:
+    with on_air(world, idle_timeout=0.2) as radio:
         radio.robot("Base0", 0.0)
         mine = [radio.control_a("Base0"), radio.control_b("Base0")]
         strangers = [radio.keep(raw(port)) for port in everywhere(radio)]
