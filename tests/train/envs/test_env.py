@@ -74,9 +74,9 @@ def spoil(env, state, world):
     if env.traceable:
         physics = physics.replace(qvel=physics.qvel.at[world, 0].set(jnp.nan))
     else:
-        everything = physics.everything.copy()
-        everything[world, 1 + env.scene.model.nq] = np.nan
-        physics = physics._replace(integration=everything)
+        integration = physics.integration.copy()
+        integration[world, 1 + env.scene.model.nq] = np.nan
+        physics = physics._replace(integration=integration)
     return state.replace(batch=state.batch.replace(physics=physics))
 
 
@@ -215,12 +215,12 @@ def test_a_step_can_be_scanned_where_the_engine_is_traced(begun):
 def test_levels_choose_among_generated_arenas():
     arena = GeneratedArenas(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
     env = goal_env(4, arena=arena)
-    sites, easy = env.scene.arenas.states.pos, [0, 1, 0, 1]
+    solids, easy = env.scene.arenas.states.pos, [0, 1, 0, 1]
     state = env.reset(level=0.0)
-    np.testing.assert_array_equal(state.batch.worlds.arena_state.pos, sites[easy])
+    np.testing.assert_array_equal(state.batch.worlds.arena_state.pos, solids[easy])
     for level, places in ((0.9, easy), (1.0, range(4)), (0.0, easy)):
         state = env.at_level(state, level)
-        np.testing.assert_array_equal(state.batch.arenas.pos, sites[np.array(places)])
+        np.testing.assert_array_equal(state.batch.arenas.pos, solids[np.array(places)])
         assert float(state.level) == pytest.approx(level)
     assert env._library._cache_size() == 1, "nothing is compiled again"
 
@@ -272,22 +272,22 @@ class Whisper(Task):
     def act(self, view, memory, actions):
         everyone = jnp.ones((3, 3), bool)
         payload = jnp.concatenate([actions[0], jnp.zeros((1, 1))])
-        letters = OutgoingMessages(receivers=everyone, payload=payload, size_bytes=jnp.full(3, 4))
+        messages = OutgoingMessages(receivers=everyone, payload=payload, size_bytes=jnp.full(3, 4))
         pan = JointAction(group=0, targets={"CameraPanTilt_Link1": 0.1 * actions[0][:, 0]})
-        return Actions(joint_actions=(pan,), messages=letters)
+        return Actions(joint_actions=(pan,), messages=messages)
 
     def observe(self, view, memory):
         box = view.mail
         said = jnp.where(box.valid, box.payload[..., 0], 0.0).sum(-1)
         return (jnp.stack([said, box.count, view.links.in_range.sum(-1)], -1)[:2],)
 
-    def judge(self, view, memory):
+    def evaluate(self, view, memory):
         pan = view.scene.groups[0].plan.joint_index("CameraPanTilt_Link1")
         target = view.world.groups[0].command.target[:, pan]
         return StepResult(memory, (target,), memory > 1, target.sum(), {})
 
 
-def test_a_task_of_ones_own_sends_letters_and_moves_joints():
+def test_a_task_of_ones_own_sends_messages_and_moves_joints():
     tall = open_floor(starts=3)
     env = Env(Whisper(arena=tall), 2, engine="c")
     assert [group.name for group in env.groups] == ["P2AT"]
