@@ -1,7 +1,9 @@
 """Solids for wall counting, and a second opinion on which of them a segment crosses."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -11,6 +13,7 @@ from usarmjx.comms.walls import count_walls
 from usarmjx.sensors.rays.targets import make_geoms
 
 Geom = mujoco.mjtGeom
+COUNT = jax.jit(count_walls)
 
 
 @dataclass
@@ -22,13 +25,17 @@ class Solids:
     mat: np.ndarray
     size: np.ndarray
 
-    def geoms(self):
+    @cached_property
+    def _geoms(self):
         single = (jnp.asarray(part.astype(np.float32)) for part in (self.pos, self.mat, self.size))
         return make_geoms(self.kind, *single, jnp.full(len(self.kind), -1))
 
+    def geoms(self):
+        return self._geoms
+
     def count(self, start, end):
         points = (jnp.asarray(np.atleast_2d(p), jnp.float32) for p in (start, end))
-        return np.asarray(count_walls(self.geoms(), *points))
+        return np.asarray(COUNT(self._geoms, *points))
 
 
 def solids(*members):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from usarmjx.comms.connectivity import (
     bottleneck,
-    bottleneck_link,
     connected_components,
     hops,
     reachable,
@@ -102,18 +101,6 @@ def test_bottlenecks_are_the_weakest_links_of_the_best_ways():
                 cutoffs = sorted(set(power[np.isfinite(power)].tolist()), reverse=True)
                 expected = next((c for c in cutoffs if search(power >= c, i)[j] < n), -np.inf)
                 assert best[i, j] == expected
-
-
-def test_the_link_on_which_all_hangs():
-    power = np.full((5, 5), -np.inf, np.float32)
-    for i, j, dbm in ((0, 1, -50), (1, 2, -80), (2, 3, -60), (0, 3, -90), (0, 2, -95)):
-        power[i, j] = power[j, i] = dbm
-    weakest, low, high = bottleneck_link(power, 0)
-    assert (float(weakest), int(low), int(high)) == (-80.0, 1, 2)  # 0-1-2-3; robot 4 is parked
-    weakest, low, high = bottleneck_link(power, 4)  # nobody hears the base
-    assert float(weakest) == -np.inf
-    alone = bottleneck_link(np.full((3, 3), -np.inf, np.float32), 0)
-    assert [float(x) for x in alone] == [np.inf, 0, 0]
 
 
 def test_worlds_are_mapped_over_and_may_be_leading_axes():

@@ -64,7 +64,7 @@ AMONG_WALLS = partial(links_of, geoms=random_boxes(np.random.default_rng(3), 20,
 @given(places, st.lists(st.booleans(), min_size=4, max_size=4))
 def test_tables_are_symmetric_and_without_oneself(antennas: list, in_use: list):
     links = AMONG_WALLS(np.array(antennas, np.float32), np.array(in_use))
-    for name in ("power", "walls", "paired", "in_range", "chance"):
+    for name in ("power", "walls", "paired", "in_range", "delivery_probability"):
         table = np.asarray(getattr(links, name))
         np.testing.assert_array_equal(table, table.T)
     assert not np.diag(links.paired).any()

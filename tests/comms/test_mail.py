@@ -21,7 +21,7 @@ from usarmjx.comms.mail import (
 N = 4
 SIZES = MessageSettings(numbers=2, capacity=3, bytes_per_step=1000)
 EVERYONE = np.ones((N, N), bool)
-CAUSES = ("over_budget", "no_link", "lost", "box_full")
+CAUSES = ("over_budget", "no_link", "lost", "inbox_full")
 KEY = jax.random.key(0)
 DELIVER = jax.jit(deliver, static_argnums=0)
 
@@ -90,7 +90,7 @@ def test_full_boxes_take_nothing_more_until_they_are_emptied():
         mail = post(mail, only((0, 1), (2, 1)), step=step)
     assert mail.count.tolist() == [0, 3, 0, 0]
     assert mail.sender[1].tolist() == [0, 2, 0]
-    assert dropped(mail) == NOTHING | {"box_full": [3, 0, 4, 0]}
+    assert dropped(mail) == NOTHING | {"inbox_full": [3, 0, 4, 0]}
     kept = clear_inboxes(mail, jnp.array([True, False, True, True]))
     assert kept.count.tolist() == [0, 3, 0, 0]
     mail = post(clear_inboxes(mail), only((3, 1)), step=9)
@@ -165,7 +165,7 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
                 if not linked[s, r] or s == r:
                     drops["no_link"][s] += 1
                 elif len(boxes[r]) == SIZES.capacity:
-                    drops["box_full"][s] += 1
+                    drops["inbox_full"][s] += 1
                 else:
                     boxes[r].append((s, length))
         mail = post(mail, to, length=length, links=links, step=step)

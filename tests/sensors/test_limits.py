@@ -127,6 +127,12 @@ def test_no_number_of_any_sensor_may_be_infinite_or_none(kind, bad):
             resolve_settings(settings, ((field.name, bad),), f"{kind} X")
 
 
+@pytest.mark.parametrize("bad", [6.3e-45, -1e-39, 1.17e-38])
+def test_a_number_that_single_precision_may_take_for_zero_is_refused(bad):
+    with pytest.raises(SpecError, match=f"Sonar X: setting Mean is {bad!r}, expected 0 or at least 1.2e-38"):
+        resolve_settings(settings_by_kind()["Sonar"], options(Mean=bad), "Sonar X")
+
+
 @pytest.mark.parametrize("kind", SENSOR_KINDS)
 def test_the_defaults_of_every_sensor_are_allowed(kind):
     settings = SENSORS.get(kind).settings_class

@@ -7,9 +7,10 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
@@ -17,6 +18,7 @@ from usarmjx.models.build.housings import HOUSING_SIZE
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.settings import SMALLEST_NUMBER, resolve_settings
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings
 from usarmjx.sensors.noise import noisy
 from usarmjx.sensors.payload import carried_weight
@@ -181,7 +183,13 @@ def test_without_sigma_the_noise_is_the_uniform_one_alone_and_each_row_its_own()
     sigma=st.floats(0.0, 3.0),
     seed=st.integers(0, 1000),
 )
+@example(distances=[0.0] * 16, low=6.3e-45, span=1.0, noise=0.0, sigma=0.0, seed=0)
 def test_ranges_stay_within_their_limits_whatever_the_noise(distances, low, span, noise, sigma, seed):
+    keys = {"MinRange": low, "MaxRange": low + span, "Noise": noise, "Sigma": sigma}
+    if any(0 < value < SMALLEST_NUMBER for value in keys.values()):
+        with pytest.raises(SpecError, match=r"expected 0 or at least 1\.2e-38"):
+            resolve_settings(RangeSettings, options(**keys), "Sonar S")
+        return
     mine = RangeSettings(min_range=low, max_range=low + span, noise=noise, sigma=sigma)
     true = np.array([distances], np.float32)
     told = np.asarray(range_readings(true, (mine,), jax.random.key(seed)))

@@ -43,7 +43,7 @@ def test_a_scans_beams_lie_in_its_plane_a_step_apart_and_within_its_field_of_vie
     assert len(lines) == mine.beams
     assert not lines[:, 2 if yaw else 1].any()
     angle = np.unwrap(np.arctan2(lines[:, 1 if yaw else 2], lines[:, 0]))
-    np.testing.assert_allclose(np.diff(angle), resolution if resolution < 3 else np.diff(angle), atol=1e-4)
+    np.testing.assert_allclose(np.diff(angle), resolution, atol=1e-4)
     assert angle[-1] - angle[0] <= fov + 1e-3 * resolution + 1e-4
     assert fov - (angle[-1] - angle[0]) < resolution + 1e-4
 

@@ -94,25 +94,3 @@ def bottleneck(power: jax.Array) -> jax.Array:
     for _ in range(_squarings(robots)):
         best = jnp.minimum(best[..., :, :, None], best[..., None, :, :]).max(-2)
     return best
-
-
-@jax.jit
-def bottleneck_link(power: jax.Array, base: jax.Array | int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the link on which the base's worst connection hangs: to strengthen it helps the most.
-
-    Robots without any pair (parked ones) do not count.
-
-    Args:
-        power: Power received (robots, robots), symmetric; -inf without a pair.
-        base: Slot of the base station ().
-
-    Returns:
-        Its power [dBm] and the lower and the higher slot of its ends, (), (), (); of several links of just
-        that power the first. Without any pair the power is inf, and the ends are 0 and 0.
-    """
-    robots = power.shape[-1]
-    there = jnp.isfinite(power).any(-1)
-    weakest = jnp.where(there, bottleneck(power)[base], jnp.inf).min()
-    upper = np.triu(np.ones((robots, robots), bool), 1)
-    index = jnp.argmax((power == weakest) & upper)
-    return weakest, index // robots, index % robots

@@ -12,7 +12,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector
+from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
@@ -113,11 +113,6 @@ class Odometry(Sensor):
     ) -> OdometryMemory | None:
         """RESET makes the present pose the reference (manual, Table 4)."""
         return self.init_memory(inputs, jnp.zeros(0)) if opcode.upper() == "RESET" else None
-
-
-def wrap_angle(angle: jax.Array) -> jax.Array:
-    """Return the angle in [-pi, pi) [rad]."""
-    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
 
 
 @dataclass(frozen=True)

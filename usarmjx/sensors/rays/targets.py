@@ -10,7 +10,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.models.build.pieces import HFIELD, MESH
-from usarmjx.models.spec.robot import OPAQUE
+from usarmjx.models.spec.shapes import OPAQUE
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 
 PADDING_DISTANCE = 1e6
@@ -55,14 +55,6 @@ class Geoms(struct.PyTreeNode, kw_only=True):
     kinds: tuple[int, ...] = struct.field(pytree_node=False)
     materials: tuple[str, ...] = struct.field(pytree_node=False)
     compact: tuple[bool, ...] = struct.field(pytree_node=False, default=())
-
-    def opaque_blocks(self, transparent: frozenset[str]) -> tuple[tuple[int, GeomBlock], ...]:
-        """Return kinds and blocks without those of materials that rays pass."""
-        return tuple(
-            (kind, block)
-            for kind, block, material in zip(self.kinds, self.blocks, self.materials, strict=True)
-            if material not in transparent
-        )
 
 
 def check_ray_kinds(geom_types: Sequence[int], names: Sequence[str]) -> None:
