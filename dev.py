@@ -71,7 +71,7 @@ OPTIMISED = (
     "tests/sensors/rays/test_raycast.py",
     "tests/server/test_joints_wire.py",
     "tests/sim/test_control.py",
-    "tests/train/envs/test_env.py::test_a_world_is_the_same_alone_as_in_a_batch",
+    "tests/train/envs/test_env.py::test_a_world_is_the_same_alone_as_in_a_batch[c]",
     "tests/train/learning/test_ppo.py",
 )
 
