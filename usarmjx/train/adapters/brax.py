@@ -1,6 +1,6 @@
 """Brax: a batch as a `brax.envs.Env` whose batch axis is worlds times robots, for Brax's own tools."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ class BatchedRobots(BraxEnv):
         """
         key: jax.Array = rng
         if not jnp.issubdtype(rng.dtype, jax.dtypes.prng_key):
-            key = jax.random.wrap_key_data(rng)
+            key = cast(Any, jax.random).wrap_key_data(rng)  # whose result jax leaves without a type
         seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
         return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
 

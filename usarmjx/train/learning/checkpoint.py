@@ -123,8 +123,8 @@ def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
 def _like(leaf: object, array: np.ndarray) -> Array:
     """Return an array as what the leaf is."""
     if _is_key(leaf):
-        key: jax.Array = jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
-        return key
+        random: Any = jax.random  # jax leaves the result of this without a type
+        return random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else np.array(array)
 
 
