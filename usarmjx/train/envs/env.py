@@ -165,7 +165,7 @@ class Env:
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
-        batch, before = state.batch, state.batch.worlds.faults
+        batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
         worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
         worlds, task = self._evaluate(state.task_state, batch.worlds, self.batch.physics(batch), before)

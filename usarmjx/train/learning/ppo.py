@@ -264,6 +264,7 @@ def update(
     stream = jax.random.fold_in(jax.random.key(config.seed), UPDATE_STREAM)
     key = jax.random.fold_in(stream, train_state.iteration)
     batch, returns = compute_targets(networks, train_state, steps, ends, config)
+    # Statistics follow the update: log-probabilities and values of the rollout were taken with the old ones.
     old = train_state
     train_state, known = run_epochs(networks, config, processes, train_state, batch, key)
     good = ~steps.bad

@@ -77,7 +77,7 @@ class Rollout:
         generated = {} if not config.curriculum else {"level": level}
         env = self.env.reset(config.seed, **generated)
         number, late, carry = jax.jit(self._initial)()
-        if config.stagger:
+        if config.stagger:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=late.astype(env.length.dtype))
         return RolloutState(
             env_state=env,
@@ -163,6 +163,7 @@ class Rollout:
         episode_return, is_first = episode
         seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
         sound = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in seen]).all(0)
+        # A world whose numbers are not finite is as bad as one whose physics failed: neither is trained on.
         bad = after.bad | ~sound
         done = after.done | bad
         truncated = after.truncated & ~bad

@@ -43,6 +43,7 @@ class ActorCriticParams(PyTreeNode, kw_only=True):
         """Those of each group's policy."""
         if not self.group_bias:
             return self.policy
+        # Added into the bias of the first layer: acting and exporting need not know that groups share one.
         params = self.policy[0]["params"]
         first = params["layer_0"]
         return tuple(

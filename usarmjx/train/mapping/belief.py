@@ -199,7 +199,9 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
             there, sender = index < box.count, box.sender[index]
             payload, time = box.payload[index], box.time[index]
             news = maps.unpack(payload[HEADER_SIZE:], grid.shape)
+            # A message that did not come breaks the link: what was sent in between was not received.
             begun = jnp.where(time - heard[sender] > 1.5 * period, time, since[sender])
+            # What it had from this robot by its contact is at the base: a message takes a period.
             passed_on = jnp.minimum(payload[HEADER_SIZE - 1] - period, heard[sender])
             passed_on = jnp.where(passed_on >= begun - 1e-3, passed_on, contact)
             new = (
