@@ -179,7 +179,7 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
     assert int(mail.sent.sum()) == asked == sum(map(len, boxes)) + sum(map(sum, drops.values()))
 
 
-@pytest.mark.parametrize("name", ["numbers", "capacity", "budget"])
+@pytest.mark.parametrize("name", ["numbers", "capacity", "bytes_per_step"])
 def test_sizes_that_make_no_sense_are_refused(name: str):
     with pytest.raises(SpecError, match=f"{name} is 0, allowed is a whole number from 1"):
         MessageSettings(**{name: 0})

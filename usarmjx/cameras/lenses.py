@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
+
 TILE = 8
 """Side of the tiles that pixels come in."""
 MIRROR_RIM_ANGLE = math.radians(105.0)
@@ -56,7 +58,7 @@ def untiled(values: jax.Array, width: int, height: int) -> jax.Array:
     return cut.reshape(rows * TILE, columns * TILE, *values.shape[1:])[:height, :width]
 
 
-def pinhole_rays(width: int, height: int, fov: jax.Array) -> CameraRays:
+def pinhole_rays(width: int, height: int, fov: Array) -> CameraRays:
     """Return the rays of a pinhole camera.
 
     With f = (width / 2) / tan(fov / 2) the pixel in column c and row r looks along
@@ -81,7 +83,8 @@ def omni_rays(width: int, height: int, zoom: jax.Array) -> CameraRays:
     towards the camera, whose rays are parallel to the axis. One that meets the mirror at the radius r is
     thrown back as if it came from the focus: at the angle t from z with r = h tan(t / 2). The middle of the
     picture looks back at the camera, the horizon is where r = h, and the circle that fills the picture is
-    the mirror's rim, where t = `MIRROR_RIM_ANGLE`. Right and up in the picture are right and up of the camera; what is
+    the mirror's rim, where t = `MIRROR_RIM_ANGLE`. Right and up in the picture are right and up of
+    the camera; what is
     outside the rim shows nothing. Depth is the distance from the focus.
 
     Args:

@@ -36,7 +36,7 @@ class Camera:
         lens: What it looks through.
         eye_offsets: Where its eyes are, in its own axes: one in the middle, or the left one and the right
             one [m] (n, 3).
-        hidden_geoms: The geoms of its robot that it does not see, since they would cover its lens (`lens_cover`):
+        hidden_geoms: Geoms of its robot that it does not see, as they would cover its lens (`lens_cover`):
             captured mounts leave the original's finer bodies free, and lie on or in our solids (geoms,).
     """
 

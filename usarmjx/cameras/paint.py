@@ -61,7 +61,7 @@ def robot_geom_owner(slot: Array, geom: Array) -> Array:
 def camera_owners(owner: Array, slot: Array, hidden_geoms: Array) -> Array:
     """Return the owners (n,) as those see it that look through a camera of the robot in a slot ().
 
-    What its class's camera does not see (`Camera.hidden_geoms`) belongs to the slot; nothing else belongs to anyone.
+    What its class's camera does not see (`Camera.hidden_geoms`) belongs to the slot; nothing else is owned.
     """
     piece = jnp.append(jnp.asarray(hidden_geoms), False)[
         jnp.clip(owner - slot * MAX_ROBOT_GEOMS, 0, len(hidden_geoms))

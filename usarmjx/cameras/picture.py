@@ -60,7 +60,7 @@ def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array)
         mat=mat @ camera.mat,
         eye_offsets=camera.eye_offsets,
         fov=fov,
-        default_fov=np.float32(camera.default_fov),
+        default_fov=np.asarray(camera.default_fov, np.float32),
         slot=slot,
         hidden_geoms=np.pad(camera.hidden_geoms, (0, -len(camera.hidden_geoms) % HIDDEN_GEOMS_MULTIPLE)),
         lens=camera.lens,
@@ -98,7 +98,7 @@ def check_size(camera: Camera, width: int, height: int) -> None:
 def render_picture(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
     """Return what a robot's camera sees; pure, the size is static.
 
-    The robot sees itself, but for what would cover the lens, see `Camera.hidden_geoms`. A stereo camera's picture
+    The robot sees itself, but for what covers the lens (`Camera.hidden_geoms`). A stereo camera's picture
     has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
     3.2.6.2). The mirror of an omnidirectional camera fills the picture at the default field of view, and
     grows as it shrinks.

@@ -226,7 +226,7 @@ def _lit(render_scene: RenderScene, surface: _Surface, *, shadows: bool = True) 
 
 def _main_light(render_scene: RenderScene, surface: _Surface, day: jax.Array, *, shadows: bool) -> jax.Array:
     """Return the light of the sun, or of the lamp that gives most (3, rays)."""
-    facing = jnp.clip(_dot(surface.normal, render_scene.sun_direction), 0.0)
+    facing = jnp.clip(_dot(surface.normal, jnp.asarray(render_scene.sun_direction)), 0.0)
     best = DIFFUSE * 3 * day * facing  # of all three colours together
     colour = jnp.broadcast_to(jnp.ones((3, 1)) / 3, surface.point.shape)
     toward = jnp.broadcast_to(render_scene.sun_direction[:, None], surface.point.shape)
@@ -278,20 +278,24 @@ def _between(render_scene: RenderScene, wanted: jax.Array, surface: _Surface, to
     return nearest_hits(render_scene.geoms, start, along, SOLID_QUERY)
 
 
+def _padded(values: jax.Array, missing: int) -> jax.Array:
+    return jnp.pad(values, (0, missing))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
+
+
 def _needed(wanted: jax.Array, start: jax.Array, along: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return rays (rays, 3) of which those that are not wanted do as another one of their bundle.
 
     A bundle of which none is wanted looks up from far above, where it meets nothing and costs little.
     """
     missing = -len(wanted) % TILE_BUNDLE_SIZE
-    asked = jnp.pad(wanted, (0, missing)).reshape(-1, TILE_BUNDLE_SIZE)
+    asked = _padded(wanted, missing).reshape(-1, TILE_BUNDLE_SIZE)
     other = jnp.argmax(asked, 1)[:, None]
     some, up = asked.any(1)[:, None], jnp.array([0.0, 0.0, 1.0])
 
     def chosen(rows: jax.Array, otherwise: jax.Array) -> jax.Array:
-        columns = []
+        columns: list[jax.Array] = []
         for row, fill in zip(rows, otherwise, strict=True):
-            row = jnp.pad(row, (0, missing)).reshape(asked.shape)
+            row = _padded(row, missing).reshape(asked.shape)
             row = jnp.where(asked, row, jnp.take_along_axis(row, other, 1))
             columns.append(jnp.where(some, row, fill).reshape(-1)[: len(wanted)])
         return jnp.stack(columns, -1)

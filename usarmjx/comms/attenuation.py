@@ -65,7 +65,7 @@ class RadioSettings:
         """Refuse what makes no sense."""
         for name in ("pdo", "do", "n", "cutoff", "atten_fac", "period", "shadowing", "loss_band"):
             _check(self, name, math.isfinite(getattr(self, name)), "a finite number")
-        whole = isinstance(self.listen_port, int) and isinstance(self.max_obs, int)
+        whole = all(isinstance(getattr(self, name), int) for name in ("listen_port", "max_obs"))
         _check(self, "listen_port", whole and 0 <= self.listen_port <= MAX_PORT, f"0 to {MAX_PORT}")
         _check(self, "max_obs", whole and self.max_obs >= 0, "a whole number from 0")
         _check(self, "do", self.do > 0, "a distance above 0")
@@ -167,8 +167,8 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
     """Return the power that arrives [dBm], by the formula of manual 3.2.4.
 
     Below the reference distance the same formula goes on, so that power rises above `pdo`; under 1 mm it
-    rises no more (`MIN_ANTENNA_DISTANCE`), so that two antennas in one place hear each other with a finite power.
-    Differentiable in the distance, with slope 0 under 1 mm.
+    rises no more (`MIN_ANTENNA_DISTANCE`), so that two antennas in one place hear each other with a finite
+    power. Differentiable in the distance, with slope 0 under 1 mm.
 
     Args:
         settings: The constants.
@@ -177,7 +177,7 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
     """
     apart = jnp.maximum(jnp.asarray(distance, jnp.float32), MIN_ANTENNA_DISTANCE)
     fading = 10.0 * settings.n * jnp.log10(apart / settings.do)
-    return settings.pdo - fading - jnp.minimum(walls, settings.max_obs) * settings.atten_fac
+    return jnp.asarray(settings.pdo - fading - jnp.minimum(walls, settings.max_obs) * settings.atten_fac)
 
 
 def link_range(settings: RadioSettings, walls: int) -> float:

@@ -22,7 +22,8 @@ class Links(struct.PyTreeNode, kw_only=True):
         walls: Solids between the antennas; 0 where there is no pair (robots, robots).
         paired: Whether both robots are in use, and two: nobody has a link to itself (robots, robots).
         in_range: Whether the link holds: the power is not below the cutoff (robots, robots).
-        delivery_probability: Probability that a message over it arrives; 0 if it does not hold (robots, robots).
+        delivery_probability: Probability that a message over it arrives; 0 if there is no link
+            (robots, robots).
         went_down: Whether the link held at the last evaluation and does not now (robots, robots).
         came_up: Whether it holds now and did not then (robots, robots).
         evaluated: Whether this episode has been looked at; if not, there are no links yet ().
@@ -154,7 +155,7 @@ def evaluate_links(
     )
 
 
-def is_due(links: Links, step: jax.Array, every: int) -> jax.Array:
+def is_due(links: Links, step: jax.Array, every: int) -> Array:
     """Return whether it is time to evaluate again: so many control steps have passed, or none was yet ()."""
     return ~links.evaluated | (step >= links.step + every)
 

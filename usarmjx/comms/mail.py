@@ -120,7 +120,7 @@ def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
     )
 
 
-def _through(links: Links, key: jax.Array) -> jax.Array:
+def _through(links: Links, key: Array) -> jax.Array:
     """Return over which links a message gets through this time (robots, robots)."""
     return jax.random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
@@ -167,7 +167,7 @@ def deliver(
     new_sender = jnp.full((robots, capacity), -1).at[where].set(sender, mode="drop")
     fresh, source = new_sender >= 0, jnp.maximum(new_sender, 0)
 
-    def count(dropped: jax.Array) -> jax.Array:
+    def count(dropped: Array) -> Array:
         return dropped.sum(-1, dtype=jnp.int32)
 
     before = inboxes.dropped
@@ -189,6 +189,6 @@ def deliver(
     )
 
 
-def clear_inboxes(inboxes: Inboxes, mask: Array = True) -> Inboxes:
+def clear_inboxes(inboxes: Inboxes, mask: Array | bool = True) -> Inboxes:
     """Return the boxes with those of the masked robots (robots,) emptied: they have read their mail."""
     return inboxes.replace(count=jnp.where(mask, 0, inboxes.count))

@@ -18,7 +18,7 @@ shapes, meshes and terrain. A mesh is what lies behind the faces of all its tria
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -144,7 +144,7 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     """
     fixed = replace(arena, loose=(), doors=(), victims=(), false_alarms=())
     model = new_spec(fixed, Physics()).compile()
-    check_wall_types(model.geom_type)
+    check_wall_types(model.geom_type.tolist())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     walls = np.flatnonzero(np.array(materials_of(model, arena), object) != SKY)
@@ -191,12 +191,16 @@ PADDING_DISTANCE = 1e6
 def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
     """Return position, orientation and size by components (geoms,), filled up to whole chunks."""
     fill = -len(block.owner) % SOLIDS_PER_PASS
-    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)
-    size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)
+    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
+    size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
     mat = jnp.concatenate([block.mat, jnp.tile(jnp.eye(3, dtype=jnp.float32), (fill, 1, 1))])
     split = tuple(tuple(values[:, i] for i in range(3)) for values in (pos, size))
     turned = tuple(tuple(mat[:, j, i] for i in range(3)) for j in range(3))
     return split[0], turned, split[1]  # type: ignore - three of each
+
+
+def _entry(values: jax.Array, index: jax.Array) -> jax.Array:
+    return jax.lax.dynamic_index_in_dim(values, index)[0]  # pyright: ignore[reportUnknownVariableType] - half typed
 
 
 def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
@@ -208,7 +212,7 @@ def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
     def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
         for k in range(SOLIDS_PER_PASS):
             here = c * SOLIDS_PER_PASS + k
-            pos, mat, size = jax.tree.map(lambda x, i=here: jax.lax.dynamic_index_in_dim(x, i)[0], columns)
+            pos, mat, size = jax.tree.map(partial(_entry, index=here), columns)
             # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))

@@ -131,7 +131,7 @@ class Sensor(ABC):
     transparent: ClassVar[frozenset[str]] = frozenset({SKY})
     bundle_size: ClassVar[int] = DEFAULT_BUNDLE_SIZE
     needs_surroundings: ClassVar[bool] = False
-    settings_class: ClassVar[type] = SensorSettings
+    settings_class: ClassVar[type[Any]] = SensorSettings
     quantities: ClassVar[tuple[Quantity, ...]] = ()
 
     plan: KinematicTree
@@ -167,10 +167,14 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
-        """Return the new memory and the measured value; `sight.hits` are those of this sensor's rays."""
+        """Return the new memory and the measured value; `inputs.hits` are those of this sensor's rays."""
 
     def handle_set(
-        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Any
+        self,
+        opcode: str,
+        params: tuple[float, ...],
+        inputs: SensorInput,
+        memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
         """Carry out a SET command; return the new memory, or None when the command is not valid."""
         del opcode, params, inputs, memory
@@ -182,12 +186,12 @@ class Sensor(ABC):
         return False
 
     def overlay(self, memory: Any) -> OverlayLines:  # noqa: ANN401
-        """Return what a sensor that `draws` shows of its last reading in pictures."""
+        """Return what a sensor that `has_overlay` shows of its last reading in pictures."""
         raise NotImplementedError(f"{self.kind} draws nothing")
 
     def with_noise(self, factor: Array) -> "Sensor":
         """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""
-        scaled = []
+        scaled: list[Any] = []
         for settings in self.settings:
             noise = {name: getattr(settings, name, 0.0) for name in NOISE_SETTINGS}
             noise = {name: value * factor for name, value in noise.items() if value}

@@ -101,7 +101,7 @@ def reference_location(location: Options) -> tuple[float, float]:
     values = {key.lower(): value for key, value in location}
     if unknown := values.keys() - {key.lower() for key in known}:
         raise SpecError(f"ZeroZeroLocation has no {sorted(unknown)}; it has: {', '.join(known)}")
-    numbers = []
+    numbers: list[float] = []
     for key in known:
         value = values.get(key.lower(), 0.0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -146,8 +146,8 @@ def _wrapped(degrees: float) -> float:
 class Gps(Sensor):
     """Satellite navigation; value: x, y with their error [m], and the number of satellites seen (3,).
 
-    With fewer than `MIN_FIX_SATELLITES` satellites there is no position: x and y are 0. A satellite is seen if nothing
-    but the robot itself is between it and the mount: the sky is where no ray hits anything.
+    With fewer than `MIN_FIX_SATELLITES` satellites there is no position: x and y are 0. A satellite is seen
+    if nothing but the robot itself is between it and the mount: the sky is where no ray hits anything.
     """
 
     kind = "GPS"

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
@@ -150,7 +151,7 @@ class InsMemory(struct.PyTreeNode, kw_only=True):
     mat: jax.Array
     true_pos: jax.Array
     true_mat: jax.Array
-    time: jax.Array
+    time: Array
     drift_rate: jax.Array
 
 
@@ -252,7 +253,7 @@ class Encoder(Sensor):
     def _angles(self, inputs: SensorInput) -> jax.Array:
         bodies = self.bodies_of_mounts()
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
-        return inputs.state.joint_pos[bodies - 1] * sign
+        return jnp.asarray(inputs.state.joint_pos[bodies - 1] * sign)
 
     def init_memory(self, inputs: SensorInput, key: jax.Array) -> jax.Array:
         """Counts start at zero."""

@@ -44,7 +44,7 @@ def noisy(key: jax.Array, data: jax.Array, settings: Sequence[NoisySensorSetting
     told = jax.vmap(relative_uniform)(keys, data, noise)
     if not any(isinstance(row, jax.Array) or row.any() for row in (mean, sigma)):
         return told
-    others = jax.vmap(lambda one: jax.random.fold_in(one, 1))(keys)
+    others = jax.vmap(partial(jax.random.fold_in, data=1))(keys)
     return jax.vmap(relative_normal)(others, told, mean, sigma)
 
 

@@ -21,7 +21,7 @@ def carried_weight(robot: RobotSpec) -> float:
     return float(sum(weights))
 
 
-def _weight(mount: Mount, kind: type) -> float:
+def _weight(mount: Mount, kind: type[object]) -> float:
     settings = resolve_settings(kind, mount.options, f"{mount.kind} {mount.name}")
     return getattr(settings, "weight", SensorSettings.weight)
 

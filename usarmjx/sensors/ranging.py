@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
 from usarmjx.models.spec.shapes import GLASS, SKY
@@ -45,7 +46,7 @@ def farthest(settings: tuple[RangeSettings, ...]) -> float:
     return max(one.max_range for one in settings)
 
 
-def range_readings(distance: jax.Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
+def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
     """Turn true distances [m] (sensors, n) into what each sensor reports [m] (sensors, n).
 
     Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
@@ -90,7 +91,7 @@ BEAM_PATTERN = (
 
 def beam_directions(beam_angle: float) -> np.ndarray:
     """Return the unit directions of a beam's lines about the x axis (lines, 3)."""
-    lines = []
+    lines: list[tuple[float, float, float]] = []
     for share, around in BEAM_PATTERN:
         tilt = share * beam_angle / 2
         lines.append((math.cos(tilt), math.sin(tilt) * math.cos(around), math.sin(tilt) * math.sin(around)))
@@ -240,7 +241,11 @@ class RangeScanner(Sensor):
         return memory, range_readings(inputs.hits.distance[None], self.settings, key)[0]
 
     def handle_set(
-        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Any
+        self,
+        opcode: str,
+        params: tuple[float, ...],
+        inputs: SensorInput,
+        memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
         """SCAN is valid in both modes; the suite makes the scan due (manual, Table 3)."""
         return memory if opcode.upper() == "SCAN" else None

@@ -72,9 +72,12 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
     return settings.tx_power_dbm - loss - settings.obstacle_attenuation_db * blocked
 
 
-def _goodness(settings: RfidSettings, strength: jax.Array) -> jax.Array:
+def _goodness(settings: RfidSettings, strength: Array) -> jax.Array:
     """Return how green a line is (...,): 1 as strong as from a metre away, 0 as weak as can be received."""
-    least, best = settings.rx_sensitivity_dbm, signal_strength(settings, np.float32(1.0), np.float32(0.0), np)
+    least, best = (
+        settings.rx_sensitivity_dbm,
+        signal_strength(settings, np.ones((), np.float32), np.zeros((), np.float32), np),
+    )
     return jnp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
 
 
@@ -113,7 +116,7 @@ class _Tags(struct.PyTreeNode, kw_only=True):
 
 
 def _nearest_tags(surroundings: Surroundings, pos: jax.Array) -> _Tags:
-    """Return `MAX_TAGS` tags, those that are there first; there are always as many, some of them not there."""
+    """Return `MAX_TAGS` tags, those that are there first; always as many, some of them not there."""
     spare = jnp.zeros(MAX_TAGS)
     there = jnp.concatenate([jnp.asarray(surroundings.tag_there), spare > 0])
     positions = jnp.concatenate([jnp.asarray(surroundings.tag_pos), jnp.zeros((MAX_TAGS, 3))])
@@ -211,7 +214,11 @@ class Rfid(Sensor):
         return memory.overlay
 
     def handle_set(
-        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Any
+        self,
+        opcode: str,
+        params: tuple[float, ...],
+        inputs: SensorInput,
+        memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
         """Read and Write (manual 10.9.5, 10.9.6) are valid for a tag that is in range; the first parameter.
 

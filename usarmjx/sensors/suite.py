@@ -9,25 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-import usarmjx.sensors.co2
-import usarmjx.sensors.gps
-import usarmjx.sensors.human_motion
-import usarmjx.sensors.motion
-import usarmjx.sensors.ranging
-import usarmjx.sensors.rfid
-import usarmjx.sensors.scanners
-import usarmjx.sensors.sound
-import usarmjx.sensors.touch
-import usarmjx.sensors.victim  # noqa: F401 - these fill SENSORS
+from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sensors import co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import CameraSettings, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
+SENSOR_MODULES = (co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim)
+"""The modules that fill `SENSORS`."""
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
 
@@ -80,7 +74,7 @@ class Suite:
             [along for _, along in pairs]
         )
 
-    def due(self, time: jax.Array, memory: SensorMemory) -> jax.Array:
+    def due(self, time: Array, memory: SensorMemory) -> Array:
         """Return which sensors measure at a time [s] () (sensors,)."""
         return time >= memory.due - CLOCK_SLACK
 
@@ -96,7 +90,7 @@ class Suite:
 
         Rays of sensors that are not due (sensors,) are not cast and meet nothing; None: all are due.
         """
-        hits = []
+        hits: list[Hits] = []
         for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
             if count:
                 rays = sensor.aimed_rays(bodies, surroundings)
@@ -137,7 +131,7 @@ class Suite:
     ) -> tuple[tuple[Any, ...], tuple[jax.Array, ...]]:
         # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
         ends = np.cumsum(self.ray_counts)
-        pairs = []
+        pairs: list[tuple[Any, jax.Array]] = []
         sensors = self._as_noisy_as(inputs)
         for i, (sensor, count, end) in enumerate(zip(sensors, self.ray_counts, ends, strict=True)):
             mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], inputs.hits)
@@ -212,11 +206,11 @@ def suite_of(robot: RobotSpec) -> Suite:
     for i, mount in enumerate(robot.sensors):
         grouped = SENSORS.get(mount.kind).grouped
         groups.setdefault(mount.kind if grouped else f"{mount.kind}#{i}", []).append(i)
-    sensors = []
+    sensors: list[Sensor] = []
     for members in groups.values():
         mounts = tuple(robot.sensors[i] for i in members)
         kind = SENSORS.get(mounts[0].kind)
-        settings = tuple(
+        settings: tuple[Any, ...] = tuple(
             resolve_settings(kind.settings_class, m.options, f"{m.kind} {m.name}") for m in mounts
         )
         sensor = kind(plan=plan, mounts=mounts, settings=settings)

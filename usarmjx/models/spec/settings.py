@@ -60,7 +60,7 @@ class OneOf(tuple[str, ...]):
 
 
 SMALLEST_NUMBER = float(np.finfo(np.float32).tiny)
-"""Numbers nearer to zero are subnormal in single precision: some devices take them for zero, others do not."""
+"""Numbers nearer to zero are subnormal in single precision: some devices take them for zero, some do not."""
 
 
 class ManualKey(str):
@@ -109,7 +109,7 @@ def limits_of(kind: type) -> dict[str, NumberLimits | OneOf]:
 
 @cache
 def manual_keys(kind: type[Any]) -> dict[str, str]:
-    """Return the manual's keys of settings by field: those of the fields' `ManualKey`, or `camel_case` of them.
+    """Return the manual's keys of settings by field: the fields' `ManualKey`, or `camel_case` of their names.
 
     Without a `ManualKey` those of flags begin with a b: `with_time_stamp` -> `bWithTimeStamp`.
     """
@@ -140,7 +140,7 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
         name = names.get(name, name)
         if name not in fields:
             raise UnknownNameError(f"{owner} has no setting {key!r}; known: {', '.join(sorted(fields))}")
-        wanted = fields[name].default
+        wanted: object = fields[name].default
         number = isinstance(wanted, int | float) and not isinstance(wanted, bool)
         allowed = (int, float) if number else type(wanted)
         if not isinstance(value, allowed) or isinstance(value, bool) != isinstance(wanted, bool):
@@ -149,7 +149,7 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
         limits = limits_of(kind).get(name)
         if number and not math.isfinite(value):  # type: ignore[arg-type]
             raise SpecError(f"{owner}: setting {key} is {value!r}, expected {limits or 'a finite number'}")
-        if number and 0 < abs(value) < SMALLEST_NUMBER:
+        if isinstance(value, float) and 0 < abs(value) < SMALLEST_NUMBER:
             raise SpecError(
                 f"{owner}: setting {key} is {value!r}, expected 0 or at least {SMALLEST_NUMBER:.2g}"
             )

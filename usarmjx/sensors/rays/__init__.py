@@ -1,1 +1,7 @@
-"""To be written."""
+"""The raycaster that sensors and cameras share: what rays meet first among geoms of all kinds.
+
+Begin with `raycast`: `cast_rays` and its `RayQuery`, which every backend honours whole. `kernels` has a small
+function per kind of geom, `targets` the geoms as arrays, `bundles` the cones that leave out what rays cannot
+meet, `raycast_gpu` the GPU's kernel, `wanted` what saves casts on a CPU. A new kind of geom is a kernel and
+its bounding box and normal, all in `kernels`; C MuJoCo's `mj_ray` is the oracle of everything here.
+"""

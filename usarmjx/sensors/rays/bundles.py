@@ -106,12 +106,12 @@ def cone_box_distance(
 def cone_sphere_distance(
     offset: XYZ, axis: XYZ, radius: jax.Array, tip_radius: jax.Array, slope: jax.Array
 ) -> jax.Array:
-    """As `cone_box_distance`, for the ball about a geom: says too much of what is long, at a quarter of the work.
+    """As `cone_box_distance`, for the bounding sphere: too much of what is long, at a quarter of the work.
 
     Args:
-        offset: From the cone's tip to the middle of the ball [m].
+        offset: From the cone's tip to the middle of the sphere [m].
         axis: The cone's; both in any axes.
-        radius: Of the ball [m].
+        radius: Of the sphere [m].
         tip_radius: See `Cone` [m].
         slope: See `Cone`.
     """

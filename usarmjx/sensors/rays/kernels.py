@@ -101,7 +101,7 @@ def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
     step = jnp.where(jnp.abs(direction[2]) < TINY, TINY, direction[2])
-    caps = []
+    caps: list[jax.Array] = []
     for end in (-half, half):
         t = (end - origin[2]) / step
         x, y = origin[0] + t * direction[0], origin[1] + t * direction[1]

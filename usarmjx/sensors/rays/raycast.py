@@ -9,7 +9,7 @@ are seen as their triangles, see `models.build.pieces`.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
     bundle_size: int = struct.field(pytree_node=False, default=DEFAULT_BUNDLE_SIZE)
     max_distance: float = struct.field(pytree_node=False, default=math.inf)
     incidence: bool = struct.field(pytree_node=False, default=False)
-    exclude_owner: Int[Array, ""] = EXCLUDE_NONE
+    exclude_owner: Int[Array, ""] | np.int32 = EXCLUDE_NONE
     wanted: Bool[Array, ""] | None = None
 
 
@@ -107,6 +107,8 @@ class GeomHits(NamedTuple):
 
 NO_GEOM = GeomHits(math.inf, -1)  # type: ignore[arg-type] - numbers in place of arrays
 """A miss."""
+NO_COSINE: Any = 0.0
+"""Of a miss; a number in place of an array."""
 
 
 class IndexedBlock(NamedTuple):
@@ -219,7 +221,7 @@ def _brute_force(
             t = distance_to(kind, geom, origin, direction)
             return first.closer(jnp.where(geom.owner != exclude_owner, t, jnp.inf), index), None
 
-        first, _ = jax.lax.scan(closer, first, (block, info.first_index + jnp.arange(info.count)))
+        first, _ = jax.lax.scan(closer, first, (block, info.first_index + jnp.arange(info.num_geoms)))
     return first.met()
 
 
@@ -252,11 +254,11 @@ def _culled(
         ) -> tuple[jax.Array, GeomHits]:
             turn, first = carry
             # The geom that is next for each bundle: where the count of those met steps up.
-            index = jax.vmap(lambda row: jnp.searchsorted(row, turn + 1))(rank)
-            geom = jax.tree.map(lambda x: x[jnp.minimum(index, info.count - 1)][:, None], block)
+            index = jax.vmap(partial(jnp.searchsorted, v=turn + 1))(rank)
+            geom = jax.tree.map(lambda x: x[jnp.minimum(index, info.num_geoms - 1)][:, None], block)
             t = distance_to(info.kind, geom, start, along)
             return turn + 1, first.closer(
-                jnp.where((index < info.count)[:, None], t, jnp.inf), (info.first_index + index)[:, None]
+                jnp.where((index < info.num_geoms)[:, None], t, jnp.inf), (info.first_index + index)[:, None]
             )
 
         _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
@@ -276,7 +278,7 @@ def _entries(kind: int, block: GeomBlock, cone: Cone, *, compact: bool) -> jax.A
 
 def gpu_hits(
     seen: Sequence[IndexedBlock],
-    rays: tuple[jax.Array, jax.Array] | Fans,
+    rays: tuple[Array, Array] | Fans,
     query: RayQuery = DEFAULT_QUERY,
     interpret: bool = False,
 ) -> GeomHits:
@@ -326,10 +328,10 @@ def cast_rays(
 ) -> Hits:
     """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks."""
     first = nearest_hits(geoms, origin, direction, query, fans)
-    cosine = jnp.zeros_like(first.distance)
+    cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
         wanted = None if jax.default_backend() == "gpu" else query.wanted
-        cosine = cast_if_wanted(wanted, _cosines, 0.0, geoms, first, origin, direction)
+        cosine = cast_if_wanted(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
     return Hits(distance=first.distance, cosine=cosine)
 
 

@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
+from usarmjx.base.arrays import Array
 from usarmjx.sensors.rays.bundles import (
     CONE_MARGIN,
     MIN_COSINE,
@@ -38,10 +40,10 @@ UNLIMITED_DISTANCE = 3e38
 
 
 class GeomBlockInfo(NamedTuple):
-    """What is known of geoms while compiling: kind, how many, index of the first, and whether they are compact."""
+    """What is known of geoms while compiling: kind, how many, index of the first, and if they are compact."""
 
     kind: int
-    count: int
+    num_geoms: int
     first_index: int
     compact: bool
 
@@ -49,14 +51,14 @@ class GeomBlockInfo(NamedTuple):
 def pack(kind: int, block: Any) -> jax.Array:  # noqa: ANN401 - a raycast.Block
     """Return a block's geoms by number (FIELDS, room).
 
-    There is room for whole groups of `LANES`; for whole passes of `MAX_PASS_GEOMS` if there are more than that.
+    There is room for whole groups of `LANES`; for whole passes of `MAX_PASS_GEOMS` if there are more.
     """
     count = len(block.owner)
     step = LANES if count <= MAX_PASS_GEOMS else MAX_PASS_GEOMS
     room = -(-count // step) * step
     last = jnp.stack([block.owner.astype(jnp.float32), bounding_radius(kind, tuple(block.size.T))])
     rows = jnp.concatenate([block.pos.T, block.mat.reshape(-1, 9).T, block.size.T, last])
-    return jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))
+    return jnp.pad(rows.astype(jnp.float32), ((0, 0), (0, room - count)))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
 
 
 def _local(mat: Sequence[jax.Array], vector: Sequence[Any] | jax.Array) -> tuple[jax.Array, ...]:
@@ -80,46 +82,46 @@ class _Bundle(NamedTuple):
     exclude_owner: jax.Array
 
 
-def _approach(slab: GeomBlockInfo, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _approach(info: GeomBlockInfo, fields: Any, at: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return how far away the bundle's cone meets some geoms (geoms,)."""
     tip, axis, thick, slope = bundle.cone
     away = tuple(fields[i, at] - tip[i] for i in range(3))
-    if slab.compact:
+    if info.compact:
         return cone_sphere_distance(away, axis, fields[RADIUS_ROW, at], thick, slope)
     mat, size = [fields[i, at] for i in range(3, 12)], tuple(fields[i, at] for i in range(12, 15))
     return cone_box_distance(
-        slab.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope
+        info.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope
     )
 
 
-def _test(slab: GeomBlockInfo, fields: Any, index: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _test(info: GeomBlockInfo, fields: Any, index: Any, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return the distance of one geom from every ray (size,)."""
     geom = [fields[i, index] for i in range(15)]
     away = tuple(bundle.origin[i] - geom[i] for i in range(3))
     mat, size = geom[3:12], tuple(geom[12:15])
-    return RAY_KERNELS[slab.kind](_local(mat, away), _local(mat, bundle.direction), size)
+    return RAY_KERNELS[info.kind](_local(mat, away), _local(mat, bundle.direction), size)
 
 
 Best = tuple[jax.Array, jax.Array]
 """How far away (size,) and which (size,) the nearest is up to now."""
 
 
-def _distance_keys(slab: GeomBlockInfo, fields: Any, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
+def _distance_keys(info: GeomBlockInfo, fields: Any, begin: Any, number: int, bundle: _Bundle) -> jax.Array:  # noqa: ANN401
     """Return keys of some geoms, which sort as their distances do (LANES,).
 
     The last bits of a key are the geom's number in the pass, which is `number` for the first one here.
     """
-    lanes = jax.lax.broadcasted_iota(jnp.int32, (LANES,), 0)
+    lanes = jax.lax.broadcasted_iota(jnp.int32, (LANES,), 0)  # pyright: ignore[reportUnknownMemberType]
     here = pl.ds(begin, LANES)
-    near = _approach(slab, fields, here, bundle)
-    there = (lanes + begin < slab.count) & (fields[OWNER_ROW, here] != bundle.exclude_owner)
+    near = _approach(info, fields, here, bundle)
+    there = (lanes + begin < info.num_geoms) & (fields[OWNER_ROW, here] != bundle.exclude_owner)
     bits = jax.lax.bitcast_convert_type(jnp.where(there, near, jnp.inf), jnp.int32)
     return (bits & ~(MAX_PASS_GEOMS - 1)) | (lanes + number)
 
 
-def _pass(slab: GeomBlockInfo, fields: Any, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
+def _pass(info: GeomBlockInfo, fields: Any, count: int, bundle: _Bundle, begin: Any, best: Best) -> Best:  # noqa: ANN401
     """Return the best of so many geoms from a place on, at most `MAX_PASS_GEOMS`, and what there was."""
-    keys = [_distance_keys(slab, fields, begin + number, number, bundle) for number in range(0, count, LANES)]
+    keys = [_distance_keys(info, fields, begin + number, number, bundle) for number in range(0, count, LANES)]
 
     def least(keys: Sequence[jax.Array]) -> jax.Array:
         return jnp.min(reduce(jnp.minimum, keys))
@@ -132,13 +134,13 @@ def _pass(slab: GeomBlockInfo, fields: Any, count: int, bundle: _Bundle, begin: 
     def test(carry: Any) -> Any:  # noqa: ANN401
         keys, key, (reach, found) = carry
         place = begin + (key & (MAX_PASS_GEOMS - 1))
-        t = _test(slab, fields, place, bundle)
+        t = _test(info, fields, place, bundle)
         closer = t < reach
         keys = [jnp.where(group == key, LAST_KEY, group) for group in keys]
         return (
             keys,
             least(keys),
-            (jnp.where(closer, t, reach), jnp.where(closer, slab.first_index + place, found)),
+            (jnp.where(closer, t, reach), jnp.where(closer, info.first_index + place, found)),
         )
 
     return jax.lax.while_loop(more, test, (keys, least(keys), best))[2]
@@ -148,12 +150,12 @@ LAST_KEY = 0x7FFFFFFF
 """A key after all others."""
 
 
-def _all(slab: GeomBlockInfo, fields: Any, bundle: _Bundle, best: Best) -> Best:  # noqa: ANN401
+def _all(info: GeomBlockInfo, fields: Any, bundle: _Bundle, best: Best) -> Best:  # noqa: ANN401
     """Return the best of a few geoms and what there was; all are tested."""
-    for index in range(slab.count):
-        t = _test(slab, fields, index, bundle)
+    for index in range(info.num_geoms):
+        t = _test(info, fields, index, bundle)
         closer = (t < best[0]) & (fields[OWNER_ROW, index] != bundle.exclude_owner)
-        best = (jnp.where(closer, t, best[0]), jnp.where(closer, slab.first_index + index, best[1]))
+        best = (jnp.where(closer, t, best[0]), jnp.where(closer, info.first_index + index, best[1]))
     return best
 
 
@@ -190,7 +192,7 @@ def _fanned(rays: Sequence[Any], ray: jax.Array) -> RayComponents:
 
 def _program(*refs: Any, blocks_info: tuple[GeomBlockInfo, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
     blocks, (*rays, viewer, wanted, distance, which) = refs[: len(blocks_info)], refs[len(blocks_info) :]
-    lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)
+    lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)  # pyright: ignore[reportUnknownMemberType]
     begin, count = pl.program_id(0) * bundle, distance.shape[0]
     ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, count) - 1)  # lanes left over: the last ray
     nothing = (jnp.full(ray.shape, reach, jnp.float32), jnp.full(ray.shape, -1, jnp.int32))
@@ -205,13 +207,13 @@ def _program(*refs: Any, blocks_info: tuple[GeomBlockInfo, ...], bundle: int, re
     distance[ray], which[ray] = jnp.where(found < 0, jnp.inf, reached), found
 
 
-def _first(slabs: tuple[GeomBlockInfo, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
+def _first(infos: tuple[GeomBlockInfo, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:
     """Return the best of all geoms and what there was."""
-    for slab, fields in zip(slabs, blocks, strict=True):
+    for info, fields in zip(infos, blocks, strict=True):
         room = fields.shape[1]
-        look = partial(_pass, slab, fields, min(room, MAX_PASS_GEOMS), bundle)
-        if slab.count <= MAX_UNCULLED_GEOMS:
-            best = _all(slab, fields, bundle, best)
+        look = partial(_pass, info, fields, min(room, MAX_PASS_GEOMS), bundle)
+        if info.num_geoms <= MAX_UNCULLED_GEOMS:
+            best = _all(info, fields, bundle, best)
         elif room <= MAX_PASS_GEOMS:
             best = look(0, best)
         else:
@@ -221,10 +223,16 @@ def _first(slabs: tuple[GeomBlockInfo, ...], blocks: Sequence[Any], bundle: _Bun
     return best
 
 
+def _whole(axes: int, program: Any) -> tuple[int, ...]:  # noqa: ANN401
+    """Every program is given the whole of an array."""
+    del program
+    return (0,) * axes
+
+
 def nearest_of_bundles(
     work: Sequence[tuple[GeomBlockInfo, jax.Array]],
-    rays: tuple[jax.Array, jax.Array] | Fans,
-    exclude_and_wanted: tuple[jax.Array, jax.Array],
+    rays: tuple[Array, Array] | Fans,
+    exclude_and_wanted: tuple[Array | np.int32, Array],
     *,
     bundle_size: int,
     max_distance: float,
@@ -247,12 +255,12 @@ def nearest_of_bundles(
         count, given = len(rays[0]), rays
     asked = [number.astype(jnp.int32)[None] for number in exclude_and_wanted]
     arrays = [*(fields for _, fields in work), *given, *asked]
-    slabs = tuple(slab for slab, _ in work)
+    infos = tuple(info for info, _ in work)
     return pl.pallas_call(
-        partial(_program, blocks_info=slabs, bundle=bundle_size, reach=min(max_distance, UNLIMITED_DISTANCE)),
+        partial(_program, blocks_info=infos, bundle=bundle_size, reach=min(max_distance, UNLIMITED_DISTANCE)),
         grid=(-(-count // bundle_size),),
-        in_specs=[pl.BlockSpec(array.shape, lambda i, n=array.ndim: (0,) * n) for array in arrays],
-        out_specs=[pl.BlockSpec((count,), lambda i: (0,))] * 2,
+        in_specs=[pl.BlockSpec(array.shape, partial(_whole, array.ndim)) for array in arrays],
+        out_specs=[pl.BlockSpec((count,), partial(_whole, 1))] * 2,
         out_shape=[jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32)],
         compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
         interpret=interpret,

@@ -12,7 +12,7 @@ from usarmjx.base.arrays import Array, Bool
 T = TypeVar("T")
 
 
-def cast_if_wanted(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: T, *args: Any) -> T:
+def cast_if_wanted(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: T, *args: Any) -> T:  # noqa: ANN401
     """Return `cast(*args)` where that is wanted, else misses.
 
     Mapped over robots and worlds it is cast for all of them if any one wants it, and not at all if none does.
@@ -40,7 +40,7 @@ def _cast_if_any(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[A
         return jax.lax.cond(jnp.any(wanted), lambda args: cast(*args), lambda _: blank, args)
 
     @run.def_vmap
-    def run_mapped(size: int, batched: Any, wanted: Array, args: tuple[Any, ...]) -> tuple[T, Any]:
+    def run_mapped(size: int, batched: Any, wanted: Array, args: tuple[Any, ...]) -> tuple[T, Any]:  # noqa: ANN401
         axes = jax.tree.map(lambda mapped: 0 if mapped else None, batched[1])
         mapped = jax.vmap(cast, in_axes=axes, axis_size=size)
         # Not `run` again: an outer map calls this rule too, with one axis more on everything.

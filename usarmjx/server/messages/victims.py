@@ -105,7 +105,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "RFID": (("MaxRange", "max_range"),),
     "Sound": (),
-    "HumanMotion": (("MaxRange", "max_range"), ("FOV", "cone")),
+    "HumanMotion": (("MaxRange", "max_range"), ("FOV", "fov_radians")),
     "CO2Sensor": (),
 }
 """CONF of these sensors, as `sensors.CONFIGURATION`; that of VictSensor is the original's."""
