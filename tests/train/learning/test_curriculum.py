@@ -45,10 +45,10 @@ def trained(env, tmp_path_factory):
     return folder
 
 
-def numbers(env, sites):
+def numbers(env, solids):
     """Which of the environment's arenas these are, by where their solids are."""
     every = np.asarray(env.scene.arenas.states.pos)
-    return [next(n for n, one in enumerate(every) if np.array_equal(one, pos)) for pos in np.asarray(sites)]
+    return [next(n for n, one in enumerate(every) if np.array_equal(one, pos)) for pos in np.asarray(solids)]
 
 
 def test_arenas_of_a_library_get_harder():

@@ -223,14 +223,14 @@ def test_each_world_knows_which_squares_of_its_own_arena_are_reached():
     library = Buildings(count=2, levels=(0.5, 1.0), size=(4, 3))
     task = Explore(arena=library, count=1)
     scene, world, physics = begin(task)
-    ground = task.arena_grid(scene)
+    squares = task.arena_grid(scene)
     view = view_of(scene, world, physics, [(0.6, 0.6, 0.0)])
     assert scene.arenas is not None
     for number, arena in enumerate(scene.arenas.arenas):
-        site = jax.tree.map(lambda rows, n=number: jnp.asarray(rows[n]), scene.arenas.states)
-        found = reachable_of(view.replace(world=world.replace(arena_state=site)), ground)
+        state = jax.tree.map(lambda rows, n=number: jnp.asarray(rows[n]), scene.arenas.states)
+        found = reachable_of(view.replace(world=world.replace(arena_state=state)), squares)
         np.testing.assert_array_equal(found, arena_grid_of(arena, task.cell, "P2AT").reachable[0])
-    tables = ground.reachable.reshape(len(ground.reachable), -1)
+    tables = squares.reachable.reshape(len(squares.reachable), -1)
     assert len(np.unique(tables, axis=0)) > 2  # else the test would say nothing
 
 
@@ -276,7 +276,7 @@ class Fake:
     """What the relay baseline asks of an environment."""
 
     def __init__(self, robots, talk="all"):
-        self.scene, self.episode_steps = type("Scene", (), {"robots": robots}), 200
+        self.scene, self.episode_steps = type("Scene", (), {"num_robots": robots}), 200
         self.task = type("Task", (), {"talk": talk})
 
 
