@@ -1,7 +1,7 @@
 """The interface that all engines have, and the check that a model means the same to all of them."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import ClassVar, Generic, TypeVar
 
 import jax
 import mujoco
@@ -16,6 +16,8 @@ from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 
 GeomType = mujoco.mjtGeom
+EngineState = TypeVar("EngineState")
+"""All that one engine needs to go on: a PyTree of its own, with a leading axis over the worlds."""
 
 
 class PhysicsState(struct.PyTreeNode, kw_only=True):
@@ -70,17 +72,15 @@ class Inputs(struct.PyTreeNode, kw_only=True):
     varied: RandomizedValues | None = None
 
 
-class Engine(ABC):
+class Engine(ABC, Generic[EngineState]):
     """Advances many copies of one model. All arrays have a leading axis over the worlds.
 
     Args:
         spec: The description of the model; its bodies, joints and actuators keep their order.
         physics: Solver and time settings.
         worlds: Number of copies.
-        moved_geoms: Geoms of the arena that are data, of which every `Inputs` tells the places; None: there are
-            none.
-        varied_bodies: Robots that vary between worlds, of which every `Inputs` tells the numbers; None: there are
-            none.
+        moved_geoms: Geoms of the arena that are data: every `Inputs` tells their poses. None: there are none.
+        varied_bodies: Robots that vary between worlds: every `Inputs` tells how. None: there are none.
 
     Raises:
         UnsupportedFeatureError: The model has a feature that this engine would ignore or refuse.
@@ -101,10 +101,12 @@ class Engine(ABC):
     ) -> None:
         self.physics = physics
         self.worlds = worlds
-        self.moved_geoms = moved_geoms
+        self.moved_geoms: MovedGeoms | None = moved_geoms
         self.varied_bodies = varied_bodies
         self.model = self.compile(spec)
-        self.varied_model = None if varied_bodies is None else VariedModel(self.model, varied_bodies, self.name == "c")
+        self.varied_model = (
+            None if varied_bodies is None else VariedModel(self.model, varied_bodies, self.name == "c")
+        )
         check_features(self.model, self.name)
         # A geom that lies in its body's frame would be taken for one that always does.
         names = () if self.moved_geoms is None else self.moved_geoms.names
@@ -116,27 +118,29 @@ class Engine(ABC):
         return spec.compile()
 
     @abstractmethod
-    def start(self) -> Any:  # noqa: ANN401 - the engine's own state
+    def start(self) -> EngineState:
         """Return the engine's state with every world at the model's reference configuration."""
 
     @abstractmethod
-    def advance(self, engine_state: Any, inputs: Inputs) -> Any:  # noqa: ANN401
+    def advance(self, engine_state: EngineState, inputs: Inputs) -> EngineState:
         """Return the state after one control step."""
 
     @abstractmethod
-    def reset(self, engine_state: Any, mask: Array, qpos: Array) -> Any:  # noqa: ANN401
+    def reset(self, engine_state: EngineState, mask: Array, qpos: Array) -> EngineState:
         """Return the state with the masked worlds (worlds,) at rest at qpos (worlds, nq)."""
 
     @abstractmethod
-    def set_qpos(self, engine_state: Any, pinned: Array, pinned_dof: Array, qpos: Array) -> Any:  # noqa: ANN401
+    def set_qpos(
+        self, engine_state: EngineState, pinned: Array, pinned_dof: Array, qpos: Array
+    ) -> EngineState:
         """Return the state with some coordinates put elsewhere, at rest; masks and qpos as in `Inputs`."""
 
     @abstractmethod
-    def state(self, engine_state: Any) -> PhysicsState:  # noqa: ANN401
+    def state(self, engine_state: EngineState) -> PhysicsState:
         """Return what others may see of the state."""
 
     @abstractmethod
-    def overflow(self, engine_state: Any, inputs: Inputs) -> jax.Array:  # noqa: ANN401
+    def overflow(self, engine_state: EngineState, inputs: Inputs) -> jax.Array:
         """Return how much each world's last step lost to full contact buffers (worlds,); 0 is none.
 
         Args:
@@ -195,7 +199,7 @@ def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, in
     """Return which round geoms may touch geoms of some types."""
     collides = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     round_geoms = [g for g in collides if model.geom_type[g] in ROUND_TYPES]
-    pairs = []
+    pairs: list[tuple[int, int]] = []
     for a in round_geoms:
         meets = (model.geom_contype[a] & model.geom_conaffinity[collides]) | (
             model.geom_conaffinity[a] & model.geom_contype[collides]

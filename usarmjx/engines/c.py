@@ -66,7 +66,8 @@ def move_geoms(
 
 def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
     """Return where the parts of `INTEGRATION_STATE` are in a state of it."""
-    places, start = {}, 0
+    places: dict[mujoco.mjtState, slice] = {}
+    start = 0
     for bit in range(int(mujoco.mjtState.mjNSTATE)):
         part = mujoco.mjtState(1 << bit)
         if INTEGRATION_STATE & part:
@@ -86,7 +87,7 @@ def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> 
     data.qacc_warmstart[pinned_dof] = 0.0
 
 
-class CEngine(Engine):
+class CEngine(Engine[CState]):
     """Steps worlds one by one, on all cores."""
 
     name = "c"
@@ -209,7 +210,7 @@ class CEngine(Engine):
             act=jnp.asarray(np.float32(engine_state.act)),
         )
 
-    def overflow(self, engine_state: CState, inputs: Inputs) -> jnp.ndarray:
+    def overflow(self, engine_state: CState, inputs: Inputs) -> jax.Array:
         """Return the number of buffer warnings of the last step (worlds,)."""
         del inputs
         return jnp.asarray(engine_state.overflow)

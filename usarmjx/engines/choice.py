@@ -2,7 +2,7 @@
 
 import importlib.util
 from importlib import import_module
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import mujoco
@@ -42,7 +42,7 @@ def make_engine(
     worlds: int,
     moved_geoms: MovedGeoms | None = None,
     varied_bodies: RandomizedBodies | None = None,
-) -> Engine:
+) -> Engine[Any]:
     """Build an engine by name; the other arguments are those of `Engine`.
 
     Raises:
@@ -51,5 +51,5 @@ def make_engine(
         EngineError: The engine cannot run here.
     """
     module, kind = ENGINES.get(name)
-    engine: type[Engine] = getattr(import_module(module), kind)
+    engine: type[Engine[Any]] = getattr(import_module(module), kind)
     return engine(spec, physics, worlds, moved_geoms, varied_bodies)

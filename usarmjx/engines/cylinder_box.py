@@ -98,6 +98,7 @@ def _rim_normals(pair: _Pair) -> jax.Array:
 
     spread = jnp.pi / 8  # 8 samples on a half circle; both bodies are point symmetric
     angles = jnp.broadcast_to((jnp.arange(8) + 0.5) * spread, (3, 8))
+    best = angles[:, :1]
     for _ in range(7):  # ends at 2e-4 rad, worth 23 um of depth at a radius of 0.13 m
         pick = jnp.argmax(_separation(pair, normals(angles)), axis=1)
         best = jnp.take_along_axis(angles, pick[:, None], axis=1)

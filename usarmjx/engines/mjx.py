@@ -1,7 +1,8 @@
 """MJX on JAX's own kernels (`jax`) or on NVIDIA Warp's (`warp`)."""
 
 import sys
-from typing import Any, ClassVar
+from importlib import import_module
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -33,12 +34,12 @@ MAX_BOX_LENGTH = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 
 
-def own_device() -> Any:  # noqa: ANN401 - a device of jax
+def own_device() -> jax.Device | None:
     """Return the device of this process, of several; MJX would take that of the first. None: there is one."""
     return jax.local_devices()[0] if jax.process_count() > 1 else None
 
 
-class MjxEngine(Engine):
+class MjxEngine(Engine[mjx.Data]):
     """What both have in common: one mapped step over all worlds."""
 
     traceable = True
@@ -63,7 +64,11 @@ class MjxEngine(Engine):
 
     def start(self) -> mjx.Data:
         """Return every world at the model's reference configuration."""
-        return jax.jit(jax.vmap(lambda _: self._make_data()))(jnp.arange(self.worlds))
+
+        def make_data(_: jax.Array) -> mjx.Data:
+            return self._make_data()
+
+        return jax.jit(jax.vmap(make_data))(jnp.arange(self.worlds))
 
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step."""
@@ -86,7 +91,7 @@ class MjxEngine(Engine):
         fields = self.varied_model.fields(inputs.varied, fields)
         # MJX-Warp has some fields in another shape than MuJoCo.
         shapes = {name: (self.worlds, *getattr(self.mx, name).shape) for name in fields}
-        return {name: jnp.reshape(value, shapes[name]) for name, value in fields.items()}
+        return {name: value.reshape(shapes[name]) for name, value in fields.items()}
 
     def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
         """Return the fields of geoms that are data (worlds, ngeom, ...)."""
@@ -94,7 +99,7 @@ class MjxEngine(Engine):
 
         def everywhere(value: jax.Array, here: Array) -> jax.Array:
             all_worlds = jnp.broadcast_to(value, (self.worlds, *value.shape))
-            return all_worlds.at[:, ids].set(jnp.reshape(here, (self.worlds, len(ids), *value.shape[1:])))
+            return all_worlds.at[:, ids].set(here.reshape(self.worlds, len(ids), *value.shape[1:]))
 
         fields = {
             "geom_pos": everywhere(self.mx.geom_pos, poses.pos),
@@ -146,7 +151,7 @@ class JaxEngine(MjxEngine):
 
     name = "jax"
     impl = "jax"
-    _short: "ShortBoxes | None" = None
+    _short: ShortBoxes | None = None
 
     def __init__(
         self,
@@ -159,9 +164,13 @@ class JaxEngine(MjxEngine):
         threads.check_pool_size()
         cylinder_box.register_collision()
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
-        cap = collision_driver._numeric(self.model, "max_geom_pairs")  # -1 when there is none
+        # How MJX pairs geoms and where it stops is not public; `register_collision`, above, refuses every
+        # version of it but the one in which these two functions were read.
+        cap = collision_driver._numeric(  # pyright: ignore[reportPrivateUsage] - see above
+            self.model, "max_geom_pairs"
+        )  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
-        groups = collision_driver._geom_groups(self.model)  # private, as the table that cylinder_box fills
+        groups = collision_driver._geom_groups(self.model)  # pyright: ignore[reportPrivateUsage] - as above
         unbounded = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
         self._capped = [
             np.array(pairs)[:, :2]
@@ -221,7 +230,7 @@ class WarpEngine(MjxEngine):
         varied_bodies: RandomizedBodies | None = None,
     ) -> None:
         try:
-            import warp  # noqa: F401 - optional
+            import_module("warp")
         except ImportError as missing:
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"

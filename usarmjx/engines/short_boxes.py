@@ -17,21 +17,25 @@ class ShortBoxes:
 
     Args:
         moved_geoms: The boxes.
-        longest: A box that is longer in no world than this [m] stays whole.
+        max_length: A box that is longer in no world than this [m] stays whole.
 
     Attributes:
         moved_geoms: The pieces.
     """
 
-    def __init__(self, moved: MovedGeoms, longest: float) -> None:
-        counts = np.maximum(1, np.ceil(2 * moved.max_half_length / longest - 1e-6)).astype(int)
-        self._whole = moved.names
+    def __init__(self, moved_geoms: MovedGeoms, max_length: float) -> None:
+        counts = np.maximum(1, np.ceil(2 * moved_geoms.max_half_length / max_length - 1e-6)).astype(int)
+        self._whole = moved_geoms.names
         self._counts = counts
         self._owner = np.repeat(np.arange(len(counts)), counts)
-        self._piece_index = np.concatenate([np.arange(count) for count in counts])
-        names = [f"{moved.names[o]}/{k}" if counts[o] > 1 else moved.names[o] for o, k in self._pairs()]
+        piece_indices: list[np.ndarray] = [np.arange(int(count)) for count in counts]
+        self._piece_index: np.ndarray = np.concatenate(piece_indices)
+        whole = moved_geoms.names
+        names = [f"{whole[o]}/{k}" if counts[o] > 1 else whole[o] for o, k in self._pairs()]
         self.moved_geoms = MovedGeoms(
-            names=tuple(names), max_half_length=(moved.max_half_length / counts)[self._owner], resized=True
+            names=tuple(names),
+            max_half_length=(moved_geoms.max_half_length / counts)[self._owner],
+            resized=True,
         )
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -56,11 +60,13 @@ class ShortBoxes:
         return spec.compile()
 
     def split_poses(self, poses: GeomPoses) -> GeomPoses:
-        """Return the places and sizes of the pieces."""
+        """Return the poses and sizes of the pieces."""
         assert poses.size is not None
         size, quat = poses.size[:, self._owner], poses.quat[:, self._owner]
         count = self._counts[self._owner, None]
         along = jnp.arange(3) == jnp.argmax(size, -1, keepdims=True)
         shift = (2 * (self._piece_index[:, None] + 0.5) / count - 1) * size * along
-        pos = poses.pos[:, self._owner] + jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)
+        # An overload of einsum leaves its arguments open.
+        turned = jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)  # pyright: ignore[reportUnknownMemberType]
+        pos = poses.pos[:, self._owner] + turned
         return GeomPoses(pos=pos, quat=quat, size=jnp.where(along, size / count, size))

@@ -72,7 +72,7 @@ class VariedModel:
             value = jnp.asarray(getattr(self._model, name), jnp.float32)
             # MJX-Warp has some of these in another shape.
             shape = (worlds, *value.shape)
-            return jnp.reshape(fields[name], shape) if name in fields else jnp.broadcast_to(value, shape)
+            return fields[name].reshape(shape) if name in fields else jnp.broadcast_to(value, shape)
 
         if told.friction is not None:
             worlds = told.friction.shape[0]
@@ -101,7 +101,7 @@ class VariedModel:
         low, high = self._span
         step = max((high - low) / (KNOTS - 1), 1e-9)
         dof_owner = self._bodies.owner[self._model.dof_bodyid]
-        fields = {}
+        fields: dict[str, jax.Array] = {}
         for name, table in self._tables.items():
             owner = self._bodies.owner if name in BODY_FIELDS else dof_owner
             place = (_of(mass, owner, low) - low) / step

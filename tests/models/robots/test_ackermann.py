@@ -36,7 +36,7 @@ def car(powered="FR", rear_steer=0.5, brakes=False):
 
 def told(drive, speed, front, rear=0.0):
     """Speeds of powered wheels and angles of steered ones, by joint (those that do not steer: 0)."""
-    values = drive.values(np.array([speed, front, rear], np.float32), np)
+    values = drive.targets(np.array([speed, front, rear], np.float32), np)
     by_joint = dict(zip((aim.joint for aim in drive.joint_controls), values.tolist(), strict=True))
     return by_joint, {wheel.joint: by_joint.get(wheel.steer, 0.0) for wheel in drive.wheels}
 

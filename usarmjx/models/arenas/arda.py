@@ -21,9 +21,9 @@ from usarmjx.models.arenas.arda_roads import (
     Point,
 )
 from usarmjx.models.roads.network import FOOT
-from usarmjx.models.roads.shapes import CONCRETE, PAINT, WHITE, Rgba, road_shapes
+from usarmjx.models.roads.shapes import CONCRETE, PAINT, WHITE, road_shapes
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, LooseObject, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 FILES = tuple(Path(__file__).with_name(name) for name in (NETWORK.name, *(m.name for m in MISSIONS)))
 """The route network and the missions as files, for controllers."""

@@ -1,18 +1,16 @@
 """What lies about in the orange and red arenas (manual 3.2.1.1): cement blocks, paper, slabs, rubble.
 
-Fixed pieces are shapes; loose ones, which robots push about, are `Loose` and have the masses of real ones.
+Fixed pieces are shapes; loose ones, which robots push about, are `LooseObject` and as heavy as real ones.
 """
 
 import math
 import random
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.arenas.elements import STONE, WOOD, Rgba, block
+from usarmjx.models.arenas.elements import STONE, WOOD, block
 from usarmjx.models.arenas.pieces import CONCRETE, loose_box
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.shapes import Shape
-
-Position2D = tuple[float, float]
+from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
 
 CINDER: Vec3 = (0.39, 0.19, 0.19)
 """A cement block [m]: 16 x 8 x 8 inches less the mortar."""

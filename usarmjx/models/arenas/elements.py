@@ -10,9 +10,7 @@ import math
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.shapes import Shape
-
-Rgba = tuple[float, float, float, float]
+from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
 
 CELL = 1.2
 """Side of a grid cell [m]."""
@@ -26,6 +24,11 @@ PLYWOOD_THICKNESS = 0.10
 
 WOOD: Rgba = (0.7, 0.55, 0.35, 1.0)
 STONE: Rgba = (0.6, 0.6, 0.6, 1.0)
+
+
+def cell_center(origin: Position2D, column: float, row: float) -> Position2D:
+    """Return the centre of a cell of the grid that has its lower left corner at `origin` [m]."""
+    return (origin[0] + (column + 0.5) * CELL, origin[1] + (row + 0.5) * CELL)
 
 
 def block(

@@ -1,8 +1,8 @@
 """The building of DM-Factory and what stands in it, as drawn in `factory`."""
 
-from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
+from usarmjx.models.arenas.elements import WOOD, block, slope
 from usarmjx.models.arenas.pieces import CONCRETE, MESHWORK, PANE, SILVER, STEEL, span, table
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Rgba, Shape
 
 LENGTH, WIDTH, HEIGHT = 24.0, 16.0, 3.0
 OUTER, INNER = 0.2, 0.1

@@ -7,6 +7,7 @@ P2AT, whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
 """
 
 import math
+from functools import partial
 
 from usarmjx.models.arenas.debris import (
     cinder_block,
@@ -23,6 +24,7 @@ from usarmjx.models.arenas.elements import (
     STEEPER,
     WOOD,
     block,
+    cell_center,
     deck,
     ramps,
     slope,
@@ -79,11 +81,7 @@ RAMP_RUN = UPPER / math.tan(RAMP_ANGLE)
 PARAPET = 0.3
 
 
-def cell(column: float, row: float) -> tuple[float, float]:
-    """Return the centre of a grid cell, row 0 being the last line of the plan [m]."""
-    return (ORIGIN[0] + (column + 0.5) * CELL, ORIGIN[1] + (row + 0.5) * CELL)
-
-
+cell = partial(cell_center, ORIGIN)
 RAMP_Y, STAIRS_Y, STEEPER_X = cell(0, 7)[1], cell(0, 4)[1], cell(9, 0)[0]
 SIDE = cell(0, 6.5)[1]
 """The open side of the ramp's upper half, under which is a void."""

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from usarmjx.models.arenas.elements import WOOD, Rgba, block, slope
+from usarmjx.models.arenas.elements import WOOD, block, slope
 from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.spec.arena import (
@@ -26,7 +26,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import SKY, HeightField, Shape
+from usarmjx.models.spec.shapes import SKY, HeightField, Rgba, Shape
 
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""

@@ -3,9 +3,9 @@
 import math
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.arenas.elements import WOOD, Rgba, block
+from usarmjx.models.arenas.elements import WOOD, block
 from usarmjx.models.spec.arena import LooseObject, SegmentMotion
-from usarmjx.models.spec.shapes import OPAQUE, Shape
+from usarmjx.models.spec.shapes import OPAQUE, Rgba, Shape
 
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
 STEEL: Rgba = (0.45, 0.48, 0.52, 1.0)

@@ -8,9 +8,10 @@ the ground (5.3.6), 2 cm above it.
 """
 
 import math
+from functools import partial
 
 from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
-from usarmjx.models.arenas.elements import CELL, deck, slope
+from usarmjx.models.arenas.elements import CELL, cell_center, deck, slope
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import brick, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
@@ -55,11 +56,7 @@ PLATFORM = CELL * math.tan(STEEP_PLANE)
 """Height of the platform at the top of the inclined plane [m]."""
 
 
-def cell(column: float, row: float) -> tuple[float, float]:
-    """Return the centre of a grid cell, row 0 being the last line of the plan [m]."""
-    return (ORIGIN[0] + (column + 0.5) * CELL, ORIGIN[1] + (row + 0.5) * CELL)
-
-
+cell = partial(cell_center, ORIGIN)
 LANE = ((3, 3, "flat"), (4, 3, "hill"), (5, 3, "flat"))
 """Step fields in a row between walls: columns, rows and patterns."""
 PLANE_X, PLANE_Y = cell(8, 2)

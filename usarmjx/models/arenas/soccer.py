@@ -12,9 +12,9 @@ robots' hulls cover their wheels. It rolls without resistance until something st
 
 import math
 
-from usarmjx.models.arenas.elements import Rgba, block
+from usarmjx.models.arenas.elements import block
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 LENGTH, WIDTH = 5.4, 3.6
 """Between the goal lines and between the side lines [m]."""

@@ -10,8 +10,9 @@ victims, glass, a mirror, a grid fender, and few loose things, as each costs the
 """
 
 import math
+from functools import partial
 
-from usarmjx.models.arenas.elements import CELL, WOOD, block, ramp
+from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, ramp
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
 from usarmjx.models.build.victims import rest_height
@@ -52,9 +53,7 @@ PLAN = """
 """
 
 
-def _cell(column: int, row: int) -> tuple[float, float]:
-    """Return the centre of a grid cell, row 0 being the last line of the plan [m]."""
-    return (ORIGIN[0] + (column + 0.5) * CELL, ORIGIN[1] + (row + 0.5) * CELL)
+_cell = partial(cell_center, ORIGIN)
 
 
 def _block(

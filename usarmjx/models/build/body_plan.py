@@ -33,8 +33,8 @@ class BodyPoses(struct.PyTreeNode, kw_only=True):
         mat: Orientations (bodies, 3, 3).
     """
 
-    pos: Array
-    mat: Array
+    pos: jax.Array
+    mat: jax.Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +119,8 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
         geom_type=pieces.kind,
         geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms[pieces.geom]]),
         geom_size=pieces.size,
-        geom_pos=piece_pos.astype(np.float32),
-        geom_mat=piece_mat.astype(np.float32),
+        geom_pos=np.asarray(piece_pos, np.float32),
+        geom_mat=np.asarray(piece_mat, np.float32),
         geom_rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),

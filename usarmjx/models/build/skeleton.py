@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.shapes import ZERO
+from usarmjx.models.spec.shapes import ZERO, Rgba
 
 BODY_HEIGHT = 1.75
 """Height of a standing victim [m]."""
@@ -38,7 +38,7 @@ class Bone:
     joint: Vec3 = ZERO
     half: Vec3
     offset: Vec3 = ZERO
-    rgba: tuple[float, float, float, float] = SKIN
+    rgba: Rgba = SKIN
 
 
 # Heights: ankle 0.039, hip 0.530, shoulder 0.818; arm without hand 0.332, hand 0.108, foot 0.152 x 0.055,

@@ -28,7 +28,7 @@ class TagTable(struct.PyTreeNode, kw_only=True):
 
 
 def tag_ids(tags: Sequence[Tag]) -> tuple[int, ...]:
-    """Return the IDs of an arena's tags: automatic ones take the smallest that are free above `MAX_RELEASED_ID`.
+    """Return the IDs of an arena's tags: automatic ones take the smallest free ones above `MAX_RELEASED_ID`.
 
     Raises:
         SpecError: An ID that releasers give, or one that two tags have.

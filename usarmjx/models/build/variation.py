@@ -1,7 +1,7 @@
 """Domain randomisation: what differs between worlds, robots and episodes beside arenas and noise, as data.
 
-`DomainRandomization` says from which ranges, `RandomizedValues` has one world's numbers. Those that are physics reach the engine
-as fields of its model that differ between worlds (`engines.varied`).
+`DomainRandomization` says from which ranges, `RandomizedValues` has one world's numbers. Those that are
+physics reach the engine as fields of its model that differ between worlds (`engines.varied`).
 """
 
 import math

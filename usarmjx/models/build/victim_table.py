@@ -247,7 +247,8 @@ def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
     more, people = boxes - table.num_boxes, victims - table.num_victims
     if min(more, people) < 0:
         raise SpecError(
-            f"{table.num_boxes} boxes of {table.num_victims} victims do not fit into room for {boxes} of {victims}"
+            f"{table.num_boxes} boxes of {table.num_victims} victims do not fit into room for "
+            f"{boxes} of {victims}"
         )
 
     def filled(value: Array, rows: int, fill: float) -> np.ndarray:

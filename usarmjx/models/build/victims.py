@@ -9,7 +9,7 @@ from types import ModuleType
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, PART_OF_BONE, POSTURES
 from usarmjx.models.build.victim_table import (
     PADDING_OWNER,
@@ -65,7 +65,7 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
     return table.replace(swing=swing.astype(np.float32))
 
 
-def segment_angles(table: VictimTable, time: Array, xp: ModuleType = np) -> tuple[Array, Array]:
+def segment_angles(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
     """Return the joints' angles [rad] and how fast they change [rad/s] at a time [s].
 
     Each angle goes from its initial value to its final one and back again, over and over, at its rate.
@@ -87,7 +87,7 @@ def segment_angles(table: VictimTable, time: Array, xp: ModuleType = np) -> tupl
     return angle, way * table.rate * xp.where(back, -1.0, 1.0)
 
 
-def segment_poses(table: VictimTable, time: Array, xp: ModuleType = np) -> tuple[Array, Array]:
+def segment_poses(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
     """Return where the boxes are at a time.
 
     Args:
@@ -102,7 +102,7 @@ def segment_poses(table: VictimTable, time: Array, xp: ModuleType = np) -> tuple
     return _poses(table, angles, xp)
 
 
-def segment_speeds(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
+def segment_speeds(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
     """Return how fast the boxes move at a time (...,), each by its fastest corner [m/s] (..., boxes).
 
     Central differences over `SPEED_STEP` either way along the present direction of motion, which do not
@@ -114,7 +114,7 @@ def segment_speeds(table: VictimTable, time: Array, xp: ModuleType = np) -> Arra
     return xp.sqrt(((ahead - behind) ** 2).sum(-1).max(-1)) / (2 * SPEED_STEP)
 
 
-def loudness(table: VictimTable, time: Array, xp: ModuleType = np) -> Array:
+def loudness(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
     """Return how loud each victim cries at a time (...,), measured at 1 m; 0 while silent (..., victims).
 
     The first cry begins at time 0.
@@ -143,7 +143,7 @@ def rest_height(posture: str) -> float:
     return -float(lowest(table, 0.0).min())
 
 
-def lowest(table: VictimTable, time: Array) -> np.ndarray:
+def lowest(table: VictimTable, time: ArrayLike) -> np.ndarray:
     """Return the height of every box's lowest point at a time (...,) [m] (..., boxes)."""
     pos, quat = segment_poses(table, time)
     return pos[..., 2] - (np.abs(orientations(quat)[..., 2, :]) * table.size).sum(-1)

@@ -98,4 +98,5 @@ def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator
     touched = victims_reached(arena, found, ARM)
     far += [(f"victim {v.name!r}", v.at, ARM) for v, ok in zip(arena.victims, touched, strict=True) if not ok]
     for name, (x, y, _), least in far:
-        yield f"{name} at {format_position(x, y)}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"
+        where = f"{name} at {format_position(x, y)}"
+        yield f"{where}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"

@@ -1,4 +1,10 @@
-"""How robots are driven: one module per kind of locomotion."""
+"""How robots are driven: one module per kind of locomotion.
+
+A `Drive` says which keys of DRIVE there are, and turns a setpoint into targets of joints or a force on the
+chassis. `targets` and `control_modes` run in NumPy and, traced, in JAX: they use the array module that they
+are given. `fluid` is what air and water do to those that fly and dive. Begin with `base.Drive` and
+`ground`.
+"""
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.base import DRY_DEPTH, Drive, JointControl, VehicleType

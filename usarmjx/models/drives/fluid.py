@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.state import RobotState
@@ -116,12 +116,12 @@ class Hull:
         about = np.array([a * (y * c**4 + z * b**4), b * (z * a**4 + x * c**4), c * (y * a**4 + x * b**4)])
         return along, pressure * 8 / 15 * about
 
-    def effective_inertia(self, share: Array = 1.0) -> tuple[Array, Array]:
+    def effective_inertia(self, share: ArrayLike = 1.0) -> tuple[Array, Array]:
         """Return mass (3,) and inertia (3,) with what is dragged along, for an immersed share ()."""
         along, about = self.added_mass_factors
         return self.displaced_mass * (1 + share * along), self.displaced_inertia * (1 + share * about)
 
-    def immersion(self, depth: Array, up: Array) -> tuple[jax.Array, jax.Array]:
+    def immersion(self, depth: Array, up: Array) -> tuple[jax.Array, Array]:
         """Return the share of the hull under water () and where its middle is [m] (3,).
 
         An ellipsoid is a stretched ball, and so is the part of it below a plane.
@@ -137,7 +137,7 @@ class Hull:
         middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / jnp.maximum(4 * share, 1e-6)
         return share, radii**2 * up / reach * middle
 
-    def body_wrench(self, mat: Array, force: Array, torque: Array, share: Array = 1.0) -> jax.Array:
+    def body_wrench(self, mat: Array, force: Array, torque: Array, share: ArrayLike = 1.0) -> jax.Array:
         """Return the wrench (6,), world axes, that moves the engine's body as `force` and `torque` the hull.
 
         Args:

@@ -1,4 +1,4 @@
-"""Values of a file to the frozen dataclasses of `arena_spec` and `spec`, by their type hints."""
+"""Values of a file to the frozen dataclasses of `models.spec`, by their type hints."""
 
 import math
 import types

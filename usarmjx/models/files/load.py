@@ -1,6 +1,6 @@
 """Arenas from files, and to files.
 
-`load_arena` reads YAML files with the fields of `ArenaSpec` and the names of other files (see `arena_yaml`),
+`load_arena` reads YAML files with the fields of `ArenaSpec` and the names of other files (see `yaml_file`),
 and these others by themselves: MJCF, URDF, meshes, grey images, maps of ROS' map_server. `save_arena` writes
 any arena as YAML. What a file has that an arena cannot have is refused by name, or left out with a warning.
 """

@@ -33,7 +33,7 @@ USUAL_SPEED = 6.2832
 NO_STIFFNESS = 1e-9
 """Of a joint that has a damper alone: our springs need some [N m/rad]."""
 VELOCITY_MODE = 1
-"""Order of a joint that DRIVE gives a speed (`Aim`)."""
+"""Order of a joint that DRIVE gives a speed (`JointControl`)."""
 TAKEN = ("chassis", "root")
 """Names that the composed model has itself."""
 MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX

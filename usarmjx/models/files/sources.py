@@ -16,9 +16,8 @@ from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.files.values import read_yaml
 from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.shapes import OPAQUE, ZERO, HeightField, Shape
+from usarmjx.models.spec.shapes import OPAQUE, ZERO, HeightField, Rgba, Shape
 
-Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 LOOSE_SURFACE = "loose"
 
@@ -29,7 +28,7 @@ class Scale(tuple[float, float, float]):
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """An MJCF or URDF file: see `arena_mjcf` and `arena_urdf`.
+    """An MJCF or URDF file: see `mjcf` and `urdf`.
 
     Attributes:
         file: The file, from the YAML file's folder.
@@ -46,7 +45,7 @@ class ModelFile:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshFile:
-    """A mesh file: see `arena_meshes`.
+    """A mesh file: see `meshes`.
 
     Attributes:
         file: OBJ or STL file.
@@ -102,7 +101,7 @@ class TerrainFile:
 
 @dataclass(frozen=True, kw_only=True)
 class MapFile:
-    """A map of ROS' map_server: see `arena_maps`.
+    """A map of ROS' map_server: see `maps`.
 
     Attributes:
         file: Its YAML file.

@@ -14,7 +14,7 @@ from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles, usarsim_vector
 from usarmjx.models.files.values import read_bytes
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"
@@ -58,7 +58,7 @@ class _Where:
     name: str
     frame: Pose
     surface: str
-    rgba: tuple[float, float, float, float]
+    rgba: Rgba
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -110,7 +110,8 @@ def _origin(element: ElementTree.Element, where: str) -> Pose:
     if origin is None:
         return Pose(np.zeros(3), np.eye(3))
     xyz, rpy = (_numbers(origin, key, 3, where, "0 0 0") for key in ("xyz", "rpy"))
-    return Pose(xyz, mat_from_angles(*rpy))
+    roll, pitch, yaw = rpy.tolist()
+    return Pose(xyz, mat_from_angles(roll, pitch, yaw))
 
 
 def _numbers(
@@ -175,7 +176,7 @@ def _mesh_file(path: Path, name: str, where: str) -> Path:
     raise ArenaFileError(f"{where}: {name} is not there: no folder {package!r} with it is above {path.name}")
 
 
-def _colours(path: Path, root: ElementTree.Element) -> dict[str, tuple[float, float, float, float]]:
+def _colours(path: Path, root: ElementTree.Element) -> dict[str, Rgba]:
     """Return the named colours of a file."""
     found = {}
     for material in root.findall("material"):
@@ -185,9 +186,7 @@ def _colours(path: Path, root: ElementTree.Element) -> dict[str, tuple[float, fl
     return found
 
 
-def _colour(
-    visual: ElementTree.Element, colours: dict[str, tuple[float, float, float, float]], where: str
-) -> tuple[float, float, float, float] | None:
+def _colour(visual: ElementTree.Element, colours: dict[str, Rgba], where: str) -> Rgba | None:
     material = visual.find("material")
     if material is None:
         return None
@@ -195,6 +194,6 @@ def _colour(
     return colours.get(material.get("name", "")) if color is None else _rgba(color, where)
 
 
-def _rgba(color: ElementTree.Element, where: str) -> tuple[float, float, float, float]:
+def _rgba(color: ElementTree.Element, where: str) -> Rgba:
     red, green, blue, alpha = np.clip(_numbers(color, "rgba", 4, where), 0.0, 1.0).tolist()
     return (red, green, blue, alpha)

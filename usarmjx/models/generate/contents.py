@@ -23,8 +23,6 @@ from usarmjx.models.generate.structures import (
     STONE,
     STRUCTURE_SIZE,
     WOOD,
-    Position2D,
-    Rgba,
     block,
     lerp,
     void,
@@ -38,7 +36,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
 
 INNER = (CELL - THICKNESS) / 2
 """From the middle of a cell to its walls [m]."""

@@ -1,8 +1,8 @@
 """What stands in cells that bar the way: rubble, step fields, ramps, slabs; and a second floor.
 
-Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within `STRUCTURE_SIZE` about
-the middle, so that it never meets a wall. Which solids there are, and how they lie, does not depend on the
-roughness; how high they are, does.
+Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within
+`STRUCTURE_SIZE` about the middle, so that it never meets a wall. Which solids there are, and how they lie,
+does not depend on the roughness; how high they are, does.
 """
 
 import math
@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
 
 STRUCTURE_SIZE = 1.1
 """Side of the square that a structure stays within [m]."""
@@ -29,8 +29,6 @@ WOOD = (0.7, 0.55, 0.35, 1.0)
 STONE = (0.6, 0.6, 0.6, 1.0)
 CONCRETE = (0.55, 0.53, 0.5, 1.0)
 
-Position2D = tuple[float, float]
-Rgba = tuple[float, float, float, float]
 Maker = Callable[[RandomStream, Position2D, float], list[Shape]]
 
 

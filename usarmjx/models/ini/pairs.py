@@ -1,4 +1,4 @@
-"""Part-joint pairs of an ini file (manual 14.4.2.4), read and checked; `ini_joints` makes parts of them.
+"""Part-joint pairs of an ini file (manual 14.4.2.4), read and checked; `joints` makes parts of them.
 
 Axes are written in Unreal's axes (z up) whatever bMountByUU says (KRobot.uc does not convert them),
 positions as everything else.

@@ -13,7 +13,7 @@ import numpy as np
 
 from usarmjx.models.roads.geodesy import LatLon, to_local_xy
 from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 LANE_WIDTH = 12.0
 """Of lanes whose network does not say it [feet] (chosen: that of highways)."""
@@ -30,7 +30,6 @@ STRAIGHT = 2e-3
 
 WHITE, YELLOW = (0.95, 0.95, 0.95, 1.0), (0.95, 0.75, 0.1, 1.0)
 CONCRETE = (0.65, 0.65, 0.62, 1.0)
-Rgba = tuple[float, float, float, float]
 
 
 def road_shapes(network: RouteNetwork, origin: LatLon) -> tuple[Shape, ...]:

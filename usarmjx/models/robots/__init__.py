@@ -1,4 +1,9 @@
-"""The robot classes that INIT can spawn."""
+"""The robot classes that INIT can spawn, each a value; `ROBOTS` finds them by name.
+
+Figures are the manual's, a data sheet's or chosen, and say so in `sources`; what follows from them is
+computed. `kit`, `track_kit` and `car_kit` have what many robots share. Begin with `pioneer`. A figure that
+GETGEO or GETCONF reports is held to the manual by tests: change it only with a source.
+"""
 
 from usarmjx.base.registry import Registry
 from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA

@@ -9,9 +9,9 @@ import math
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Blimp, RotaryWing
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, camera
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
 from usarmjx.models.spec.robot import Link, MissionPackage, Motor, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 WHITE: Rgba = (0.9, 0.9, 0.9, 1.0)
 ORANGE: Rgba = (0.95, 0.55, 0.1, 1.0)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, car_wheel, firm_motor, wheel
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, car_wheel, firm_motor, wheel
 from usarmjx.models.spec.robot import STEER_SUFFIX, MissionPackage, Mount, Part, RobotSpec, Spring, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 MAX_SPIN = 100.0
 """Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""

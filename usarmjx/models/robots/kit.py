@@ -17,9 +17,7 @@ from usarmjx.models.spec.robot import (
     Spring,
     options,
 )
-from usarmjx.models.spec.shapes import ZERO, Shape
-
-Rgba = tuple[float, float, float, float]
+from usarmjx.models.spec.shapes import ZERO, Rgba, Shape
 
 RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
 BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)

@@ -10,9 +10,9 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, Rgba, camera
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, camera
 from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 SILVER: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)

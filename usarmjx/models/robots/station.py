@@ -1,9 +1,9 @@
 """ComStation, the base station of the wireless simulation (manual 3.2.4.1): it stands where it was put."""
 
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots.kit import BLACK, Rgba
+from usarmjx.models.robots.kit import BLACK
 from usarmjx.models.spec.robot import Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 GREY: Rgba = (0.6, 0.6, 0.65, 1.0)
 

@@ -9,9 +9,9 @@ import math
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Underwater
 from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, Rgba, camera, pan_tilt
+from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt
 from usarmjx.models.spec.robot import Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Rgba, Shape
 
 NAVY: Rgba = (0.2, 0.25, 0.35, 1.0)
 GREY: Rgba = (0.5, 0.5, 0.55, 1.0)

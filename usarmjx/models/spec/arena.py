@@ -8,7 +8,7 @@ radians, masses kilograms. Solids are `spec.Shape`, as robots' are.
 from dataclasses import dataclass
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.spec.shapes import ZERO, Shape
+from usarmjx.models.spec.shapes import ZERO, Rgba, Shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class Door:
     limits: tuple[float, float] = (-1.6, 1.6)
     mass: float = 8.0
     friction: float = 2.0
-    rgba: tuple[float, float, float, float] = (0.5, 0.35, 0.2, 1.0)
+    rgba: Rgba = (0.5, 0.35, 0.2, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
