@@ -109,7 +109,7 @@ def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
         loose=tuple(replace(o, at=there(o.at), rotation=turned(o.rotation)) for o in content.loose),
         doors=tuple(replace(door, at=there(door.at), yaw=door.yaw + yaw) for door in content.doors),
         extent=None,
-        place=None if content.free_position is None else there((*content.free_position, 0.0))[:2],
+        free_position=None if content.free_position is None else there((*content.free_position, 0.0))[:2],
     )
 
 
