@@ -61,7 +61,7 @@ BETWEEN_BEAMS = 0.0277
 def test_beams_are_those_of_both_scanners(view):
     suite = view.scene.groups[0].suite
     for kind in ("RangeScanner", "IRScanner"):
-        lines = suite.sensors[suite.index(kind)].lines()
+        lines = suite.sensors[suite.index(kind)].directions()
         np.testing.assert_allclose(np.arctan2(lines[:, 1], lines[:, 0]), beams(), atol=1e-6)
 
 
