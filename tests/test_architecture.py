@@ -94,3 +94,42 @@ def test_paths_of_modules_in_all_documents_exist():
             if not Path(dev.ROOT / path).exists():
                 gone.setdefault(file.name, set()).add(path)
     assert gone == {}
+
+
+def documented_names() -> frozenset[str]:
+    """What code and documents may mean by a word in ticks: any name, parameter or text of the package."""
+    found = set(names()) | {*dev.VERBS, *vars(dev)}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.arg):
+                found.add(node.arg)
+            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                found.add(node.attr)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "`" not in node.value:
+                found |= set(re.findall(r"\w+", node.value))
+    return frozenset(found)
+
+
+FOREIGN = re.compile(
+    r"(mj|mjt|mjx|jax|jnp|lax|gymnasium|geom|Auto|Episode|Vmap|Vector|Wireless|Tarantula)\w*(\..*)?"
+    r"|DiameterError|SeparationError|MaxIncidence|OmniCam|RearTrack|Generator|Union|asdict|end_|nW|rl|U|USARBot"
+)
+"""Names of other libraries and of USARSim's files."""
+FILE = re.compile(r".*\.(py|md|ini|yaml|toml|npz|png|json|jsonl|txt|html|uc|c|MTL)")
+
+
+def test_names_in_docstrings_and_documents_are_those_of_the_code():
+    """A word in ticks is a name that exists: what was renamed is renamed in the texts as well."""
+    known, stale = documented_names(), {}
+    pages = [dev.ROOT / "README.md", dev.ROOT / "CONTRIBUTING.md", *(dev.ROOT / "docs").glob("*.md")]
+    for path in [*PACKAGE.rglob("*.py"), *(page for page in pages if page.name != "conformance.md")]:
+        text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for word in re.findall(r"`([A-Za-z_][\w.]*)`", text):
+            parts = [part for part in word.split(".") if part]
+            if (
+                not FILE.fullmatch(word)
+                and not FOREIGN.fullmatch(word.rstrip("."))
+                and not known.issuperset(parts)
+            ):
+                stale.setdefault(path.name, set()).add(word)
+    assert stale == {}

@@ -151,7 +151,7 @@ def test_quick_is_a_net_of_more_than_a_thousand_tests():
 def test_fuzz_runs_the_property_tests_alone_and_each_time_with_other_examples():
     (step,) = dev.VERBS["fuzz"].steps("tests/server")
     assert step == ["-m", "pytest", "-m", "hypothesis", "--hypothesis-profile", "fuzz", "tests/server"]
-    found = collected("tests/base/test_registry.py", "tests/server/test_found.py", *step[2:6])
+    found = collected("tests/base/test_registry.py", "tests/server/messages/test_victims.py", *step[2:6])
     (name,) = {line.split("::")[1] for line in found}
     assert name == "test_any_text_that_a_line_can_carry_is_read_back_as_it_was_written"
     fuzz, same = (hypothesis.settings.get_profile(name) for name in ("fuzz", "same"))

@@ -1,8 +1,9 @@
 """usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.
 
-`make` gives a task's environment, `sim.batch.Batch` steps worlds, `server` serves one over the Gamebots protocol.
-docs/architecture.md says what is in which folder, and follows a command, a range, an action and a radio link
-through them; docs/glossary.md has the words. Importing this raises JAX's pool of threads, see `base.threads`.
+`make` gives a task's environment, `sim.batch.Batch` steps worlds, `server` serves one over the Gamebots
+protocol. docs/architecture.md says what is in which folder, and follows a command, a range, an action and a
+radio link through them; docs/glossary.md has the words. Importing this raises JAX's pool of threads, see
+`base.threads`.
 """
 
 from typing import TYPE_CHECKING, Any

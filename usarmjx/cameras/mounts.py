@@ -27,7 +27,7 @@ class Camera:
 
     Attributes:
         mount: Where it is described.
-        body: The body it sits on, as a place in `BodyPlan.parts`.
+        body: The body it sits on, as a place in `KinematicTree.parts`.
         pos: Position on it [m] (3,).
         mat: Orientation on it; x is the optical axis (3, 3).
         default_fov: Field of view that it starts with [rad].
@@ -131,7 +131,7 @@ class HeadlightMount:
     """Where a robot class has its headlight; lengths and axes are ours.
 
     Attributes:
-        body: The body it sits on, as a place in `BodyPlan.parts`.
+        body: The body it sits on, as a place in `KinematicTree.parts`.
         pos: Position on it [m] (3,).
         direction: Where it shines, a unit vector (3,).
     """

@@ -54,7 +54,7 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
 
 
 def robot_geom_owner(slot: Array, geom: Array) -> Array:
-    """Return the owner that tells a robot's geom, by its place in the class's `BodyPlan`, from all others."""
+    """Return the owner that tells a robot's geom, by its index in the `KinematicTree`, from all others."""
     return slot * MAX_ROBOT_GEOMS + geom
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, Bool, Float, Int
 from usarmjx.comms.attenuation import AnyRadioSettings, received_power
 from usarmjx.comms.walls import count_walls
 from usarmjx.sensors.rays.targets import Geoms
@@ -97,8 +97,11 @@ def delivery_probability(settings: AnyRadioSettings, power: jax.Array) -> jax.Ar
 
 
 def pair_powers(
-    settings: AnyRadioSettings, geoms: Geoms, antennas: jax.Array, shadow: jax.Array | float = 0.0
-) -> tuple[jax.Array, jax.Array]:
+    settings: AnyRadioSettings,
+    geoms: Geoms,
+    antennas: Float[jax.Array, "robots 3"],
+    shadow: Float[jax.Array, " pairs"] | float = 0.0,
+) -> tuple[Float[jax.Array, " pairs"], Int[jax.Array, " pairs"]]:
     """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
 
     Differentiable in the antennas' places; walls count as if they stayed as they are.
@@ -120,10 +123,10 @@ def pair_powers(
 def evaluate_links(
     settings: AnyRadioSettings,
     geoms: Geoms,
-    robots: tuple[jax.Array, jax.Array],
+    robots: tuple[Float[jax.Array, "robots 3"], Bool[jax.Array, " robots"]],
     before: Links,
     key: jax.Array,
-    step: jax.Array,
+    step: Int[jax.Array, ""],
 ) -> Links:
     """Return the links as they are now.
 

@@ -54,7 +54,7 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
 
     @property
     def surroundings_or_empty(self) -> Surroundings:
-        """The surroundings, `NOTHING` where none were given."""
+        """The surroundings, `NO_SURROUNDINGS` where none were given."""
         return NO_SURROUNDINGS if self.surroundings is None else self.surroundings
 
 
@@ -87,7 +87,7 @@ class SensorSettings:
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def problem(self) -> str:
-        """Return what settings do not go together, "" if all do; each for itself has its `Limits`."""
+        """Return what settings do not go together, "" if all do; each for itself has its `NumberLimits`."""
         return ""
 
 
@@ -182,7 +182,7 @@ class Sensor(ABC):
 
     @property
     def has_overlay(self) -> bool:
-        """Whether it keeps a sketch for pictures in its memory; see `sketch`."""
+        """Whether it keeps an overlay for pictures in its memory; see `overlay`."""
         return False
 
     def overlay(self, memory: Any) -> OverlayLines:  # noqa: ANN401

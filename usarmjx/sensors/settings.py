@@ -1,4 +1,4 @@
-"""Settings of cameras; `field_name` and `resolve` are those of `models.spec.settings`, here for sensors."""
+"""Settings of cameras; `field_name` and `resolve_settings` are those of `models.spec.settings`."""
 
 from dataclasses import dataclass
 

@@ -23,6 +23,6 @@ class OverlayLines(struct.PyTreeNode, kw_only=True):
 
 
 def no_overlay(count: int) -> OverlayLines:
-    """Return a sketch with room for some lines, of which there is none."""
+    """Return an overlay with room for some lines, of which there is none."""
     nowhere = jnp.zeros((count, 3))
     return OverlayLines(start=nowhere, end=nowhere, rgb=nowhere, shown=jnp.zeros(count, bool))

@@ -149,7 +149,7 @@ class VictSensor(Sensor):
         boxes = (around.box_pos, around.box_mat, around.box_size)
         return end, jax.vmap(one)(*map(jnp.asarray, boxes))
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - a sketch if it draws
+    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - an overlay if it has one
         """Nothing was met yet."""
         del inputs, key
         return (

@@ -27,7 +27,7 @@ from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import RobotSession
-from usarmjx.server.worlds.host import Robot, ServedWorld
+from usarmjx.server.worlds.served_world import Robot, ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
 from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode, update_command
 from usarmjx.sim.scene import start_height

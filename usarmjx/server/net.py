@@ -15,7 +15,7 @@ from typing import Protocol
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol.commands import Command, Init
-from usarmjx.server.worlds.host import ServedWorld
+from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
 

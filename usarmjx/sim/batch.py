@@ -243,8 +243,8 @@ class Batch:
         Args:
             state: The batch.
             group: Index into `scene.groups`.
-            values: Numbers for some of the keys of the robots' drive (`robot.drive.full` lists them with
-                their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
+            values: Numbers for some of the keys of the robots' drive (`robot.drive.full_scale` lists them
+                with their limits), as {"Left": 2.0, "Right": 2.0} [rad/s, m/s or rad], broadcast to
                 (worlds, robots).
 
         Raises:

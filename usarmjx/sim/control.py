@@ -61,7 +61,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     Attributes:
         time: Simulated time [s] ().
         powered: Whether its battery lasts ().
-        depth: How far its origin is below the surface of water [m] (); `drives.DRY` outside.
+        depth: How far its origin is below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
         speed: Factor on how fast they turn (); None: 1.
     """

@@ -204,7 +204,7 @@ def sense(scene: Scene, world: World, physics: PhysicsState) -> tuple[SensorInpu
 
 
 def depth_in_water(arena: ArenaSpec, pos: Array) -> jax.Array:
-    """Return how far a point (3,) is below the surface of water, negative above it [m] (); else `DRY`."""
+    """Return how far a point (3,) is below water, negative above it [m] (); without any `DRY_DEPTH`."""
     depth = jnp.full((), DRY_DEPTH)
     for water in arena.waters:
         low, high = np.array(water.low), np.array(water.high)

@@ -343,8 +343,8 @@ def test_the_manuals_omni_wheels_are_told_their_speeds_and_angles_by_number(load
         text += f"\nWheels({i})=(Number={i},{holo if i < 2 else 'PowerType=Not_Powered'});"
     drive = named(load(text), "MyLisa").drive
     assert drive.steering == "OmniDrive"
-    assert list(drive.full) == ["WheelSpeed0", "WheelSteer0", "WheelSpeed1", "WheelSteer1"]
-    assert drive.full["WheelSteer1"] == 3.14
+    assert list(drive.full_scale) == ["WheelSpeed0", "WheelSteer0", "WheelSpeed1", "WheelSteer1"]
+    assert drive.full_scale["WheelSteer1"] == 3.14
 
 
 LISA_WHEELS = """
@@ -361,7 +361,7 @@ def test_the_manuals_wheels_of_lisa_are_those_it_has_and_others_change_them(load
     assert load(LISA_WHEELS).robots == ()
     other = LISA_WHEELS.replace("1,PowerType=Holo_Powered", "1,PowerType=Not_Powered").replace("3.14", "1.5")
     drive = named(load(other), "Lisa").drive
-    assert drive.full == {"WheelSpeed0": LISA.drive.max_spin, "WheelSteer0": 1.5, "WheelSteer1": 1.5}
+    assert drive.full_scale == {"WheelSpeed0": LISA.drive.max_spin, "WheelSteer0": 1.5, "WheelSteer1": 1.5}
     with pytest.raises(SpecError, match=r"a\.ini:4: Lisa drives no wheel 2; expected 0 to 1"):
         load(LISA_WHEELS.replace("2,PowerType=Not", "2,PowerType=Holo"))
 
@@ -597,8 +597,8 @@ def test_configuring_replaces_classes_in_the_registry_or_nothing(own_robots, tmp
     assert own_robots.get("P2AT") == replace(P2AT, payload=1.0)
     assert own_robots.names().count("P2AT") == 1
     assert sorted(text.partition("good.ini:")[2] for text in warnings) == [
-        f"11: P2AT carries {carried_weight(P2AT):.2f} kg of {len(P2AT.sensors) + len(P2AT.cameras)} items, its "
-        "payload is 1.00 kg",
+        f"11: P2AT carries {carried_weight(P2AT):.2f} kg of {len(P2AT.sensors) + len(P2AT.cameras)} items, "
+        "its payload is 1.00 kg",
         "2: Rover carries 0.50 kg of 1 items, its payload is 0.20 kg",
     ]
 

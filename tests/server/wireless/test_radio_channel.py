@@ -17,7 +17,7 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.wireless.radio_channel import PAIR_BATCH_SIZE, RadioChannel, antenna_position
 from usarmjx.server.worlds.batch_world import BatchWorld
-from usarmjx.server.worlds.host import Robot
+from usarmjx.server.worlds.served_world import Robot
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 

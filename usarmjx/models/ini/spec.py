@@ -118,7 +118,7 @@ def _changed_robot(
         return change_wheels(base, roles)
     parts = build_parts(pairs, base.mass, sources.robots)
     parts, drive = drive_of(pairs, parts, roles, sources.warnings)
-    return replace(base, parts=parts, drive=drive, reported=())
+    return replace(base, parts=parts, drive=drive, reported_joints=())
 
 
 def _new_robot(orders: RobotSection, pairs: Sequence[JointPair], sources: BuildContext) -> RobotSpec:

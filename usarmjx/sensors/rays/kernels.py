@@ -205,7 +205,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
 
 
 def bounding_radius(kind: int, size: XYZ) -> jax.Array:
-    """Radius of a ball about a geom's position that holds it."""
+    """Radius of the bounding sphere about a geom's position."""
     if kind == TRIANGLE_KIND:
         return jnp.maximum(jnp.abs(size[0]), jnp.hypot(size[1], size[2]))
     _, half = bounding_box(kind, size)

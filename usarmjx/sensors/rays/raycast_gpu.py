@@ -34,7 +34,7 @@ MAX_PASS_GEOMS = 256
 MAX_UNCULLED_GEOMS = 2
 """So many geoms are tested without looking."""
 OWNER_ROW, RADIUS_ROW, GEOM_ROWS = 15, 16, 17
-"""Of a geom's numbers, which are position (3), orientation by rows (9), size (3), owner, radius of a ball."""
+"""Of a geom's numbers, which are position (3), orientation by rows (9), size (3), owner, bounding radius."""
 UNLIMITED_DISTANCE = 3e38
 """Stands for an unlimited reach, as what is missed is infinitely far."""
 
@@ -49,7 +49,7 @@ class GeomBlockInfo(NamedTuple):
 
 
 def pack(kind: int, block: Any) -> jax.Array:  # noqa: ANN401 - a raycast.Block
-    """Return a block's geoms by number (FIELDS, room).
+    """Return a block's geoms by number (GEOM_ROWS, room).
 
     There is room for whole groups of `LANES`; for whole passes of `MAX_PASS_GEOMS` if there are more.
     """
@@ -191,7 +191,10 @@ def _fanned(rays: Sequence[Any], ray: jax.Array) -> RayComponents:
 
 
 def _program(*refs: Any, blocks_info: tuple[GeomBlockInfo, ...], bundle: int, reach: float) -> None:  # noqa: ANN401
-    blocks, (*rays, viewer, wanted, distance, which) = refs[: len(blocks_info)], refs[len(blocks_info) :]
+    blocks, (*rays, exclude_owner, wanted, distance, geom_index) = (
+        refs[: len(blocks_info)],
+        refs[len(blocks_info) :],
+    )
     lanes = jax.lax.broadcasted_iota(jnp.int32, (max(16, 1 << (bundle - 1).bit_length()),), 0)  # pyright: ignore[reportUnknownMemberType]
     begin, count = pl.program_id(0) * bundle, distance.shape[0]
     ray = jnp.minimum(begin + lanes, jnp.minimum(begin + bundle, count) - 1)  # lanes left over: the last ray
@@ -199,12 +202,12 @@ def _program(*refs: Any, blocks_info: tuple[GeomBlockInfo, ...], bundle: int, re
 
     def look(best: Best) -> Best:
         start, along = _given(rays, ray) if len(rays) == 2 else _fanned(rays, ray)
-        looker = viewer[0].astype(jnp.float32)
-        return _first(blocks_info, blocks, _Bundle(start, along, _cone(start, along), looker), best)
+        excluded = exclude_owner[0].astype(jnp.float32)
+        return _first(blocks_info, blocks, _Bundle(start, along, _cone(start, along), excluded), best)
 
     reached, found = jax.lax.cond(wanted[0] > 0, look, lambda best: best, nothing)
     # Lanes left over say the same as the last one.
-    distance[ray], which[ray] = jnp.where(found < 0, jnp.inf, reached), found
+    distance[ray], geom_index[ray] = jnp.where(found < 0, jnp.inf, reached), found
 
 
 def _first(infos: tuple[GeomBlockInfo, ...], blocks: Sequence[Any], bundle: _Bundle, best: Best) -> Best:

@@ -22,7 +22,7 @@ from usarmjx.server.wireless.sockets import (
     listen,
     peer_address,
 )
-from usarmjx.server.worlds.host import ServedWorld
+from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
 

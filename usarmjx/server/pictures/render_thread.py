@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from usarmjx.server.pictures.views import CompositeView, snapshot
-from usarmjx.server.worlds.host import CameraRequest, ServedWorld, ViewpointRequest
+from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest
 
 log = logging.getLogger(__name__)
 

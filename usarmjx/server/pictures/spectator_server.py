@@ -21,7 +21,7 @@ from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.protocol.images import jpeg
-from usarmjx.server.worlds.host import ServedWorld
+from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
 

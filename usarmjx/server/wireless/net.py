@@ -29,7 +29,7 @@ from usarmjx.server.wireless.sockets import (
     log,
     peer_address,
 )
-from usarmjx.server.worlds.host import ServedWorld
+from usarmjx.server.worlds.served_world import ServedWorld
 
 POLL_PERIOD = 1.0
 """Between two polls of the world [s of simulated time]: the pace of the stand-alone server's poll."""

@@ -22,7 +22,7 @@ from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.wireless.channel import Presence
-from usarmjx.server.worlds.host import Robot, ServedWorld
+from usarmjx.server.worlds.served_world import Robot, ServedWorld
 
 PAIR_BATCH_SIZE = 16
 """So many pairs are computed at a time."""

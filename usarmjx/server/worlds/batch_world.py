@@ -22,7 +22,7 @@ from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.suite import SensorMemory
-from usarmjx.server.worlds.host import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
+from usarmjx.server.worlds.served_world import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.scene import PARKING_HEIGHT

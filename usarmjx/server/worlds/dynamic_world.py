@@ -40,7 +40,7 @@ from usarmjx.sensors.suite import SensorMemory, suite_of
 from usarmjx.sensors.surroundings import Surroundings, surroundings_at
 from usarmjx.server.worlds.compiled import RAY_BATCH_SIZE, CompiledRobot, materials_present
 from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
-from usarmjx.server.worlds.host import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
+from usarmjx.server.worlds.served_world import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.operate import EffecterState, Operation, apply_operation, effecter_position
 from usarmjx.sim.scene import prefix_of

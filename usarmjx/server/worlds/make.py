@@ -12,7 +12,7 @@ from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.server.worlds.host import ServedWorld
+from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 

@@ -19,7 +19,7 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld
-from usarmjx.server.worlds.host import Robot
+from usarmjx.server.worlds.served_world import Robot
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.control import idle_command

@@ -19,7 +19,7 @@ from usarmjx.server.pictures.views import snapshot
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.server.worlds.host import CameraRequest
+from usarmjx.server.worlds.served_world import CameraRequest
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 

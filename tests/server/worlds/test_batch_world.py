@@ -8,7 +8,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.batch_world import BatchWorld
-from usarmjx.server.worlds.host import CameraRequest, ViewpointRequest
+from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import PARKING_HEIGHT, RosterEntry, build_scene
 
