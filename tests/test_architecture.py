@@ -35,7 +35,8 @@ def names() -> frozenset[str]:
             elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
                 found.add(node.target.id)
             elif isinstance(node, ast.Assign):
-                found |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+                targets = [name for target in node.targets for name in ast.walk(target)]
+                found |= {name.id for name in targets if isinstance(name, ast.Name)}
     return frozenset(found)
 
 
