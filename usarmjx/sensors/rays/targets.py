@@ -47,8 +47,8 @@ class Geoms(struct.PyTreeNode, kw_only=True):
         blocks: The geoms, by kind and material.
         kinds: What kind each block is of: MuJoCo's type, or a kind of `models.build.pieces`.
         materials: What each block is made of; a member of `spec.MATERIALS`.
-        compact: Whether the bounding sphere of each geom of a block is a fair picture of it, as of robots' parts and
-            unlike of walls; empty: of none.
+        compact: Whether the bounding sphere of each geom of a block is a fair picture of it, as of robots'
+            parts and unlike of walls; empty: of none.
     """
 
     blocks: tuple[GeomBlock, ...]
