@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias, cast
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from brax.training.distribution import NormalTanhDistribution
-from flax import linen as nn
 from flax import struct
 
 from usarmjx.base.errors import UsageError
