@@ -82,8 +82,8 @@ class Suite:
         self,
         geoms: Geoms,
         bodies: BodyPoses,
-        slot: jax.Array,
-        due: jax.Array | None = None,
+        slot: Array,
+        due: Array | None = None,
         surroundings: Surroundings = NO_SURROUNDINGS,
     ) -> Hits:
         """Cast the rays of the robot in `slot` (); angles of incidence only where a sensor needs them.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.antenna import antenna_positions
@@ -82,7 +82,7 @@ def link_interval(scene: Scene) -> int:
     return max(1, round(radio_of(scene).period / scene.physics.period))
 
 
-def links_due(scene: Scene, world: World) -> jax.Array:
+def links_due(scene: Scene, world: World) -> Array:
     """Return whether the links are to be evaluated again ()."""
     return is_due(_links(world), world.step, link_interval(scene))
 

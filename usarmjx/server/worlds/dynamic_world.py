@@ -10,6 +10,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -311,7 +312,8 @@ class DynamicWorld(ServedWorld):
         mujoco.mj_kinematics(self._model, self._data)
         body = list(self._index[robot.slot].body_ids)
         pos, mat = self._data.xpos[body], self._data.xmat[body].reshape(-1, 3, 3)
-        return BodyPoses(pos=pos.astype(np.float32), mat=mat.astype(np.float32))
+        poses: dict[str, Any] = {"pos": pos.astype(np.float32), "mat": mat.astype(np.float32)}
+        return BodyPoses(**poses)  # NumPy's arrays: nothing here is traced
 
     def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
         """Carry out a SET command on a sensor."""
