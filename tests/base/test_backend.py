@@ -1,0 +1,101 @@
+"""The same functions and random numbers on NumPy as on JAX."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from usarmjx.base import random
+from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
+
+ULPS = 4
+"""XLA's logarithm and its fused products differ from NumPy's by so many units in the last place."""
+SEEDS = (0, 1, 12345, 2**31 + 7)
+
+
+def words(key):
+    return np.asarray(jax.random.key_data(key))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("seed", SEEDS)
+def test_keys_are_jaxs_to_the_bit(seed):
+    key = jax.random.key(seed)
+    with numpy_backend():
+        ours = random.key(seed)
+        folded, children = random.fold_in(ours, 2**32 - 3), random.split(ours, 7)
+    np.testing.assert_array_equal(ours, words(key))
+    np.testing.assert_array_equal(folded, words(jax.random.fold_in(key, np.uint32(2**32 - 3))))
+    np.testing.assert_array_equal(children, words(jax.random.split(key, 7)))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (5,), (40, 3), (0,)])
+def test_uniform_numbers_are_jaxs_to_the_bit(shape):
+    key = jax.random.key(3)
+    with numpy_backend():
+        ours = random.uniform(random.key(3), shape, -0.3, 0.7)
+    theirs = jax.random.uniform(key, shape, minval=-0.3, maxval=0.7)
+    assert ours.dtype == np.float32
+    np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.oracle
+def test_normal_numbers_are_jaxs_but_for_the_last_places():
+    with numpy_backend():
+        ours = random.normal(random.key(3), (100_000,))
+    np.testing.assert_array_max_ulp(ours, np.asarray(jax.random.normal(jax.random.key(3), (100_000,))), ULPS)
+
+
+def test_the_library_is_numpy_only_inside_and_numbers_stay_single():
+    assert not on_numpy()
+    with numpy_backend():
+        assert on_numpy()
+        made = [
+            xp.zeros(2),
+            xp.full(2, 1.5),
+            xp.arange(3),
+            xp.asarray([1.0]),
+            xp.eye(2),
+            xp.where(True, 1.0, 2),
+        ]
+        assert all(isinstance(one, np.ndarray) and one.dtype.itemsize == 4 for one in made)
+        assert xp.full(2, True).dtype == bool
+        with named_scope("anything"):
+            x, y, z = xp.cross(xp.array([1.0, 2.0, 3.0]), xp.array([0.5, -1.0, 4.0]))
+        assert (x, y, z) == (11.0, -2.5, -2.0)
+    assert isinstance(xp.zeros(2), jax.Array)
+    assert not on_numpy()
+
+
+def test_the_library_comes_back_after_an_error():
+    with pytest.raises(KeyError), numpy_backend():
+        raise KeyError
+    assert not on_numpy()
+
+
+@pytest.mark.parametrize("axes", [0, (0, None, 0), ({"a": 0, "b": None}, None, 0)])
+def test_mapping_over_rows_is_jaxs(axes):
+    if axes == 0:
+        args = ({"a": np.arange(6.0).reshape(2, 3), "b": np.ones((2, 3))}, np.ones((2, 1)), np.arange(2.0))
+    elif isinstance(axes[0], dict):
+        args = ({"a": np.arange(6.0).reshape(2, 3), "b": np.ones(3)}, np.ones(1), np.arange(2.0))
+    else:
+        args = ({"a": np.arange(6.0).reshape(2, 3), "b": np.ones((2, 3))}, np.ones(1), np.arange(2.0))
+
+    def function(tree, shared, number):
+        return {"sum": tree["a"] + tree["b"] * shared, "number": number * 2}
+
+    with numpy_backend():
+        ours = vmap(function, axes)(*args)
+    theirs = jax.vmap(function, axes)(*jax.tree.map(jnp.asarray, args))
+    jax.tree.map(np.testing.assert_array_equal, ours, jax.device_get(theirs))
+
+
+def test_setting_leaves_the_original():
+    before = np.zeros(3)
+    with numpy_backend():
+        after = set_at(before, 1, 5.0)
+    assert before.tolist() == [0, 0, 0]
+    assert after.tolist() == [0, 5, 0]
+    assert set_at(jnp.zeros(3), np.array([0, 2]), 1.0).tolist() == [1, 0, 1]

@@ -1,0 +1,107 @@
+"""The array library that pure functions run on: JAX for batches, NumPy for single worlds.
+
+A batch is traced and compiled: `xp` is `jax.numpy` then, as anywhere unless said otherwise. A world that
+clients share must never wait for a compiler: inside `with numpy_backend():` the same functions run on NumPy,
+at once, with the same random numbers. Both differ in the last bits of single precision only, as XLA fuses
+products and sums (`tests/base/test_backend.py`).
+"""
+
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base import numpy_arrays
+from usarmjx.base.arrays import Array
+
+T = TypeVar("T")
+_on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
+
+
+@contextmanager
+def numpy_backend() -> Generator[None]:
+    """Run pure functions on NumPy: nothing is traced or compiled inside. It holds for this thread alone."""
+    token = _on_numpy.set(True)
+    try:
+        yield
+    finally:
+        _on_numpy.reset(token)
+
+
+def on_numpy() -> bool:
+    """Return whether pure functions run on NumPy now."""
+    return _on_numpy.get()
+
+
+class _ArrayFunctions:
+    """The array functions of the library in force."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the library has
+        return getattr(numpy_arrays if _on_numpy.get() else jnp, name)
+
+
+if TYPE_CHECKING:
+    xp = jnp
+else:
+    xp = _ArrayFunctions()
+
+
+def named_scope(name: str) -> AbstractContextManager[None]:
+    """Name a part of a tick in profiles of compiled code; nothing on NumPy."""
+    return nullcontext() if _on_numpy.get() else jax.named_scope(name)
+
+
+def set_at(values: Array, index: Any, new: Any) -> Any:  # noqa: ANN401 - what indexes and is assigned
+    """Return a copy of an array with `values[index] = new`."""
+    if not _on_numpy.get():
+        return jnp.asarray(values).at[index].set(new)
+    copy = np.array(values)
+    copy[index] = new
+    return copy
+
+
+def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # noqa: ANN401 - as JAX has it
+    """Map over leading axes as `jax.vmap` does; on NumPy a loop.
+
+    Args:
+        function: Of one row; returns a PyTree.
+        in_axes: 0 for arguments that have the axis and None for those that are shared, or PyTree prefixes.
+    """
+    if not _on_numpy.get():
+        return jax.vmap(function, in_axes)
+
+    def looped(*args: Any) -> T:  # noqa: ANN401 - PyTrees
+        given = cast(tuple[Any, ...], in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(args))
+        columns = [_rows(arg, axis) for arg, axis in zip(args, given, strict=True)]
+        count = next(n for n, _ in columns if n is not None)
+        results = [function(*(row(i) for _, row in columns)) for i in range(count)]
+        if not results:
+            raise ValueError("nothing to map over")
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *results)
+
+    return looped
+
+
+def _rows(arg: Any, axis: Any) -> tuple[int | None, Callable[[int], Any]]:  # noqa: ANN401 - PyTrees
+    """Return how many rows an argument has (None: it is shared), and a function that gives one."""
+    leaves, tree = jax.tree.flatten(arg)
+    if axis is None:
+        return None, lambda _: arg
+    if axis == 0:
+        mapped = [True] * len(leaves)
+    else:
+        prefix = jax.tree.map(lambda value: value is not None, axis, is_leaf=lambda value: value is None)
+        mapped = jax.tree.leaves(
+            jax.tree.map(lambda flag, part: jax.tree.map(lambda _: flag, part), prefix, arg)
+        )
+    count = next((len(leaf) for leaf, flag in zip(leaves, mapped, strict=True) if flag), None)
+
+    def row(i: int) -> Any:  # noqa: ANN401 - a PyTree
+        picked = [leaf[i] if flag else leaf for leaf, flag in zip(leaves, mapped, strict=True)]
+        return jax.tree.unflatten(tree, picked)
+
+    return count, row
