@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base import random
-from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
+from usarmjx.base.backend import jit, named_scope, numpy_backend, on_numpy, set_at, stop_gradient, vmap, xp
 
 ULPS = 4
 """XLA's logarithm and its fused products differ from NumPy's by so many units in the last place."""
@@ -99,3 +99,21 @@ def test_setting_leaves_the_original():
     assert before.tolist() == [0, 0, 0]
     assert after.tolist() == [0, 5, 0]
     assert set_at(jnp.zeros(3), np.array([0, 2]), 1.0).tolist() == [1, 0, 1]
+
+
+def test_compiled_functions_run_as_they_are_on_numpy():
+    seen = []
+
+    @jit
+    def total(values):
+        seen.append(type(values))
+        return xp.cumsum(xp.clip(stop_gradient(values), 0, 2))[-1]
+
+    values = np.array([-1, 1, 5], np.int32)
+    with numpy_backend():
+        ours = total(values)
+    assert seen == [np.ndarray]
+    assert total(jnp.asarray(values)) == ours == 3
+    assert ours.dtype == np.int32
+    assert total(jnp.asarray(values)) == 3
+    assert len(seen) == 2, "compiled once"

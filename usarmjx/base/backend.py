@@ -9,7 +9,8 @@ products and sums (`tests/base/test_backend.py`).
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from usarmjx.base import numpy_arrays
 from usarmjx.base.arrays import Array
 
 T = TypeVar("T")
+P = ParamSpec("P")
 _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
 
@@ -62,6 +64,22 @@ def set_at(values: Array, index: Any, new: Any) -> Any:  # noqa: ANN401 - what i
     copy = np.array(values)
     copy[index] = new
     return copy
+
+
+def stop_gradient(values: T) -> T:
+    """Return arrays that count as constants where something is differentiated; on NumPy nothing is."""
+    return values if _on_numpy.get() else jax.lax.stop_gradient(values)
+
+
+def jit(function: Callable[P, T], static_argnames: tuple[str, ...] = ()) -> Callable[P, T]:
+    """Compile a function as `jax.jit` does; on NumPy it runs as it is."""
+    compiled = jax.jit(function, static_argnames=static_argnames)
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        return function(*args, **kwargs) if _on_numpy.get() else compiled(*args, **kwargs)
+
+    return run
 
 
 def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # noqa: ANN401 - as JAX has it
