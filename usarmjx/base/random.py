@@ -5,20 +5,25 @@ easy as 1, 2, 3", SC 2011), in counter mode. On NumPy a key is its two words, an
 the same to the bit; normal numbers within a few units in the last place, as their logarithm is another.
 """
 
+import math
 from collections.abc import Sequence
+from functools import cache, partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, Key
 from usarmjx.base.backend import on_numpy
 
 PARITY = 0x1BD11BDA
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 MASK = 0xFFFFFFFF
-SMALL = 4
-"""Up to so many blocks are faster with Python's integers than with NumPy's arrays."""
+LANE = 64
+"""Bits of a lane: numbers of 32 bits beside each other in one of Python's, with room for carries."""
+MAX_LANES = 256
+"""Up to so many blocks are faster as lanes than in NumPy's arrays."""
 # Giles, "Approximating the erfinv function" (GPU Computing Gems, 2011), single precision.
 NEAR = (
     2.81022636e-08,
@@ -42,6 +47,8 @@ FAR = (
     1.00167406,
     2.83297682,
 )
+SQRT_2 = np.float32(math.sqrt(2))
+INFINITY = np.float32(math.inf)
 
 
 def key(seed: int) -> Any:  # noqa: ANN401 - a key of the library in force
@@ -52,77 +59,146 @@ def key(seed: int) -> Any:  # noqa: ANN401 - a key of the library in force
 
 
 def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers of the library in force
-    """Return a key made of a key and a whole number."""
+    """Return a key made of a key and a whole number; of numbers (n,), keys (n,)."""
+    many = np.ndim(data) > 0
     if not on_numpy():
-        return jax.random.fold_in(of, data)
-    return np.array(_block(int(of[0]), int(of[1]), 0, int(data) & MASK), np.uint32)
+        return jax.vmap(partial(jax.random.fold_in, of))(data) if many else jax.random.fold_in(of, data)
+    if not many:
+        return np.array(_threefry(int(of[0]), int(of[1]), int(data) & MASK), np.uint32)
+    ones, _ = _counting(len(data), 1)
+    return _as_keys(_threefry(int(of[0]) * ones, int(of[1]) * ones, _packed(data), ones), len(data))
 
 
 def split(of: Any, num: int = 2) -> Any:  # noqa: ANN401 - keys of the library in force
     """Return new keys (num,)."""
     if not on_numpy():
         return jax.random.split(of, num)
-    return np.stack(_blocks(of, num), -1)
+    ones, numbers = _counting(num, 1)
+    return _as_keys(_threefry(int(of[0]) * ones, int(of[1]) * ones, numbers, ones), num)
 
 
 def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any = 1.0) -> Any:  # noqa: ANN401
-    """Return uniform numbers of a shape in [minval, maxval)."""
-    if not on_numpy():
-        return jax.random.uniform(of, tuple(shape), minval=minval, maxval=maxval)
-    low, high = np.float32(minval), np.float32(maxval)
-    first, second = _blocks(of, int(np.prod(shape)))
-    share = ((first ^ second) >> np.uint32(9) | np.uint32(0x3F800000)).view(np.float32) - np.float32(1)
-    return np.maximum(low, share * (high - low) + low).reshape(tuple(shape))
+    """Return uniform numbers of a shape in [minval, maxval).
+
+    Args:
+        of: A key; or keys (n,), one for each row of the shape (n, ...).
+        shape: The shape.
+        minval: A bound, or bounds that broadcast to the shape.
+        maxval: The same.
+    """
+    shape = tuple(shape)
+    if on_numpy():
+        low, high = np.asarray(minval, np.float32), np.asarray(maxval, np.float32)
+        bits = _random_bits(of, math.prod(shape if of.ndim == 1 else shape[1:])).reshape(shape)
+        share = ((bits >> np.uint32(9)) | np.uint32(0x3F800000)).view(np.float32) - np.float32(1)
+        return np.maximum(low, share * (high - low) + low)
+    if not of.ndim:
+        return jax.random.uniform(of, shape, minval=minval, maxval=maxval)
+
+    def of_row(of: Key, low: Array, high: Array) -> Array:
+        return jax.random.uniform(of, shape[1:], minval=low, maxval=high)
+
+    return jax.vmap(of_row)(of, jnp.broadcast_to(minval, shape), jnp.broadcast_to(maxval, shape))
 
 
-def normal(of: Any, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401 - a key and an array of the library in force
-    """Return numbers of a shape from the standard normal distribution."""
-    if not on_numpy():
+def normal(of: Any, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401 - keys and an array of the library in force
+    """Return numbers of a shape from the standard normal distribution; keys as of `uniform`."""
+    if on_numpy():
+        low = np.nextafter(np.float32(-1), np.float32(0))
+        return SQRT_2 * _erf_inv(uniform(of, shape, low, 1.0))
+    if not of.ndim:
         return jax.random.normal(of, tuple(shape))
-    low = np.nextafter(np.float32(-1), np.float32(0))
-    return np.float32(np.sqrt(2)) * _erf_inv(uniform(of, shape, low, 1.0))
+    return jax.vmap(partial(jax.random.normal, shape=tuple(shape[1:])))(of)
 
 
-def _erf_inv(x: Array) -> np.ndarray:
+def truncated_normal(of: Any, low: float, high: float, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401
+    """Return numbers of a shape from the normal distribution, of those between two bounds; of one key."""
+    if not on_numpy():
+        return jax.random.truncated_normal(of, low, high, tuple(shape))
+    drawn = uniform(of, shape, math.erf(low / math.sqrt(2)), math.erf(high / math.sqrt(2)))
+    first, last = np.nextafter(np.float32(low), INFINITY), np.nextafter(np.float32(high), -INFINITY)
+    return np.minimum(np.maximum(SQRT_2 * _erf_inv(drawn), first), last)
+
+
+def _erf_inv(x: np.ndarray) -> np.ndarray:
     """Return the inverse error function of numbers in (-1, 1), single precision."""
-    x = np.asarray(x)
     w = -np.log1p(-x * x)
-    near = w < 5
-    at = np.where(near, w - np.float32(2.5), np.sqrt(np.maximum(w, 0)) - np.float32(3))
-    value = np.zeros_like(x)
-    for low, high in zip(NEAR, FAR, strict=True):
-        value = np.where(near, np.float32(low), np.float32(high)) + value * at
+    value = _polynomial(NEAR, w - np.float32(2.5))
+    if (w >= 5).any():
+        value = np.where(w < 5, value, _polynomial(FAR, np.sqrt(w) - np.float32(3)))
     return value * x
 
 
-def _blocks(of: Any, count: int) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401 - a key
-    """Return both words of the first blocks of a key's sequence (count,) each."""
-    k0, k1 = int(of[0]), int(of[1])
-    if count <= SMALL:
-        pairs = [_block(k0, k1, 0, i) for i in range(count)]
-        return tuple(np.array([pair[i] for pair in pairs], np.uint32) for i in (0, 1))  # type: ignore - two
-    keys = [np.uint32(k) for k in (k0, k1, k0 ^ k1 ^ PARITY)]
-    x0 = np.full(count, keys[0])
-    x1 = np.arange(count, dtype=np.uint32) + keys[1]
-    with np.errstate(over="ignore"):
-        for turn in range(5):
-            for distance in ROTATIONS[turn % 2]:
-                x0 += x1
-                x1 = (x1 << np.uint32(distance)) | (x1 >> np.uint32(32 - distance))
-                x1 ^= x0
-            x0 += keys[(turn + 1) % 3]
-            x1 += keys[(turn + 2) % 3] + np.uint32(turn + 1)
+def _polynomial(coefficients: Sequence[float], x: np.ndarray) -> np.ndarray:
+    """Return a polynomial of numbers, its highest coefficient first."""
+    value = np.full_like(x, coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = coefficient + value * x
+    return value
+
+
+def _random_bits(of: np.ndarray, count: int) -> np.ndarray:
+    """Return so many words of a key's sequence, or of each one's of keys (n,), one after the other."""
+    keys = of.reshape(-1, 2)
+    if len(keys) * count > MAX_LANES:
+        k0, k1 = np.repeat(keys, count, axis=0).T
+        return np.bitwise_xor(
+            *_threefry_of_arrays(k0, k1, np.tile(np.arange(count, dtype=np.uint32), len(keys)))
+        )
+    ones, numbers = _counting(count, len(keys))
+    if len(keys) == 1:
+        k0, k1 = int(keys[0, 0]) * ones, int(keys[0, 1]) * ones
+    else:
+        k0, k1 = (_packed(np.repeat(keys[:, i], count)) for i in (0, 1))
+    x0, x1 = _threefry(k0, k1, numbers, ones)
+    return np.frombuffer((x0 ^ x1).to_bytes(LANE // 8 * count * len(keys), "little"), "<u4")[::2]
+
+
+def _packed(words: np.ndarray) -> int:
+    """Return numbers as lanes."""
+    return int.from_bytes((words & MASK).astype("<u8").tobytes(), "little")
+
+
+@cache
+def _counting(count: int, times: int) -> tuple[int, int]:
+    """Return lanes of 1, and of 0 to `count` exclusive, so many times."""
+    lanes = range(count * times)
+    return sum(1 << LANE * i for i in lanes), sum((i % count) << LANE * i for i in lanes)
+
+
+def _as_keys(words: tuple[int, int], count: int) -> np.ndarray:
+    """Return blocks in lanes as keys (count, 2)."""
+    both = words[0] | words[1] << 32
+    return np.frombuffer(both.to_bytes(LANE // 8 * count, "little"), "<u4").reshape(count, 2)
+
+
+def _threefry(k0: int, k1: int, number: int, ones: int = 1) -> tuple[int, int]:
+    """Return the blocks of some numbers: all are lanes, as many as those of `ones`."""
+    mask = ones * MASK
+    keys = (k0, k1, k0 ^ k1 ^ ones * PARITY)
+    x0, x1 = k0, (number + k1) & mask
+    for turn in range(5):
+        for distance in ROTATIONS[turn % 2]:
+            x0 = (x0 + x1) & mask
+            # What is shifted out of a lane ends in the upper half of another, which the mask clears.
+            x1 = ((x1 << distance) | (x1 >> (32 - distance))) & mask ^ x0
+        x0 = (x0 + keys[(turn + 1) % 3]) & mask
+        x1 = (x1 + keys[(turn + 2) % 3] + ones * (turn + 1)) & mask
     return x0, x1
 
 
-def _block(k0: int, k1: int, x0: int, x1: int) -> tuple[int, int]:
-    """Return Threefry-2x32 of one block."""
-    keys = (k0, k1, k0 ^ k1 ^ PARITY)
-    x0, x1 = (x0 + k0) & MASK, (x1 + k1) & MASK
+def _threefry_of_arrays(k0: np.ndarray, k1: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `_threefry`, of arrays (...)."""
+    keys = (k0, k1, k0 ^ k1 ^ np.uint32(PARITY))
+    x0, x1 = np.array(k0), number + k1
+    high = np.empty_like(x1)
     for turn in range(5):
         for distance in ROTATIONS[turn % 2]:
-            x0 = (x0 + x1) & MASK
-            x1 = ((x1 << distance) | (x1 >> (32 - distance))) & MASK ^ x0
-        x0 = (x0 + keys[(turn + 1) % 3]) & MASK
-        x1 = (x1 + keys[(turn + 2) % 3] + turn + 1) & MASK
+            x0 += x1
+            np.left_shift(x1, np.uint32(distance), out=high)
+            x1 >>= np.uint32(32 - distance)
+            x1 |= high
+            x1 ^= x0
+        x0 += keys[(turn + 1) % 3]
+        x1 += keys[(turn + 2) % 3] + np.uint32(turn + 1)
     return x0, x1

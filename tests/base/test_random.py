@@ -1,0 +1,58 @@
+"""Random numbers of many keys at once, and of distributions with bounds: on NumPy as on JAX."""
+
+import jax
+import numpy as np
+import pytest
+
+from usarmjx.base import random
+from usarmjx.base.backend import numpy_backend
+
+# Near its bounds the inverse error function makes 200 times as much of the last place of what it is given.
+NEAR_BOUNDS = 1e-4
+ULPS = 4  # as in test_backend.py
+SHAPES = [(3, 1), (2, random.MAX_LANES // 2), (2, random.MAX_LANES // 2 + 1), (1, 2, 3)]
+
+
+def keys(count):
+    """Keys of NumPy and of JAX, the same ones."""
+    numbers = np.arange(7, 7 + count)
+    with numpy_backend():
+        ours = random.fold_in(random.key(3), numbers)
+    return ours, random.fold_in(jax.random.key(3), numbers)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_keys_of_many_numbers_are_those_of_each(count):
+    ours, theirs = keys(count)
+    each = [jax.random.key_data(jax.random.fold_in(jax.random.key(3), 7 + i)) for i in range(count)]
+    np.testing.assert_array_equal(ours, each)
+    np.testing.assert_array_equal(jax.random.key_data(theirs), each)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("shape", SHAPES)
+def test_each_row_has_the_numbers_of_its_key(shape):
+    ours, theirs = keys(shape[0])
+    bound = np.linspace(0.1, 0.5, shape[0], dtype=np.float32).reshape(-1, *[1] * (len(shape) - 1))
+    with numpy_backend():
+        even, bell = random.uniform(ours, shape, -bound, bound), random.normal(ours, shape)
+    for i, key in enumerate(theirs):
+        shares = jax.random.uniform(key, shape[1:], minval=-bound[i], maxval=bound[i])
+        np.testing.assert_array_equal(even[i], shares)
+        np.testing.assert_array_max_ulp(bell[i], np.asarray(jax.random.normal(key, shape[1:])), ULPS)
+    if shape == SHAPES[0]:  # JAX's own rows do not depend on how many there are
+        np.testing.assert_array_equal(random.uniform(theirs, shape, -bound, bound), even)
+        np.testing.assert_array_max_ulp(np.asarray(random.normal(theirs, shape)), bell, ULPS)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("bounds", [(-3.0, 3.0), (-0.5, 2.0)])
+def test_what_is_cut_off_lies_within_and_is_jaxs(bounds):
+    with numpy_backend():
+        ours = random.truncated_normal(random.key(3), *bounds, (10_000,))
+    theirs = random.truncated_normal(jax.random.key(3), *bounds, (10_000,))
+    assert ours.dtype == np.float32
+    assert bounds[0] < ours.min()
+    assert ours.max() < bounds[1]
+    np.testing.assert_allclose(ours, theirs, atol=NEAR_BOUNDS)
