@@ -8,6 +8,7 @@ import jax
 import mujoco
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.body_plan import kinematic_tree_of, lowest_point, robot_state
 from usarmjx.models.build.compose import Physics
@@ -69,7 +70,8 @@ class Rig:
 
     def tell(self, robot=0, flip_until=None, **values):
         """Set keys of DRIVE, as `tell(Left=1, Right=1)`."""
-        told = set_drive(self.robot, self.commands[robot], values, np)
+        with numpy_backend():
+            told = set_drive(self.robot, self.commands[robot], values)
         if flip_until is not None:
             told = told.replace(flip_until=np.float32(flip_until))
         self.commands[robot] = told

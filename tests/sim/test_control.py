@@ -13,6 +13,7 @@ from tests.rig import Rig
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.parts import LINK_STIFFNESS
+from usarmjx.models.build.servos import servos_of
 from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
@@ -23,7 +24,6 @@ from usarmjx.sim.control import (
     compute_actuation,
     idle_command,
     righting_wrench,
-    servos_of,
     set_drive,
 )
 from usarmjx.sim.scene import build_scene

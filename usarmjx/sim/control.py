@@ -4,21 +4,21 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
-from types import ModuleType
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import named_scope, on_numpy, xp
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY
 from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.build.servos import actuated_servos
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import Motor, RobotSpec
+from usarmjx.models.spec.robot import RobotSpec
 
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
@@ -84,59 +84,11 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
         refused: How many commanded numbers were not finite ().
     """
 
-    ctrl: jax.Array
-    hold: jax.Array
-    act: jax.Array
-    wrench: jax.Array
-    refused: jax.Array
-
-
-@dataclass(frozen=True, eq=False)
-class Servos:
-    """Constants of a robot's joint servos (joints,); those without a motor have zeros and ones.
-
-    Attributes:
-        speed: Highest speed.
-        torque: Highest torque.
-        stiffness: Gain on the position.
-        damping: Gain on the velocity.
-        low: Lowest position.
-        high: Highest position.
-        lead: How far a servo's target is ahead of its joint per speed of that, without torque.
-        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a
-            stalled wheel would have to unwind first, and a braked one would roll back.
-    """
-
-    speed: np.ndarray
-    torque: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    lead: np.ndarray
-    windup_limit: np.ndarray
-
-
-@cache
-def servos_of(robot: RobotSpec) -> Servos:
-    """Return the servo constants of a robot class."""
-    parts = parts_of(robot)
-    motors = [part.motor or Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0) for part in parts]
-    limits = [part.limits or (-np.inf, np.inf) for part in parts]
-
-    def row(values: list[float]) -> np.ndarray:
-        return np.array(values, np.float32)
-
-    return Servos(
-        speed=row([m.max_speed for m in motors]),
-        torque=row([m.torque for m in motors]),
-        stiffness=row([m.stiffness for m in motors]),
-        damping=row([m.damping for m in motors]),
-        low=row([low for low, _ in limits]),
-        high=row([high for _, high in limits]),
-        lead=row([m.damping / m.stiffness for m in motors]),
-        windup_limit=row([m.torque / m.stiffness for m in motors]),
-    )
+    ctrl: Array
+    hold: Array
+    act: Array
+    wrench: Array
+    refused: Array
 
 
 def idle_command(robot: RobotSpec) -> RobotCommand:
@@ -144,11 +96,11 @@ def idle_command(robot: RobotSpec) -> RobotCommand:
     parts = parts_of(robot)
     modes = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
     return RobotCommand(
-        target=jnp.zeros(len(parts)),
-        mode=jnp.array(modes, jnp.int32).reshape(len(parts)),
-        setpoint=jnp.zeros(len(robot.drive.keys)),
-        flip_until=jnp.zeros(()),
-        light=jnp.zeros((), bool),
+        target=xp.zeros(len(parts)),
+        mode=xp.array(modes, xp.int32).reshape(len(parts)),
+        setpoint=xp.zeros(len(robot.drive.keys)),
+        flip_until=xp.zeros(()),
+        light=xp.zeros((), bool),
     )
 
 
@@ -175,16 +127,13 @@ def check_drive_keys(robot: RobotSpec, keys: Iterable[str]) -> None:
         raise UnknownNameError(f"{robot.name}'s DRIVE has no key {', '.join(bad)}; it has: {known}")
 
 
-def set_drive(
-    robot: RobotSpec, command: RobotCommand, values: Mapping[str, ArrayLike], xp: ModuleType = jnp
-) -> RobotCommand:
+def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, ArrayLike]) -> RobotCommand:
     """Return a command with keys of DRIVE set; the other keys keep what they were last set to.
 
     Args:
         robot: The robot class.
         command: What it was told so far; arrays may have leading axes.
         values: Numbers for some of `robot.drive.keys` [rad/s, m/s or rad]; clipped to what it can do.
-        xp: Array module of the command.
 
     Raises:
         UnknownNameError: A key that this drive does not have; lists those it has.
@@ -200,7 +149,7 @@ def set_drive(
     command = command.replace(setpoint=setpoint)
     if not mask.any():
         return command
-    target, mode = drive.targets(setpoint, xp)[..., row], drive.control_modes(setpoint, xp)[..., row]
+    target, mode = drive.targets(setpoint)[..., row], drive.control_modes(setpoint)[..., row]
     return command.replace(
         target=xp.where(mask, target, command.target).astype(xp.float32),
         mode=xp.where(mask, mode, command.mode).astype(xp.int32),
@@ -212,7 +161,6 @@ def move_joints(
     command: RobotCommand,
     targets: Mapping[str, ArrayLike],
     mode: ControlMode,
-    xp: ModuleType = jnp,
 ) -> RobotCommand:
     """Return a command with joints told where to go, how fast to move or what to exert.
 
@@ -221,7 +169,6 @@ def move_joints(
         command: What it was told so far; arrays may have leading axes.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
         mode: What the numbers are.
-        xp: Array module of the command.
 
     Raises:
         UnknownNameError: A joint that these robots do not have; lists those they have.
@@ -262,7 +209,6 @@ def update_command(
     command: RobotCommand,
     update: CommandUpdate,
     where: Array | None = None,
-    xp: ModuleType = jnp,
 ) -> RobotCommand:
     """Return the next command: the one way to tell a robot, whoever tells it.
 
@@ -271,7 +217,6 @@ def update_command(
         command: What the robots were told so far; arrays may have leading axes (...,).
         update: What they are told anew.
         where: Which of them are told it (...,); None: all.
-        xp: Array module of the command.
 
     Raises:
         UnknownNameError: A key of DRIVE or a joint that they do not have; lists those they have.
@@ -282,9 +227,9 @@ def update_command(
         return {name: xp.broadcast_to(value, shape) for name, value in values.items()}
 
     if update.drive:
-        told = set_drive(plan.robot, told, each(update.drive), xp)
+        told = set_drive(plan.robot, told, each(update.drive))
     if update.joints:
-        told = move_joints(plan, told, each(update.joints), update.mode, xp)
+        told = move_joints(plan, told, each(update.joints), update.mode)
     if update.light is not None:
         told = told.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
@@ -298,7 +243,7 @@ def update_command(
     return jax.tree.map(chosen, told, command)
 
 
-@jax.named_scope("actuation")
+@named_scope("actuation")
 def compute_actuation(
     plan: KinematicTree,
     command: RobotCommand,
@@ -307,84 +252,115 @@ def compute_actuation(
     conditions: DriveConditions,
     period: float,
 ) -> ActuatorInputs:
-    """Return one robot's actuator inputs for a control step of `period` [s].
+    """Return actuator inputs of robots of one class for a control step of `period` [s].
 
     Speeds are clamped to what the joints can do, positions to their ranges; a number that is not finite
     counts as zero and is reported, so that it reaches neither the solver nor another world. A robot without
     power brakes its joints and exerts nothing (KRobot.uc).
+
+    Args:
+        plan: Body plan of the robot class.
+        command: What the robots are told; all arguments may have leading axes (...,), the same ones.
+        state: Where they are.
+        act: Activations of their pulling actuators (..., actuators).
+        conditions: What else decides.
+        period: Of a control step [s].
     """
-    robot = plan.robot
-    braked = idle_command(robot).replace(mode=jnp.full(command.mode.shape, int(ControlMode.VELOCITY)))
-    command = jax.tree.map(lambda told, still: jnp.where(conditions.powered, told, still), command, braked)
-    finite, sound = jnp.isfinite(command.target), jnp.isfinite(command.setpoint)
-    command = command.replace(
-        target=jnp.where(finite, command.target, 0.0), setpoint=jnp.where(sound, command.setpoint, 0.0)
-    )
-    ctrl, hold, act = _servo(plan, command, state, act, period, conditions)
-    wrench = jnp.asarray(robot.drive.passive_wrench(state, conditions.depth))
-    setpoint = command.setpoint if conditions.speed is None else command.setpoint * conditions.speed
-    wrench += jnp.where(conditions.powered, robot.drive.wrench(setpoint, state, conditions.depth), 0.0)
-    if robot.drive.is_wheeled:
-        wrench += jnp.where(conditions.time < command.flip_until, righting_wrench(plan, state, period), 0.0)
+    drive, powered = plan.robot.drive, conditions.powered[..., None]
+    target = xp.where(powered, command.target, 0.0)
+    mode = xp.where(powered, command.mode, int(ControlMode.VELOCITY))
+    setpoint = xp.where(powered, command.setpoint, 0.0)
+    finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
+    target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
+    ctrl, hold, new_act = _servo(plan, (target, mode), state, act, period, conditions)
     # A key of a drive that aims joints has reached their targets already.
-    refused = (~finite).sum() + (0 if robot.drive.joint_controls else (~sound).sum())
-    return ActuatorInputs(ctrl=ctrl, hold=hold, act=act, wrench=wrench, refused=refused)
+    refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
+    return ActuatorInputs(
+        ctrl=ctrl,
+        hold=hold,
+        act=new_act,
+        wrench=_wrench(plan, command.flip_until, setpoint, state, conditions, period),
+        refused=refused.astype(xp.int32),
+    )
+
+
+def _wrench(
+    plan: KinematicTree,
+    flip_until: Array,
+    setpoint: Array,
+    state: RobotState,
+    conditions: DriveConditions,
+    period: float,
+) -> Array:
+    """Return force and torque on the chassis, by the drive and by what rights a robot (..., 6)."""
+    drive, powered = plan.robot.drive, conditions.powered
+    wrench = xp.zeros((*powered.shape, 6))
+    if drive.pushes:
+        if conditions.speed is not None:
+            setpoint = setpoint * conditions.speed[..., None]
+        own = drive.wrench(setpoint, state, conditions.depth)
+        wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
+    flips = powered & (conditions.time < flip_until)
+    if drive.is_wheeled and not (on_numpy() and not flips.any()):
+        wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
+    return xp.asarray(wrench, xp.float32)
 
 
 def _servo(
     plan: KinematicTree,
-    command: RobotCommand,
+    told: tuple[Array, Array],
     state: RobotState,
     act: Array,
     period: float,
     conditions: DriveConditions,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+) -> tuple[Array, Array, Array]:
     """Return the inputs and activations of a robot's actuators (`ActuatorInputs`).
 
     In torque mode nothing holds the joint and the pull is that torque; at the end of its range the
     joint is held there for as long as the torque pushes outward.
     """
-    servos, here = servos_of(plan.robot), plan.actuated
-    q, v, target, mode = (x[here] for x in (state.joint_pos, state.joint_vel, command.target, command.mode))
-    speed, torque, low, high = (x[here] for x in (servos.speed, servos.torque, servos.low, servos.high))
-    windup_limit = servos.windup_limit[here]
+    here, servos = actuated_servos(plan)
+    q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
+    speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
     if conditions.torque is not None:
-        torque, windup_limit = torque * conditions.torque, windup_limit * conditions.torque
+        share = conditions.torque[..., None]
+        torque, windup_limit = torque * share, windup_limit * share
     if conditions.speed is not None:
-        speed, target = (
-            speed * conditions.speed,
-            jnp.where(mode == ControlMode.VELOCITY, target * conditions.speed, target),
-        )
-    even = q + servos.lead[here] * v
-    act = jnp.clip(act, even - windup_limit, even + windup_limit)
-    wanted = jnp.where(mode == ControlMode.POSITION, (target - act) / period, target)
-    rate = jnp.clip(wanted, -speed, speed)
-    ctrl = jnp.clip(rate, (low - act) / period, (high - act) / period)
+        share = conditions.speed[..., None]
+        speed, target = speed * share, xp.where(mode == ControlMode.VELOCITY, target * share, target)
+    low, high = servos.low, servos.high
+    even = q + servos.lead * v
+    act = xp.clip(act, even - windup_limit, even + windup_limit)
+    wanted = xp.where(mode == ControlMode.POSITION, (target - act) / period, target)
+    rate = xp.clip(wanted, -speed, speed)
+    ctrl = xp.clip(rate, (low - act) / period, (high - act) / period)
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
     forced = mode == ControlMode.TORQUE
     free = forced & ~outward
-    pull = jnp.clip(target, -torque, torque) / servos.stiffness[here]
-    act = jnp.where(forced, jnp.where(outward, jnp.clip(q, low, high), pull), act)
-    return jnp.where(forced, 0.0, ctrl), jnp.where(free, 0.0, 1.0), act
+    pull = xp.clip(target, -torque, torque) / servos.stiffness
+    act = xp.where(forced, xp.where(outward, xp.clip(q, low, high), pull), act)
+    return xp.where(forced, 0.0, ctrl), xp.where(free, 0.0, 1.0), act
 
 
-def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> jax.Array:
-    """Return the wrench (6,) that turns a robot's wheels down again: a damped torque about its tilt axis.
+def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Array:
+    """Return the wrench (..., 6) that turns robots' wheels down again: a damped torque about the tilt axis.
 
     The torque is twice what tips a box of the robot's dimensions over its edge, so it rolls over its own.
     """
     mat = mat_from_quat(state.quat)
-    up = mat[:, 2]
-    axis = jnp.cross(up, jnp.array([0.0, 0.0, 1.0]))
+    up = mat[..., 2]
+    axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
     # Upside down every axis is as good: roll about the robot's own length.
-    axis = jnp.where(up[2] < -0.9, mat[:, 0], axis)
-    axis = axis / jnp.maximum(jnp.linalg.norm(axis), 1e-6)
-    spin = mat @ state.angular
-    across = ((1.0 - (mat.T @ axis) ** 2) * jnp.square(jnp.array(plan.robot.dimensions))).sum()
-    strength = plan.mass * GRAVITY * jnp.sqrt(across)
+    axis = xp.where(up[..., 2:] < -0.9, mat[..., 0], axis)
+    axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
+    spin = matvec(mat, state.angular)
+    square = np.square(np.array(plan.robot.dimensions, np.float32))
+    across = ((1.0 - matvec(mat.mT, axis) ** 2) * square).sum(-1, keepdims=True)
+    strength = plan.mass * GRAVITY * xp.sqrt(across)
     # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
     # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
-    push = jnp.clip(1.0 - jnp.dot(spin, axis) / FLIP_RATE, 0.0, 1.0)
-    damping = jnp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
+    push = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
+    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
     torque = strength * push * axis - damping * spin
-    return jnp.where(up[2] < MIN_UPRIGHT_COS, jnp.concatenate([jnp.zeros(3), torque]), 0.0)
+    wrench = xp.concatenate([xp.zeros_like(torque), torque], -1)
+    return xp.where(up[..., 2:] < MIN_UPRIGHT_COS, wrench, 0.0)

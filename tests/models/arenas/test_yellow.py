@@ -15,9 +15,9 @@ from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.c import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
 from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
+from usarmjx.models.build.servos import servos_of
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR
-from usarmjx.sim.control import servos_of
 from usarmjx.sim.scene import build_scene, start_height
 
 TABLE_2 = (4.5, 1.9, 1.8)  # manual, Table 2: start position in the yellow arena, wire axes

@@ -318,7 +318,7 @@ def test_smaller_wheels_of_a_side_turn_faster(load):
     drive = named(load(text), "Rover").drive
     small = drive.radius
     assert small == 0.05
-    speeds = dict(zip((*drive.left, *drive.right), drive.targets(np.array([4.0, 4.0]), np), strict=True))
+    speeds = dict(zip((*drive.left, *drive.right), drive.targets(np.array([4.0, 4.0])), strict=True))
     assert speeds["LeftFWheel"] == pytest.approx(4.0)
     assert speeds["RightRWheel"] == pytest.approx(2.0), "twice the radius"
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.robots.cars import HUMMER, SEDAN
 from usarmjx.sim.control import ControlMode, idle_command, set_drive
@@ -36,7 +37,7 @@ def car(powered="FR", rear_steer=0.5, brakes=False):
 
 def told(drive, speed, front, rear=0.0):
     """Speeds of powered wheels and angles of steered ones, by joint (those that do not steer: 0)."""
-    values = drive.targets(np.array([speed, front, rear], np.float32), np)
+    values = drive.targets(np.array([speed, front, rear], np.float32))
     by_joint = dict(zip((aim.joint for aim in drive.joint_controls), values.tolist(), strict=True))
     return by_joint, {wheel.joint: by_joint.get(wheel.steer, 0.0) for wheel in drive.wheels}
 
@@ -140,16 +141,15 @@ def test_reported_angles_are_measured():
 def test_many_setpoints_at_once_and_on_jax():
     drive = car()
     setpoints = np.array([[5.0, front, rear] for front, rear in STEERED], np.float32).reshape(2, 4, 3)
-    one_by_one = [drive.targets(row, np) for row in setpoints.reshape(-1, 3)]
-    expected = np.array(one_by_one).reshape(2, 4, -1)
-    np.testing.assert_allclose(drive.targets(setpoints, np), expected, rtol=1e-6)
+    with numpy_backend():
+        one_by_one = [drive.targets(row) for row in setpoints.reshape(-1, 3)]
+        expected = np.array(one_by_one).reshape(2, 4, -1)
+        np.testing.assert_allclose(drive.targets(setpoints), expected, rtol=1e-6)
     np.testing.assert_allclose(drive.targets(jnp.asarray(setpoints)), expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_car_without_rear_steering_accepts_the_key_and_leaves_its_wheels_straight():
-    command = set_drive(
-        HUMMER, idle_command(HUMMER), {"Speed": 10.0, "FrontSteer": 9.0, "RearSteer": 0.3}, np
-    )
+    command = set_drive(HUMMER, idle_command(HUMMER), {"Speed": 10.0, "FrontSteer": 9.0, "RearSteer": 0.3})
     assert command.setpoint == pytest.approx([10.0, HUMMER.drive.max_steering[0], 0.0])
     assert HUMMER.drive.full_scale["RearSteer"] == 0.0
 
@@ -157,7 +157,7 @@ def test_a_car_without_rear_steering_accepts_the_key_and_leaves_its_wheels_strai
 def test_only_the_front_wheels_of_a_sedan_are_powered():
     """Manual 12.7.1. Its rear wheels brake at Speed 0 and roll freely otherwise (chosen)."""
     drive = SEDAN.drive
-    orders = [drive.control_modes(np.array([speed, 0.2, 0.0], np.float32), np) for speed in (3.0, 0.0)]
+    orders = [drive.control_modes(np.array([speed, 0.2, 0.0], np.float32)) for speed in (3.0, 0.0)]
     by_joint = {aim.joint: (int(a), int(b)) for aim, a, b in zip(drive.joint_controls, *orders, strict=True)}
     moves, stands = (ControlMode.VELOCITY, ControlMode.VELOCITY), (ControlMode.TORQUE, ControlMode.VELOCITY)
     assert by_joint["LeftFWheel"] == by_joint["RightFWheel"] == moves

@@ -13,11 +13,12 @@ import pytest
 from tests.rig import Rig
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.parts import joint_names
+from usarmjx.models.build.servos import servos_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.sim.control import ControlMode, servos_of
+from usarmjx.sim.control import ControlMode
 
 ROOT = Path(__file__).resolve().parents[3]
 BOTH = pytest.mark.parametrize("name", ["ERS", "QRIO"])

@@ -37,15 +37,15 @@ def test_wheels_without_motor_or_steering_have_no_keys():
     drive = OmniDrive(wheels=wheels, max_spin=2.0, radius=0.1, max_steer=1.0)
     assert drive.keys == ("WheelSpeed1", "WheelSteer1", "WheelSpeed2")
     assert [(aim.joint, aim.mode) for aim in drive.joint_controls] == [("B", 1), ("B_Steer", 0), ("C", 1)]
-    assert drive.targets(np.array([1.0, 0.5, -1.0]), np).tolist() == [1.0, 0.5, -1.0]
+    assert drive.targets(np.array([1.0, 0.5, -1.0])).tolist() == [1.0, 0.5, -1.0]
     assert drive.steering_angles({"B_Steer": 0.5}, np.zeros(3)) == {"front_steer": 0.0, "rear_steer": 0.5}
 
 
 def test_values_are_clipped_and_passive_wheels_cannot_be_driven():
-    command = set_drive(LISA, idle_command(LISA), {"WheelSpeed0": 99.0, "WheelSteer1": -9.0}, np)
+    command = set_drive(LISA, idle_command(LISA), {"WheelSpeed0": 99.0, "WheelSteer1": -9.0})
     assert command.setpoint == pytest.approx([8.0, 0.0, 0.0, -3.14])
     with pytest.raises(UnknownNameError, match="WheelSpeed2"):
-        set_drive(LISA, idle_command(LISA), {"WheelSpeed2": 1.0}, np)
+        set_drive(LISA, idle_command(LISA), {"WheelSpeed2": 1.0})
 
 
 def test_at_the_manuals_angle_both_axes_go_through_the_middle():

@@ -89,7 +89,7 @@ def test_wheel_names_say_which_is_in_front_and_the_drive_has_them_all(name):
 def test_all_wheels_of_a_side_have_one_belt_speed(name):
     robot = ROBOTS.get(name)
     radius = {part.name: part.shapes[0].size[0] for part in robot.wheels}
-    spins = robot.drive.targets(np.array([2.0, -1.0], np.float32), np)
+    spins = robot.drive.targets(np.array([2.0, -1.0], np.float32))
     for aim, spin in zip(robot.drive.joint_controls, spins, strict=True):
         belt = 2.0 if aim.joint in robot.drive.left else -1.0
         assert spin * radius[aim.joint] == pytest.approx(belt * robot.wheel_radius, rel=1e-5)

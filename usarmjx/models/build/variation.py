@@ -18,7 +18,6 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.parts import parts_of
-from usarmjx.models.drives import Drive
 from usarmjx.models.spec.robot import RobotSpec
 
 Range = tuple[float, float]
@@ -243,8 +242,7 @@ def is_randomized(vary: DomainRandomization, robot: RobotSpec) -> bool:
 
 
 def _pushed(robot: RobotSpec) -> bool:
-    """Return whether a robot moves by a force on its chassis: it flies or dives."""
-    return type(robot.drive).wrench is not Drive.wrench
+    return robot.drive.pushes
 
 
 def _motors(robot: RobotSpec) -> bool:

@@ -1,9 +1,8 @@
 """How robots are driven: one module per kind of locomotion.
 
 A `Drive` says which keys of DRIVE there are, and turns a setpoint into targets of joints or a force on the
-chassis. `targets` and `control_modes` run in NumPy and, traced, in JAX: they use the array module that they
-are given. `fluid` is what air and water do to those that fly and dive. Begin with `base.Drive` and
-`ground`.
+chassis. All of it takes leading axes, and runs on NumPy and, traced, on JAX: see `usarmjx.base.backend`.
+`fluid` is what air and water do to those that fly and dive. Begin with `base.Drive` and `ground`.
 """
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import tan
-from types import ModuleType
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.drives.base import Drive, JointControl
 
 POSITION_MODE, VELOCITY_MODE, TORQUE_MODE = 0, 1, 2
@@ -85,8 +84,8 @@ class Ackermann(Drive):
         turns = [JointControl(joint=wheel.steer, mode=POSITION_MODE) for wheel in self.wheels if wheel.steer]
         return (*spins, *brakes, *turns)
 
-    def control_modes(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
-        """Return the orders of `aims` (..., aims): wheels that only brake are held at Speed 0, else free."""
+    def control_modes(self, setpoint: Array) -> Array:
+        """Return the orders (..., aims): wheels that only brake are held at Speed 0, else free."""
         orders = np.array([aim.mode for aim in self.joint_controls], np.int32)
         stands = (setpoint[..., 0:1] == 0.0) & (orders == TORQUE_MODE)
         return xp.where(stands, VELOCITY_MODE, orders)
@@ -96,7 +95,7 @@ class Ackermann(Drive):
         """Distance of the foremost and the rearmost axle [m]."""
         return float(np.ptp([wheel.x for wheel in self.wheels]))
 
-    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array) -> Array:
         """Speeds of the powered wheels, zeros for those that only brake, angles of those that steer.
 
         Every wheel turns as fast as its distance from the turning centre asks for; Speed is that of the
@@ -107,17 +106,15 @@ class Ackermann(Drive):
         powered = _wheel_positions([wheel for wheel in self.wheels if wheel.powered])
         steered = _wheel_positions([wheel for wheel in self.wheels if wheel.steer])
         middle = powered.mean(1, keepdims=True)
-        pace = xp.hypot(*self._heading(powered, front, rear, xp))
-        spin = speed * pace / xp.hypot(*self._heading(middle, front, rear, xp))
+        pace = xp.hypot(*self._heading(powered, front, rear))
+        spin = speed * pace / xp.hypot(*self._heading(middle, front, rear))
         fastest = xp.max(xp.abs(spin), axis=-1, keepdims=True)
         spin = spin * (self.max_spin / xp.maximum(fastest, self.max_spin))
-        ahead, left = self._heading(steered, front, rear, xp)
+        ahead, left = self._heading(steered, front, rear)
         still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
         return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
-    def _heading(
-        self, positions: np.ndarray, front: Array, rear: Array, xp: ModuleType
-    ) -> tuple[Array, Array]:
+    def _heading(self, positions: np.ndarray, front: Array, rear: Array) -> tuple[Array, Array]:
         """Return which way places of the chassis (2, places) go, ahead and left (..., places).
 
         The length is their distance from the turning centre over that of the robot's middle line, so that

@@ -7,13 +7,12 @@ comes (`aim`), into a force on the chassis at every control step (`wrench`), or 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import ModuleType
 from typing import ClassVar, Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.drives.state import RobotState
 
 VehicleType = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
@@ -60,31 +59,39 @@ class Drive(ABC):
         """The joints that it moves."""
         return ()
 
-    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
-        """Return the targets of `aims` (..., aims) for a setpoint (..., keys)."""
-        del setpoint, xp
+    def targets(self, setpoint: Array) -> Array:
+        """Return the targets of `joint_controls` (..., aims) for a setpoint (..., keys)."""
+        del setpoint
         raise NotImplementedError
 
-    def control_modes(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
-        """Return the orders of `aims` (..., aims) for a setpoint (..., keys): those that they name."""
-        del setpoint, xp
+    def control_modes(self, setpoint: Array) -> Array:
+        """Return the orders (..., aims) for a setpoint (..., keys): those that `joint_controls` name."""
+        del setpoint
         return np.array([aim.mode for aim in self.joint_controls], np.int32)
 
+    @property
+    def pushes(self) -> bool:
+        """Whether it moves robots by a force on the chassis, as those that fly or dive."""
+        return type(self).wrench is not Drive.wrench
+
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
-        """Return force [N] and torque [N m] on the chassis, world axes (6,), of a powered robot.
+        """Return force [N] and torque [N m] on the chassis, world axes (..., 6), of powered robots.
 
         Args:
-            setpoint: One number per key, finite and within `full` (keys,).
-            state: The robot.
-            depth: How far its origin is below the surface of water [m] (); `DRY_DEPTH` outside.
+            setpoint: One number per key, finite and within `full_scale` (..., keys).
+            state: The robots; leading axes (...,).
+            depth: How far their origins are below the surface of water [m] (...,); `DRY_DEPTH` outside.
         """
-        del setpoint, state, depth
-        return jnp.zeros(6)
+        del setpoint, depth
+        return xp.zeros((*state.pos.shape[:-1], 6))
 
     def passive_wrench(self, state: RobotState, depth: Array) -> Array:
-        """Return what acts on the chassis with or without power: buoyancy and drag (6,)."""
-        del state, depth
-        return jnp.zeros(6)
+        """Return what acts on the chassis with or without power: buoyancy and drag (..., 6).
+
+        Only drives that push have it.
+        """
+        del depth
+        return xp.zeros((*state.pos.shape[:-1], 6))
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
         """Return what STA reports of rudders and steered wheels, by the fields of `RobotStatus` [rad].

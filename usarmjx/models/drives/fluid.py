@@ -8,12 +8,11 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.backend import xp
+from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.state import RobotState
 
@@ -117,59 +116,59 @@ class Hull:
         return along, pressure * 8 / 15 * about
 
     def effective_inertia(self, share: ArrayLike = 1.0) -> tuple[Array, Array]:
-        """Return mass (3,) and inertia (3,) with what is dragged along, for an immersed share ()."""
+        """Return mass and inertia (..., 3) with what is dragged along, for an immersed share (..., 1)."""
         along, about = self.added_mass_factors
         return self.displaced_mass * (1 + share * along), self.displaced_inertia * (1 + share * about)
 
-    def immersion(self, depth: Array, up: Array) -> tuple[jax.Array, Array]:
-        """Return the share of the hull under water () and where its middle is [m] (3,).
+    def immersion(self, depth: Array, up: Array) -> tuple[Array, Array]:
+        """Return the share of the hull under water (..., 1) and where its middle is [m] (..., 3).
 
         An ellipsoid is a stretched ball, and so is the part of it below a plane.
 
         Args:
-            depth: Of the hull's middle below the surface [m] ().
-            up: The upward direction in body axes (3,).
+            depth: Of the hull's middle below the surface [m] (...,).
+            up: The upward direction in body axes (..., 3).
         """
         radii = np.array(self.radii, np.float32)
-        reach = jnp.linalg.norm(radii * up)
-        level = jnp.clip(depth / reach, -1.0, 1.0)
+        reach = xp.linalg.norm(radii * up, axis=-1, keepdims=True)
+        level = xp.clip(depth[..., None] / reach, -1.0, 1.0)
         share = (2 + 3 * level - level**3) / 4
-        middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / jnp.maximum(4 * share, 1e-6)
+        middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / xp.maximum(4 * share, 1e-6)
         return share, radii**2 * up / reach * middle
 
-    def body_wrench(self, mat: Array, force: Array, torque: Array, share: ArrayLike = 1.0) -> jax.Array:
-        """Return the wrench (6,), world axes, that moves the engine's body as `force` and `torque` the hull.
+    def body_wrench(self, mat: Array, force: Array, torque: Array, share: ArrayLike = 1.0) -> Array:
+        """Return the wrench (..., 6), world axes, that moves the engine's body as force and torque the hull.
 
         Args:
-            mat: Orientation (3, 3).
-            force: Body axes [N] (3,).
-            torque: About the centre of gravity, body axes [N m] (3,).
-            share: Immersed share, which drags along fluid ().
+            mat: Orientation (..., 3, 3).
+            force: Body axes [N] (..., 3).
+            torque: About the centre of gravity, body axes [N m] (..., 3).
+            share: Immersed share, which drags along fluid (..., 1).
         """
         mass, inertia = self.effective_inertia(share)
         force = force * (self.mass / mass)
         torque = torque * (np.array(self.inertia) / inertia)
-        return jnp.concatenate([mat @ force, mat @ torque])
+        return xp.concatenate([matvec(mat, force), matvec(mat, torque)], -1)
 
-    def fluid_wrench(self, state: RobotState, depth: Array | None = None) -> jax.Array:
-        """Return the wrench (6,), world axes, of weight, buoyancy and drag, less the engine's own gravity.
+    def fluid_wrench(self, state: RobotState, depth: Array | None = None) -> Array:
+        """Return the wrench (..., 6), world axes, of weight, buoyancy and drag, without the engine's gravity.
 
         Args:
-            state: The robot.
-            depth: Of its origin below the surface [m] (); None: it is wholly immersed.
+            state: The robots; leading axes (...,).
+            depth: Of their origins below the surface [m] (...,); None: they are wholly immersed.
         """
         mat = mat_from_quat(state.quat)
-        up, linear, angular = mat[2], state.linear @ mat, state.angular
-        share, middle = (jnp.ones(()), jnp.zeros(3)) if depth is None else self.immersion(depth, up)
+        up, linear, angular = mat[..., 2, :], matvec(mat.mT, state.linear), state.angular
+        share, middle = (1.0, np.zeros(3, np.float32)) if depth is None else self.immersion(depth, up)
         along, about = self.drag_factors
         mass, _ = self.effective_inertia(share)
         stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.cog_depth
-        calm = 2 * self.damping * jnp.sqrt(stiff * self.effective_inertia()[1])
-        force = (share - 1) * self.weight * up - share * along * jnp.abs(linear) * linear
+        calm = 2 * self.damping * np.sqrt(stiff * self.effective_inertia()[1])
+        force = (share - 1) * self.weight * up - share * along * xp.abs(linear) * linear
         # The fluid dragged along keeps its momentum as the hull turns (Kirchhoff), not its speed.
-        force += mass * jnp.cross(angular, linear) - jnp.cross(angular, mass * linear)
+        force = force + mass * xp.cross(angular, linear) - xp.cross(angular, mass * linear)
         lever = middle + np.array([0.0, 0.0, self.cog_depth])
-        torque = jnp.cross(lever, share * self.weight * up)
-        torque -= share * (about * jnp.abs(angular) + calm) * angular
+        torque = xp.cross(lever, share * self.weight * up)
+        torque = torque - share * (about * xp.abs(angular) + calm) * angular
         gravity = np.array([0.0, 0.0, self.mass * GRAVITY, 0.0, 0.0, 0.0])
         return self.body_wrench(mat, force, torque, share) + gravity

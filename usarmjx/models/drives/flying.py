@@ -3,12 +3,11 @@
 import math
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.backend import xp
+from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.base import Drive, VehicleType
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
@@ -75,66 +74,93 @@ class RotaryWing(Drive):
         """All three speeds at once [m/s]."""
         return math.hypot(*self.max_speeds)
 
-    def _drag(self, mat: jax.Array, linear: Array) -> jax.Array:
-        """Return the force of the air, world axes [N] (3,)."""
-        speed = linear @ mat
-        return mat @ (-AIR_DENSITY / 2 * np.array(self.drag_areas, np.float32) * jnp.abs(speed) * speed)
+    def _drag(self, mat: Array, linear: Array) -> Array:
+        """Return the force of the air, world axes [N] (..., 3)."""
+        speed, areas = matvec(mat.mT, linear), np.array(self.drag_areas, np.float32)
+        return matvec(mat, -AIR_DENSITY / 2 * areas * xp.abs(speed) * speed)
 
-    def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
-        """Return the drag of the air (6,)."""
+    def passive_wrench(self, state: RobotState, depth: Array) -> Array:
+        """Return the drag of the air (..., 6)."""
         del depth
-        return jnp.concatenate([self._drag(mat_from_quat(state.quat), state.linear), jnp.zeros(3)])
+        force = self._drag(mat_from_quat(state.quat), state.linear)
+        return xp.concatenate([force, xp.zeros_like(force)], -1)
 
-    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> jax.Array:
-        """Return thrust and torque of the rotors (6,)."""
+    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
+        """Return thrust and torque of the rotors (..., 6)."""
         del depth
         mat = mat_from_quat(state.quat)
-        turn = -setpoint[3]  # clockwise to counter-clockwise
+        turn = -setpoint[..., 3:]  # clockwise to counter-clockwise
         force = self._wanted_force(setpoint, mat, state.linear, turn)
-        thrust = jnp.clip(_thrust(force, mat[:, 2]), 0.0, self.max_thrust) * mat[:, 2]
-        return jnp.concatenate([thrust, mat @ self._torque(force, mat, state.angular, turn)])
+        axis = mat[..., 2]
+        thrust = xp.clip(_thrust(force, axis), 0.0, self.max_thrust) * axis
+        return xp.concatenate([thrust, matvec(mat, self._torque(force, mat, state.angular, turn))], -1)
 
-    def _wanted_force(self, setpoint: Array, mat: jax.Array, linear: Array, turn: jax.Array) -> jax.Array:
-        """Return what the rotors should exert, world axes [N] (3,): against weight, drag and inertia."""
-        heading = mat[:2, 0] / jnp.maximum(jnp.linalg.norm(mat[:2, 0]), 1e-6)
-        left = jnp.stack([-heading[1], heading[0]])
-        level = setpoint[1] * heading - setpoint[2] * left
-        wanted = jnp.append(level, setpoint[0])
+    def _wanted_force(self, setpoint: Array, mat: Array, linear: Array, turn: Array) -> Array:
+        """Return what the rotors should exert, world axes [N] (..., 3): against weight, drag and inertia.
+
+        Args:
+            setpoint: One number per key (..., 4).
+            mat: Orientations (..., 3, 3).
+            linear: Velocities [m/s] (..., 3).
+            turn: Turning rates to the left [rad/s] (..., 1).
+        """
+        heading = mat[..., :2, 0] / xp.maximum(_length(mat[..., :2, 0]), 1e-6)
+        level = setpoint[..., 1:2] * heading - setpoint[..., 2:3] * _left_of(heading)
+        wanted = xp.concatenate([level, setpoint[..., :1]], -1)
         push = self.speed_gain * (wanted - linear)
         strongest = GRAVITY * math.tan(self.acceleration_tilt)
-        sideways = jnp.linalg.norm(push[:2])
-        push = push.at[:2].multiply(strongest / jnp.maximum(sideways, strongest))
+        share = strongest / xp.maximum(_length(push[..., :2]), strongest)
         # A speed that turns with the body is an acceleration towards the inside of the curve.
-        inward = turn * jnp.array([-level[1], level[0], 0.0])
-        force = self.mass * (push + inward) - self._drag(mat, linear)
-        rise = jnp.clip(force[2] + self.mass * GRAVITY, LOWEST_LIFT * self.mass * GRAVITY, self.max_thrust)
+        level_push = push[..., :2] * share + turn * _left_of(level)
+        force = self.mass * xp.concatenate([level_push, push[..., 2:]], -1) - self._drag(mat, linear)
+        weight = self.mass * GRAVITY
+        rise = xp.clip(force[..., 2:] + weight, LOWEST_LIFT * weight, self.max_thrust)
         most = rise * math.tan(MAX_TILT)
-        return jnp.append(force[:2] * (most / jnp.maximum(jnp.linalg.norm(force[:2]), most)), rise)
+        sideways = force[..., :2] * (most / xp.maximum(_length(force[..., :2]), most))
+        return xp.concatenate([sideways, rise], -1)
 
-    def _torque(self, force: jax.Array, mat: jax.Array, angular: Array, turn: jax.Array) -> jax.Array:
-        """Return the torque that tilts the up axis into the force and turns about the vertical (3,)."""
-        wanted = (force / jnp.linalg.norm(force)) @ mat  # body axes
-        tilt = jnp.stack([-wanted[1], wanted[0]])  # z cross wanted: its length is the angle's sine
-        tilt = jnp.where(wanted[2] > 0, tilt, tilt / jnp.maximum(jnp.linalg.norm(tilt), 1e-3))
+    def _torque(self, force: Array, mat: Array, angular: Array, turn: Array) -> Array:
+        """Return the torque, body axes [N m] (..., 3), that tilts the up axis into the force and turns.
+
+        Args:
+            force: Wanted, world axes [N] (..., 3).
+            mat: Orientations (..., 3, 3).
+            angular: Turning rates, body axes [rad/s] (..., 3).
+            turn: Wanted turning rates about the vertical [rad/s] (..., 1).
+        """
+        wanted = matvec(mat.mT, force / _length(force))  # body axes
+        tilt = _left_of(wanted[..., :2])  # z cross wanted: its length is the angle's sine
+        up = wanted[..., 2:]
+        tilt = xp.where(up > 0, tilt, tilt / xp.maximum(_length(tilt), 1e-3))
         # Upside down every axis is as good: over its side.
-        tilt = jnp.where(wanted[2] < -0.99, jnp.array([1.0, 0.0]), tilt)
-        rate = angular - turn * mat[2]
-        pull = jnp.append(self.bandwidth**2 * tilt, 0.0)
-        damp = jnp.array([1.8 * self.bandwidth, 1.8 * self.bandwidth, self.turn_gain]) * rate
+        tilt = xp.where(up < -0.99, np.array([1.0, 0.0], np.float32), tilt)
+        rate = angular - turn * mat[..., 2, :]
+        pull = xp.concatenate([self.bandwidth**2 * tilt, xp.zeros_like(up)], -1)
+        gains = np.array([1.8 * self.bandwidth, 1.8 * self.bandwidth, self.turn_gain], np.float32)
         most = np.array(self.max_torque, np.float32)
-        return jnp.clip(np.array(self.inertia, np.float32) * (pull - damp), -most, most)
+        return xp.clip(np.array(self.inertia, np.float32) * (pull - gains * rate), -most, most)
 
 
-def _thrust(force: jax.Array, axis: jax.Array) -> jax.Array:
-    """Return how hard to push along the body's up axis (3,) for a wanted force (3,) [N] ().
+def _length(vector: Array) -> Array:
+    """Return the length of vectors (..., n) as (..., 1)."""
+    return xp.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def _left_of(level: Array) -> Array:
+    """Return vectors in the x-y plane (..., 2), turned a quarter to the left."""
+    return xp.stack([-level[..., 1], level[..., 0]], -1)
+
+
+def _thrust(force: Array, axis: Array) -> Array:
+    """Return how hard to push along the body's up axis (..., 3) for a wanted force (..., 3) [N] (..., 1).
 
     While the axis is near the force, as hard as keeps the height. A body that is far from where it should
     point, as after a crash, does not push itself on: only the part of the force along the axis remains.
     """
     near, far = math.cos(math.radians(5)), math.cos(math.radians(15))
-    along = force @ axis
-    trust = jnp.clip((along / jnp.linalg.norm(force) - far) / (near - far), 0.0, 1.0)
-    return along + trust * (force[2] / jnp.maximum(axis[2], 0.1) - along)
+    along = (force * axis).sum(-1, keepdims=True)
+    trust = xp.clip((along / _length(force) - far) / (near - far), 0.0, 1.0)
+    return along + trust * (force[..., 2:] / xp.maximum(axis[..., 2:], 0.1) - along)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,25 +215,25 @@ class Blimp(Drive):
         """In any direction [m/s]."""
         return self.max_thrust_speed
 
-    def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
-        """Return lift and drag (6,)."""
+    def passive_wrench(self, state: RobotState, depth: Array) -> Array:
+        """Return lift and drag (..., 6)."""
         del depth
         return self.hull.fluid_wrench(state)
 
-    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> jax.Array:
-        """Return thrust and the tail propeller's torque (6,)."""
+    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
+        """Return thrust and the tail propeller's torque (..., 6)."""
         del depth
         mat = mat_from_quat(state.quat)
-        angle, speed, turn = setpoint[0], setpoint[1], setpoint[2]
+        angle, speed, turn = (setpoint[..., i : i + 1] for i in range(3))
         along, about = self.hull.drag_factors
         mass, inertia = self.hull.effective_inertia()
-        linear = state.linear @ mat
-        wanted = speed * jnp.stack([jnp.cos(angle), 0.0 * angle, jnp.sin(angle)])
-        thrust = along * jnp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
-        thrust += jnp.cross(state.angular, mass * linear)  # what a turn takes from the speed ahead
+        linear = matvec(mat.mT, state.linear)
+        wanted = speed * xp.concatenate([xp.cos(angle), xp.zeros_like(angle), xp.sin(angle)], -1)
+        thrust = along * xp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
+        thrust = thrust + xp.cross(state.angular, mass * linear)  # what a turn takes from the speed ahead
         thrust = thrust * np.array([1.0, 0.0, 1.0])
-        thrust *= self.max_thrust / jnp.maximum(jnp.linalg.norm(thrust), self.max_thrust)
-        error = turn - state.angular[2]
-        torque = about[2] * jnp.abs(turn) * turn + inertia[2] / self.response * error
-        torque = jnp.clip(torque, -self.max_torque, self.max_torque) * jnp.array([0.0, 0.0, 1.0])
+        thrust = thrust * (self.max_thrust / xp.maximum(_length(thrust), self.max_thrust))
+        error = turn - state.angular[..., 2:]
+        torque = about[2] * xp.abs(turn) * turn + inertia[2] / self.response * error
+        torque = xp.clip(torque, -self.max_torque, self.max_torque) * np.array([0.0, 0.0, 1.0])
         return self.hull.body_wrench(mat, thrust, torque)

@@ -1,10 +1,9 @@
 """Drives of ground vehicles whose wheels do not steer, and of things that do not move."""
 
 from dataclasses import dataclass
-from types import ModuleType
 from typing import ClassVar
 
-import jax.numpy as jnp
+import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.drives.base import Drive, JointControl, VehicleType
@@ -43,10 +42,9 @@ class SkidSteer(Drive):
         """All wheels."""
         return tuple(JointControl(joint=name) for name in (*self.left, *self.right))
 
-    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array) -> Array:
         """Every wheel turns as fast as its side."""
-        sides = [0] * len(self.left) + [1] * len(self.right)
-        return xp.stack([setpoint[..., side] for side in sides], -1)
+        return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
 
     @property
     def max_speed(self) -> float:

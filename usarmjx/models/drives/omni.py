@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import ModuleType
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
@@ -59,9 +57,8 @@ class OmniDrive(Drive):
             aims += [JointControl(joint=wheel.steer, mode=0)] * bool(wheel.steer)
         return tuple(aims)
 
-    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array) -> Array:
         """The keys are the targets."""
-        del xp
         return setpoint
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:

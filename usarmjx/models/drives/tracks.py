@@ -1,9 +1,7 @@
 """Drive of tracked vehicles whose tracks run over wheels of several sizes."""
 
 from dataclasses import dataclass
-from types import ModuleType
 
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
@@ -22,6 +20,6 @@ class Tracks(SkidSteer):
 
     ratios: tuple[float, ...]
 
-    def targets(self, setpoint: Array, xp: ModuleType = jnp) -> Array:
+    def targets(self, setpoint: Array) -> Array:
         """Every wheel's surface is as fast as its side's belt."""
-        return super().targets(setpoint, xp) * np.array(self.ratios, np.float32)
+        return super().targets(setpoint) * np.array(self.ratios, np.float32)

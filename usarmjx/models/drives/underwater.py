@@ -5,11 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
-import jax.numpy as jnp
-
 from usarmjx.base.arrays import Array
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.backend import xp
+from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.models.drives.base import Drive, VehicleType
 from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
 from usarmjx.models.drives.state import RobotState
@@ -18,8 +16,8 @@ STALLED = 1.17
 """Normal force coefficient of a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 3-9)."""
 
 
-def plate_force(area: float, slope: float, speed: jax.Array, across: jax.Array) -> jax.Array:
-    """Return the force on a plate along its normal [N] ().
+def plate_force(area: float, slope: float, speed: Array, across: Array) -> Array:
+    """Return the force on a plate along its normal [N] (...,).
 
     Thin-plate theory, with a coefficient of the normal force of `slope` times the sine of the angle of
     attack, up to what a plate across the flow has.
@@ -27,11 +25,11 @@ def plate_force(area: float, slope: float, speed: jax.Array, across: jax.Array) 
     Args:
         area: Of the plate [m2].
         slope: Of the lift coefficient over the angle of attack [1/rad].
-        speed: Of the plate through the water [m/s] ().
-        across: The part of it along the plate's normal [m/s] ().
+        speed: Of the plate through the water [m/s] (...,).
+        across: The part of it along the plate's normal [m/s] (...,).
     """
-    sine = across / jnp.maximum(speed, 1e-6)
-    return -WATER_DENSITY / 2 * area * speed**2 * jnp.clip(slope * sine, -STALLED, STALLED)
+    sine = across / xp.maximum(speed, 1e-6)
+    return -WATER_DENSITY / 2 * area * speed**2 * xp.clip(slope * sine, -STALLED, STALLED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,36 +99,38 @@ class Underwater(Drive):
         advance = (1 - self.slip) ** 2
         return float(self.hull.drag_factors[0][0]) * advance / (1 - advance)
 
-    def passive_wrench(self, state: RobotState, depth: Array) -> jax.Array:
-        """Return buoyancy and drag (6,), nothing outside water."""
+    def passive_wrench(self, state: RobotState, depth: Array) -> Array:
+        """Return buoyancy and drag (..., 6), nothing outside water."""
         return self.hull.fluid_wrench(state, depth)
 
-    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> jax.Array:
-        """Return what propeller, rudder and stern plane exert (6,)."""
+    def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
+        """Return what propeller, rudder and stern plane exert (..., 6)."""
         mat = mat_from_quat(state.quat)
-        spin, rudder, plane = setpoint[0], setpoint[1], setpoint[2]
-        linear = state.linear @ mat
+        spin, rudder, plane = (setpoint[..., i] for i in range(3))
+        linear = xp.moveaxis(matvec(mat.mT, state.linear), -1, 0)
+        turn = xp.moveaxis(state.angular, -1, 0)
         wash = spin * self.propeller_pitch / (2 * math.pi)
-        thrust = self._grip * (wash * jnp.abs(wash) - linear[0] * jnp.abs(linear[0]))
+        thrust = self._grip * (wash * xp.abs(wash) - linear[0] * xp.abs(linear[0]))
         # Flow at the plates: ahead as in the propeller's disc, to the left and up as the stern moves.
         ahead = (linear[0] + wash) / 2
-        left = linear[1] - self.stern_arm * state.angular[2]
-        up = linear[2] + self.stern_arm * state.angular[1]
+        left = linear[1] - self.stern_arm * turn[2]
+        up = linear[2] + self.stern_arm * turn[1]
         # Normals to the left and up at rest. Rudder right: its trailing edge goes to the right.
         sideways = plate_force(
             self.rudder_area,
             self.slope,
-            jnp.hypot(ahead, left),
-            left * jnp.cos(rudder) - ahead * jnp.sin(rudder),
+            xp.hypot(ahead, left),
+            left * xp.cos(rudder) - ahead * xp.sin(rudder),
         )
         lift = plate_force(
             self.plane_area,
             self.slope,
-            jnp.hypot(ahead, up),
-            up * jnp.cos(plane) - ahead * jnp.sin(plane),
+            xp.hypot(ahead, up),
+            up * xp.cos(plane) - ahead * xp.sin(plane),
         )
-        drag = -sideways * jnp.sin(rudder) - lift * jnp.sin(plane)
-        force = jnp.stack([thrust + drag, sideways * jnp.cos(rudder), lift * jnp.cos(plane)])
-        torque = jnp.stack([0.0 * spin, self.stern_arm * force[2], -self.stern_arm * force[1]])
-        share, _ = self.hull.immersion(depth, mat[2])
+        drag = -sideways * xp.sin(rudder) - lift * xp.sin(plane)
+        side, rise = sideways * xp.cos(rudder), lift * xp.cos(plane)
+        force = xp.stack([thrust + drag, side, rise], -1)
+        torque = xp.stack([xp.zeros_like(side), self.stern_arm * rise, -self.stern_arm * side], -1)
+        share, _ = self.hull.immersion(depth, mat[..., 2, :])
         return self.hull.body_wrench(mat, share * force, share * torque, share)

@@ -1,0 +1,67 @@
+"""The servos at robots' joints, as arrays."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from usarmjx.models.build.body_plan import KinematicTree
+from usarmjx.models.build.parts import parts_of
+from usarmjx.models.spec.robot import Motor, RobotSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """Constants of a robot's joint servos (joints,); those without a motor have zeros and ones.
+
+    Attributes:
+        speed: Highest speed.
+        torque: Highest torque.
+        stiffness: Gain on the position.
+        damping: Gain on the velocity.
+        low: Lowest position.
+        high: Highest position.
+        lead: How far a servo's target is ahead of its joint per speed of that, without torque.
+        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a
+            stalled wheel would have to unwind first, and a braked one would roll back.
+    """
+
+    speed: np.ndarray
+    torque: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    lead: np.ndarray
+    windup_limit: np.ndarray
+
+
+@cache
+def servos_of(robot: RobotSpec) -> Servos:
+    """Return the servo constants of a robot class."""
+    parts = parts_of(robot)
+    motors = [part.motor or Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0) for part in parts]
+    limits = [part.limits or (-np.inf, np.inf) for part in parts]
+
+    def row(values: list[float]) -> np.ndarray:
+        return np.array(values, np.float32)
+
+    return Servos(
+        speed=row([m.max_speed for m in motors]),
+        torque=row([m.torque for m in motors]),
+        stiffness=row([m.stiffness for m in motors]),
+        damping=row([m.damping for m in motors]),
+        low=row([low for low, _ in limits]),
+        high=row([high for _, high in limits]),
+        lead=row([m.damping / m.stiffness for m in motors]),
+        windup_limit=row([m.torque / m.stiffness for m in motors]),
+    )
+
+
+@cache
+def actuated_servos(plan: KinematicTree) -> tuple[np.ndarray | slice, Servos]:
+    """Return which joints of a robot class have a motor, and the constants of these alone (actuators,)."""
+    servos, here = servos_of(plan.robot), plan.actuated
+    own = Servos(**{name: values[here] for name, values in vars(servos).items()})
+    # All of them need not be picked out.
+    return slice(None) if len(here) == len(servos.speed) else here, own
