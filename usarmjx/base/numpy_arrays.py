@@ -13,8 +13,8 @@ SINGLE: dict[Any, type[np.generic]] = {np.dtype(np.float64): np.float32, np.dtyp
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever NumPy has
-    """Return NumPy's function of that name."""
-    return getattr(np, name)
+    """Return NumPy's function of that name, and have it here from now on."""
+    return globals().setdefault(name, getattr(np, name))
 
 
 def single(values: ArrayLike, dtype: DTypeLike | None = None) -> NumPyArray:
@@ -71,6 +71,11 @@ def clip(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> NumPyArray:
 def cumsum(values: ArrayLike, axis: int | None = None) -> NumPyArray:
     """As `jnp.cumsum`."""
     return single(np.cumsum(values, axis))
+
+
+def interp(x: Any, xs: Any, ys: Any, left: float | None = None, right: float | None = None) -> NumPyArray:  # noqa: ANN401
+    """As `jnp.interp`."""
+    return single(np.interp(x, xs, ys, left, right))
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> NumPyArray:
