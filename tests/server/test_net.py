@@ -228,7 +228,7 @@ def test_the_server_hangs_up_when_it_stops(world):
 
 
 def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
         result = CliRunner().invoke(app, ["serve", "--port", str(number)])
@@ -254,7 +254,7 @@ def test_serving_leaves_the_process_as_it_was(world):
 def asked(world, monkeypatch):
     """What settings `usarmjx serve` with some options would serve with."""
     found = []
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     monkeypatch.setattr("usarmjx.server.net.serve", lambda world, settings, services: found.append(settings))
 
     def ask(*options):

@@ -96,7 +96,7 @@ def serve(
         from usarmjx.server.protocol.images import format_number, parse_size
         from usarmjx.server.protocol.multi_view import read_multi_view
         from usarmjx.server.wireless.net import WirelessSettings, check_addresses, make_wireless
-        from usarmjx.server.worlds.make import make_world
+        from usarmjx.server.worlds.make import make_worlds
 
         radio = radio_settings(radio_ini) if radio_ini else RadioSettings()
         air = WirelessSettings(
@@ -114,11 +114,11 @@ def serve(
         fields = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
         settings = BotServerSettings(host=host, realtime_factor=realtime_factor, **fields)
         configure_from(ini, uu_per_metre)
-        world = make_world(
+        (world,) = make_worlds(
             arena,
             engine=engine,
             worlds=worlds,
-            instance=instance,
+            instances=(instance,),
             roster=roster,
             max_robots=settings.max_connections,
             seed=seed,

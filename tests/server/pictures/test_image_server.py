@@ -410,7 +410,7 @@ def test_the_port_is_announced(world, painter, capfd):
 def served(monkeypatch, *words):
     """The services and the result of a command line that is not carried out."""
     box = {"services": []}
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: SimpleNamespace())
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace()])
     monkeypatch.setattr("usarmjx.server.net.serve", lambda *args: box.update(services=args[2]))
     result = CliRunner().invoke(app, ["serve", "--no-wireless", *words])
     return box["services"], result
@@ -450,7 +450,7 @@ def test_a_wrong_option_is_one_clear_line_and_exit_code_2(monkeypatch, words, sa
 
 
 def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch):
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as taken:
         number = taken.getsockname()[1]
         words = ["serve", "--port", "0", "--no-wireless", "--image-port", str(number)]

@@ -67,7 +67,7 @@ def test_the_ports_are_announced(world, capfd):
 
 @pytest.mark.parametrize("option", ["--wss-port", "--wss2-port", "--position-port"])
 def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch, option):
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     with bound_socket("127.0.0.1", 0) as taken:
         taken.listen()
         number = taken.getsockname()[1]
@@ -81,7 +81,7 @@ def test_a_taken_port_is_one_clear_line_and_exit_code_2(world, monkeypatch, opti
 
 def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     """Manual 3.2.4.2."""
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_world", lambda *args, **kwargs: world)
+    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     seen = {}
     monkeypatch.setattr("usarmjx.server.net.serve", lambda *args: seen.update(services=args[2]))
     ini = tmp_path / "USARComServer.ini"

@@ -1,6 +1,7 @@
-"""The world that `usarmjx serve` serves, by engine."""
+"""The worlds that `usarmjx serve` serves, by engine."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -10,6 +11,7 @@ from usarmjx.engines import choose_engine
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
+from usarmjx.server.instances import check_instances
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
@@ -40,10 +42,26 @@ def enable_compilation_cache() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def make_world(
-    arena: str, *, engine: str, worlds: int, instance: int, roster: str, max_robots: int, seed: int
-) -> ServedWorld:
-    """Build a batch of worlds and return the one that clients will share.
+def make_worlds(
+    arena: str,
+    *,
+    engine: str,
+    worlds: int,
+    instances: Sequence[int],
+    roster: str,
+    max_robots: int,
+    seed: int,
+) -> list[ServedWorld]:
+    """Build a batch of worlds and return those of them that clients are served, each as a world of its own.
+
+    Args:
+        arena: Name of an arena, or a file.
+        engine: Name of an engine.
+        worlds: Worlds in the batch.
+        instances: Which of them to return, in this order.
+        roster: Robots that wait for clients, as P2AT:4,P2DX:2.
+        max_robots: Most robots of one world.
+        seed: Of all random numbers; each world has its own.
 
     Raises:
         UsageError: No such instance, or a roster that does not read.
@@ -51,19 +69,19 @@ def make_world(
         EngineError: The engine cannot run here.
     """
     enable_compilation_cache()
-    if not 0 <= instance < worlds:
-        raise UsageError(f"instance {instance} is not among worlds 0 to {worlds - 1}")
+    check_instances(instances, worlds)
     if choose_engine(engine, "serve") == "c":
         key = jax.random.key(seed)
         batch = [
             DynamicWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), max_robots)
             for number in range(worlds)
         ]
-        served = batch[instance]
-        served.other_worlds = tuple(world for world in batch if world is not served)
-        return served
+        served = [batch[instance] for instance in instances]
+        served[0].other_worlds = tuple(world for world in batch if world not in served)
+        return [*served]
     entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
     if not entries:
         raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
     scene = build_scene(arena, entries)
-    return BatchWorld(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed), instance)
+    shared = Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed)
+    return [BatchWorld(shared, instance) for instance in instances]
