@@ -75,7 +75,7 @@ def cumsum(values: ArrayLike, axis: int | None = None) -> NumPyArray:
 
 def interp(x: Any, xs: Any, ys: Any, left: float | None = None, right: float | None = None) -> NumPyArray:  # noqa: ANN401
     """As `jnp.interp`."""
-    return single(np.interp(x, xs, ys, left, right))
+    return single(cast(NumPyArray, np.interp(x, xs, ys, left, right)))
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> NumPyArray:

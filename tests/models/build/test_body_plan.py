@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.models.build.body_plan import forward_kinematics, geom_poses, kinematic_tree_of, robot_state
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import index_robot
@@ -84,6 +85,16 @@ def test_poses_at_random_states_match_c_mujoco(robot):
         near(geom_mat[i], data.geom_xmat[of_it].reshape(-1, 3, 3))
     assert (plan.geom_type == model.geom_type[of_it]).all()
     near(plan.geom_size, model.geom_size[of_it])
+    # All at once, as leading axes, and on NumPy: the same.
+    with numpy_backend():
+        grid = qpos.astype(np.float32).reshape(2, -1, model.nq)
+        every = forward_kinematics(plan, robot_state(index, grid, np.zeros((*grid.shape[:2], model.nv))))
+        shapes = geom_poses(plan, every)
+    for ours, mapped in zip(
+        (every.pos, every.mat, *shapes), (bodies.pos, bodies.mat, geom_pos, geom_mat), strict=True
+    ):
+        assert ours.dtype == np.float32
+        near(ours.reshape(mapped.shape), mapped)
 
 
 def test_robot_state_picks_its_own_numbers():

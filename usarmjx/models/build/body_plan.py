@@ -6,15 +6,15 @@ the other robots in the model, and of the half step by which an engine's poses t
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.layout import RobotIndex, index_robot
@@ -33,8 +33,41 @@ class BodyPoses(struct.PyTreeNode, kw_only=True):
         mat: Orientations (bodies, 3, 3).
     """
 
-    pos: jax.Array
-    mat: jax.Array
+    pos: Array
+    mat: Array
+
+
+class JointMotions(NamedTuple):
+    """How joints at q move bodies in their parents: each slides or turns.
+
+    To `offset + q * slide`, and by `fixed + sin(q) * sine + cos(q) * cosine`: the orientation at rest, then
+    Rodrigues' formula.
+
+    Attributes:
+        offset: Body origins with the joints at 0 [m] (joints, 3).
+        slide: Along what prismatic joints move (joints, 3).
+        fixed: What does not change of an orientation (joints, 3, 3).
+        sine: What goes with the sine (joints, 3, 3).
+        cosine: What goes with the cosine (joints, 3, 3).
+    """
+
+    offset: np.ndarray
+    slide: np.ndarray
+    fixed: np.ndarray
+    sine: np.ndarray
+    cosine: np.ndarray
+
+
+class BodyLevel(NamedTuple):
+    """The bodies that have as many joints between them and the chassis.
+
+    Attributes:
+        joints: Their joints (n,).
+        parents: Places of their parents in the level above (n,); None: the only one there.
+    """
+
+    joints: np.ndarray
+    parents: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +111,38 @@ class KinematicTree:
     actuated: np.ndarray
     mass: float
     clearance: float
+
+    @cached_property
+    def joint_motions(self) -> JointMotions:
+        """What moves the bodies, see `forward_kinematics`."""
+        rest, slides = self.rest_mat[1:].astype(float), self.slides[1:, None]
+        x, y, z = self.axis[1:].astype(float).T
+        zero = np.zeros_like(x)
+        across = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        twice = np.where(slides[:, None], 0.0, rest @ across @ across)
+        motions = (
+            self.offset[1:],
+            np.where(slides, (rest @ self.axis[1:, :, None])[..., 0], 0.0),
+            rest + twice,
+            np.where(slides[:, None], 0.0, rest @ across),
+            -twice,
+        )
+        return JointMotions(*(np.asarray(motion, np.float32) for motion in motions))
+
+    @cached_property
+    def levels(self) -> tuple[BodyLevel, ...]:
+        """The bodies behind the chassis, level by level."""
+        levels, above = list[BodyLevel](), [0]
+        while below := [body for body, parent in enumerate(self.parent) if parent in above]:
+            parents = np.array([above.index(self.parent[body]) for body in below])
+            levels.append(BodyLevel(np.array(below) - 1, parents if len(above) > 1 else None))
+            above = below
+        return tuple(levels)
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Where each body is among the chassis and the levels, one after the other (bodies,)."""
+        return np.argsort(np.concatenate([[-1], *(level.joints for level in self.levels)]))
 
     def joint_index(self, name: str) -> int | None:
         """Return the place of a joint by its name, case ignored; None when there is none."""
@@ -157,36 +222,39 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) 
 
 
 def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
-    """Pick a robot's state out of its world's qpos (nq,) and qvel (nv,)."""
+    """Pick a robot's state out of its world's qpos (..., nq) and qvel (..., nv)."""
     q, v = index.root_qposadr, index.root_dofadr
     return RobotState(
-        pos=qpos[q : q + 3],
-        quat=qpos[q + 3 : q + 7],
-        linear=qvel[v : v + 3],
-        angular=qvel[v + 3 : v + 6],
-        joint_pos=qpos[np.array(index.qposadr, int)],
-        joint_vel=qvel[np.array(index.dofadr, int)],
+        pos=qpos[..., q : q + 3],
+        quat=qpos[..., q + 3 : q + 7],
+        linear=qvel[..., v : v + 3],
+        angular=qvel[..., v + 3 : v + 6],
+        joint_pos=qpos[..., np.array(index.qposadr, int)],
+        joint_vel=qvel[..., np.array(index.dofadr, int)],
     )
 
 
 def forward_kinematics(plan: KinematicTree, state: RobotState) -> BodyPoses:
-    """Forward kinematics of one robot."""
-    pos, mat = [state.pos], [mat_from_quat(state.quat)]
-    for body in range(1, len(plan.parent)):
-        parent, axis, q = plan.parent[body], jnp.asarray(plan.axis[body]), state.joint_pos[body - 1]
-        slide = axis * q * float(plan.slides[body])
-        turn = q * (1.0 - float(plan.slides[body]))
-        half = jnp.concatenate([jnp.cos(turn / 2)[None], jnp.sin(turn / 2) * axis])
-        rest = plan.rest_mat[body]
-        straight = np.array_equal(rest, np.eye(3))
-        away = plan.offset[body] + (slide if straight else matvec(rest, slide))
-        pos.append(pos[parent] + matvec(mat[parent], away))
-        frame = mat[parent] if straight else matmul(mat[parent], rest)
-        mat.append(matmul(frame, mat_from_quat(half)))
-    return BodyPoses(pos=jnp.stack(pos), mat=jnp.stack(mat))
+    """Forward kinematics of robots, with the leading axes of their state."""
+    move, q = plan.joint_motions, state.joint_pos[..., None]
+    angle = q[..., None]
+    turned = move.fixed + xp.sin(angle) * move.sine + xp.cos(angle) * move.cosine
+    away = move.offset + q * move.slide
+    pos, mat = [state.pos[..., None, :]], [mat_from_quat(state.quat)[..., None, :, :]]
+    for joints, parents in plan.levels:
+        below, frame = pos[-1], mat[-1]
+        if parents is not None:
+            below, frame = below[..., parents, :], frame[..., parents, :, :]
+        pos.append(below + matvec(frame, away[..., joints, :]))
+        mat.append(matmul(frame, turned[..., joints, :, :]))
+    return BodyPoses(
+        pos=xp.concatenate(pos, -2)[..., plan.places, :],
+        mat=xp.concatenate(mat, -3)[..., plan.places, :, :],
+    )
 
 
-def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
-    """Return the world poses of a robot's geoms: centres (geoms, 3) and orientations (geoms, 3, 3)."""
-    mat = bodies.mat[plan.geom_body]
-    return bodies.pos[plan.geom_body] + matvec(mat, plan.geom_pos), matmul(mat, plan.geom_mat)
+def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
+    """Return the world poses of robots' geoms: centres (..., geoms, 3), orientations (..., geoms, 3, 3)."""
+    mat = bodies.mat[..., plan.geom_body, :, :]
+    pos = bodies.pos[..., plan.geom_body, :] + matvec(mat, plan.geom_pos)
+    return pos, matmul(mat, plan.geom_mat)
