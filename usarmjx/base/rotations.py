@@ -1,7 +1,7 @@
 """Rotations: quaternions (w first), matrices and rotation vectors."""
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import on_numpy, xp
 
 MIN_NORM = 1e-9
 """Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
@@ -9,13 +9,14 @@ MIN_NORM = 1e-9
 
 def mat_from_quat(quat: Array) -> Array:
     """Return the rotation matrix (..., 3, 3) of w-first quaternions (..., 4), normalised first."""
-    w, x, y, z = xp.moveaxis(quat / xp.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
+    unit = quat / xp.sqrt((quat * quat).sum(-1, keepdims=True))
+    w, x, y, z = (unit[..., i] for i in range(4))
     rows = (
-        xp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-        xp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-        xp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return xp.stack(rows, -2)
+    return xp.stack(rows, -1).reshape(*quat.shape[:-1], 3, 3)
 
 
 def wrap_angle(angle: Array) -> Array:
@@ -27,13 +28,17 @@ def matvec(mat: Array, vector: Array) -> Array:
     """Return `mat @ vector`, (..., 3, 3) and (..., 3), as sums of products.
 
     Unlike thousands of small matrix products, these melt into what is computed before and after them, and
-    keep all their bits on a GPU.
+    keep all their bits on a GPU. On NumPy they are one call.
     """
+    if on_numpy():
+        return (mat @ vector[..., None])[..., 0]
     return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
 
 
 def matmul(mat: Array, other: Array) -> Array:
     """Return `mat @ other`, both (..., 3, 3), as `matvec` does."""
+    if on_numpy():
+        return mat @ other
     return xp.stack([matvec(mat, other[..., i]) for i in range(3)], -1)
 
 
