@@ -26,10 +26,14 @@ _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
 @contextmanager
 def numpy_backend() -> Generator[None]:
-    """Run pure functions on NumPy: nothing is traced or compiled inside. It holds for this thread alone."""
+    """Run pure functions on NumPy: nothing is traced or compiled inside. It holds for this thread alone.
+
+    Numbers that are not finite are no cause for warnings, as in JAX.
+    """
     token = _on_numpy.set(True)
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     finally:
         _on_numpy.reset(token)
 
@@ -42,7 +46,7 @@ def on_numpy() -> bool:
 class _ArrayFunctions:
     """The array functions of the library in force."""
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the library has
+    def __getattribute__(self, name: str) -> Any:  # noqa: ANN401 - whatever the library has
         return getattr(numpy_arrays if _on_numpy.get() else jnp, name)
 
 
