@@ -75,6 +75,16 @@ def stop_gradient(values: T) -> T:
     return values if _on_numpy.get() else jax.lax.stop_gradient(values)
 
 
+def fori_loop(count: int, body: Callable[[Any, T], T], start: T) -> T:
+    """Return what becomes of a value by `body(i, value)` for i from 0 to count; on NumPy a loop."""
+    if not _on_numpy.get():
+        return jax.lax.fori_loop(0, count, body, start)
+    value = start
+    for i in range(count):
+        value = body(i, value)
+    return value
+
+
 def jit(function: Callable[P, T], static_argnames: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does; on NumPy it runs as it is."""
     compiled = jax.jit(function, static_argnames=static_argnames)

@@ -1,8 +1,9 @@
 """Where a robot's antenna is."""
 
-import jax
-import jax.numpy as jnp
+import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, flip_vector
 from usarmjx.models.spec.robot import RobotSpec
@@ -20,7 +21,7 @@ def antenna_of(robot: RobotSpec) -> Vec3:
     return (0.0, 0.0, -robot.dimensions[2] / 2) if robot.antenna is None else robot.antenna
 
 
-def antenna_positions(robot: RobotSpec, pos: jax.Array, quat: jax.Array, floor: float) -> jax.Array:
+def antenna_positions(robot: RobotSpec, pos: Array, quat: Array, floor: float) -> Array:
     """Return where the antennas of robots of one class are in the world [m] (..., 3).
 
     Args:
@@ -31,4 +32,5 @@ def antenna_positions(robot: RobotSpec, pos: jax.Array, quat: jax.Array, floor: 
     """
     mat, (x, y, z) = mat_from_quat(quat), flip_vector(antenna_of(robot))
     position = pos + mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
-    return position.at[..., 2].set(jnp.maximum(position[..., 2], floor + MIN_ANTENNA_HEIGHT))
+    lowest = np.array([-np.inf, -np.inf, floor + MIN_ANTENNA_HEIGHT], np.float32)
+    return xp.maximum(position, lowest)

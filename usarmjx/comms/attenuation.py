@@ -10,11 +10,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.models.ini.parse import IniFile, Line, read_ini
 from usarmjx.models.ini.read import as_bool, as_number, fail
@@ -163,7 +162,7 @@ def _read(line: Line, field: str, debug: object) -> float | bool:
     return int(value)
 
 
-def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) -> jax.Array:
+def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) -> Array:
     """Return the power that arrives [dBm], by the formula of manual 3.2.4.
 
     Below the reference distance the same formula goes on, so that power rises above `pdo`; under 1 mm it
@@ -175,9 +174,9 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
         distance: Between the antennas [m] (...).
         walls: How many solids lie between them (...).
     """
-    apart = jnp.maximum(jnp.asarray(distance, jnp.float32), MIN_ANTENNA_DISTANCE)
-    fading = 10.0 * settings.n * jnp.log10(apart / settings.do)
-    return jnp.asarray(settings.pdo - fading - jnp.minimum(walls, settings.max_obs) * settings.atten_fac)
+    apart = xp.maximum(xp.asarray(distance, xp.float32), MIN_ANTENNA_DISTANCE)
+    fading = 10.0 * settings.n * xp.log10(apart / settings.do)
+    return xp.asarray(settings.pdo - fading - xp.minimum(walls, settings.max_obs) * settings.atten_fac)
 
 
 def link_range(settings: RadioSettings, walls: int) -> float:

@@ -6,17 +6,20 @@ A convex mesh is what lies behind all its triangles; a terrain is all of its col
 """
 
 from functools import reduce
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.targets import GeomBlock
 
-XYZ = tuple[jax.Array, jax.Array, jax.Array]
+XYZ = tuple[Array, Array, Array]
 """Components x, y, z; apart, so that no array of segments times geoms is stored."""
-SegmentInterval = tuple[jax.Array, jax.Array]
+SegmentInterval = tuple[Array, Array]
 
 PIECE_KINDS = (TRIANGLE_KIND, COLUMN_KIND)
 """Kinds of pieces that solids come in."""
@@ -26,18 +29,18 @@ SIDE_MARGIN = 1e-5
 """By this share of its width a column reaches over its sides: no segment slips through where two meet."""
 
 
-def positive_interval(start: jax.Array, slope: jax.Array) -> SegmentInterval:
+def positive_interval(start: Array, slope: Array) -> SegmentInterval:
     """Return the part of a segment where `start + t slope` is positive."""
-    t = -start / jnp.where(slope == 0, 1.0, slope)
+    t = -start / xp.where(slope == 0, 1.0, slope)
     outside = (slope == 0) & (start <= 0)
-    low = jnp.where(outside, 1.0, jnp.where(slope > 0, jnp.maximum(t, -1.0), -1.0))
-    high = jnp.where(outside, -1.0, jnp.where(slope < 0, jnp.minimum(t, 1.0), 1.0))
+    low = xp.where(outside, 1.0, xp.where(slope > 0, xp.maximum(t, -1.0), -1.0))
+    high = xp.where(outside, -1.0, xp.where(slope < 0, xp.minimum(t, 1.0), 1.0))
     return low, high
 
 
 def intersection(one: SegmentInterval, other: SegmentInterval) -> SegmentInterval:
     """Return what is in two parts."""
-    return jnp.maximum(one[0], other[0]), jnp.minimum(one[1], other[1])
+    return xp.maximum(one[0], other[0]), xp.minimum(one[1], other[1])
 
 
 def behind_face(middle: XYZ, half: XYZ) -> SegmentInterval:
@@ -45,7 +48,7 @@ def behind_face(middle: XYZ, half: XYZ) -> SegmentInterval:
     return positive_interval(-middle[2], -half[2])
 
 
-def crosses_column(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_column(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of a column of terrain; see `pieces.terrain_columns`."""
     (x, y, z), (dx, dy, dz) = middle, half
     above_bottom = positive_interval(
@@ -73,7 +76,28 @@ def padded_to_chunks(block: GeomBlock) -> GeomBlock:
     return jax.tree.map(lambda x: x[rows], block)
 
 
-def count_in_pieces(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
+def components(vectors: Array) -> XYZ:
+    """Return the components of vectors (n, 3) as rows (n, 1)."""
+    return vectors[:, 0, None], vectors[:, 1, None], vectors[:, 2, None]
+
+
+def local_segments(block: GeomBlock, middle: XYZ, half: XYZ) -> tuple[XYZ, XYZ]:
+    """Return segments in the frames of geoms: middles and half vectors [m] (geoms, segments) each.
+
+    Args:
+        block: The geoms.
+        middle: Middles of the segments [m] (segments,) each.
+        half: Half vectors from there to their ends [m] (segments,) each.
+    """
+    # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
+    offset = [part - pos for part, pos in zip(middle, components(block.pos), strict=True)]
+    mat = block.mat[..., None]
+    local = tuple(sum(mat[:, j, i] * offset[j] for j in range(3)) for i in range(3))
+    along = tuple(sum(mat[:, j, i] * half[j] for j in range(3)) for i in range(3))
+    return local, along  # type: ignore - three components each
+
+
+def count_in_pieces(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
     """Return how many solids of one kind each segment crosses (segments,).
 
     Args:
@@ -82,28 +106,56 @@ def count_in_pieces(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.
         middle: Middles of the segments [m] (segments,) each.
         half: Half vectors from there to their ends [m] (segments,) each.
     """
-    arrays = map(jnp.asarray, (block.pos, block.mat, block.size, block.owner))
-    pos, mat, size, owner = (x.reshape(-1, PIECES_PER_PASS, *x.shape[1:]) for x in arrays)
-    last = jnp.append(owner[1:, 0] != owner[:-1, 0], True)
+    return (_count_at_once if on_numpy() else _count_in_passes)(kind, block, middle, half)
+
+
+def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
+    """Return what `_count_in_passes` does, all pieces of a solid at once: in few calls, for NumPy."""
+    owner, count = np.asarray(block.owner), np.zeros(half[0].shape, np.int32)
+    bounds = [0, *(np.flatnonzero(np.diff(owner)) + 1), len(owner)]
+    for first, last in pairwise(bounds):
+        solid = jax.tree.map(lambda x, own=slice(first, last): x[own], block)
+        local, along = local_segments(solid, middle, half)
+        if kind == TRIANGLE_KIND:
+            low, high = behind_face(local, along)
+            count += low.max(0) < high.min(0)
+        else:
+            count[_crosses_columns(local, along, solid.size)] += 1
+    return count
+
+
+def _crosses_columns(local: XYZ, along: XYZ, size: Array) -> np.ndarray:
+    """Return which segments meet the inside of any column (segments,); few columns are near a segment."""
+    (x, y, _), (dx, dy, _) = local, along
+    reach = (x + np.abs(dx) > -SIDE_MARGIN) & (y + np.abs(dy) > -SIDE_MARGIN)
+    column, segment = np.nonzero(reach & (x + y - np.abs(dx + dy) < 1 + SIDE_MARGIN))
+    near = [tuple(part[column, segment] for part in parts) for parts in (local, along)]
+    met = crosses_column(*near, tuple(size[column].T))  # type: ignore - three components each
+    crossed = np.zeros(x.shape[1], bool)
+    crossed[segment[met]] = True
+    return crossed
+
+
+def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
+    """Return how many solids each segment crosses, a few pieces at a time, on JAX."""
+    rows: GeomBlock = jax.tree.map(lambda x: jnp.asarray(x).reshape(-1, PIECES_PER_PASS, *x.shape[1:]), block)
+    last = jnp.append(rows.owner[1:, 0] != rows.owner[:-1, 0], True)
     mesh = kind == TRIANGLE_KIND
     fresh = (-jnp.ones_like(half[0]), jnp.ones_like(half[0])) if mesh else (jnp.zeros(half[0].shape, bool),)
 
-    def chunk(c: jax.Array, tally: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def chunk(c: Array, tally: tuple[Array, ...]) -> tuple[Array, ...]:
         count, *so_far = tally
-        # Pieces by rows, segments by columns; sums of products, not matrix products, as in `walls`.
-        offset = [middle[j] - pos[c, :, j, None] for j in range(3)]
-        local = tuple(sum(mat[c, :, j, i, None] * offset[j] for j in range(3)) for i in range(3))
-        along = tuple(sum(mat[c, :, j, i, None] * half[j] for j in range(3)) for i in range(3))
+        pieces = jax.tree.map(lambda x: x[c], rows)
+        local, along = local_segments(pieces, middle, half)
         if mesh:
-            low, high = behind_face(local, along)  # type: ignore - three components each
+            low, high = behind_face(local, along)
             now = intersection((so_far[0], so_far[1]), (low.max(0), high.min(0)))
             crossed = now[0] < now[1]
         else:
-            sizes = tuple(size[c, :, i, None] for i in range(3))
-            crossed = so_far[0] | crosses_column(local, along, sizes).any(0)  # type: ignore - as above
+            crossed = so_far[0] | crosses_column(local, along, components(pieces.size)).any(0)
             now = (crossed,)
         kept = (jnp.where(last[c], new, old) for new, old in zip(fresh, now, strict=True))
         return (count + (crossed & last[c]), *kept)
 
     start = (jnp.zeros(half[0].shape, jnp.int32), *fresh)
-    return jax.lax.fori_loop(0, len(owner), chunk, start)[0]
+    return jax.lax.fori_loop(0, len(rows.owner), chunk, start)[0]

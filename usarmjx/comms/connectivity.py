@@ -7,9 +7,10 @@ axes are allowed too. `linked` is `Links.in_range`, `power` is `Links.power`; bo
 import math
 from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import fori_loop, jit, xp
 
 
 def _squarings(robots: int) -> int:
@@ -17,18 +18,18 @@ def _squarings(robots: int) -> int:
     return math.ceil(math.log2(robots - 1)) if robots > 2 else 0
 
 
-@jax.jit
-def transitive_closure(linked: jax.Array) -> jax.Array:
+@jit
+def transitive_closure(linked: Array) -> Array:
     """Return who reaches whom over any number of hops, everyone itself too (..., robots, robots)."""
     robots = linked.shape[-1]
-    paths = linked | np.eye(robots, dtype=bool)
+    paths: Array = linked | np.eye(robots, dtype=bool)
     for _ in range(_squarings(robots)):
-        paths = (paths[..., :, :, None] & paths[..., None, :, :]).any(-2)
+        paths = xp.any(paths[..., :, :, None] & paths[..., None, :, :], -2)
     return paths
 
 
-@jax.jit
-def hops(linked: jax.Array, base: jax.Array | int) -> jax.Array:
+@jit
+def hops(linked: Array, base: Array | int) -> Array:
     """Return over how many links each robot reaches the base; as many as there are robots: it does not.
 
     Args:
@@ -39,18 +40,18 @@ def hops(linked: jax.Array, base: jax.Array | int) -> jax.Array:
         int32 (..., robots); 0 at the base itself.
     """
     robots = linked.shape[-1]
-    start = jnp.where(jnp.arange(robots) == base, 0, robots)
-    start = jnp.broadcast_to(start, (*linked.shape[:-2], robots)).astype(jnp.int32)
+    start = xp.where(xp.arange(robots) == base, 0, robots)
+    start = xp.broadcast_to(start, (*linked.shape[:-2], robots)).astype(xp.int32)
 
-    def widen(_: int, count: jax.Array) -> jax.Array:
-        via = jnp.where(linked, count[..., None, :], robots).min(-1)
-        return jnp.minimum(count, via + 1)
+    def widen(_: int, count: Array) -> Array:
+        via = xp.where(linked, count[..., None, :], robots).min(-1)
+        return xp.minimum(count, via + 1)
 
-    return jax.lax.fori_loop(0, max(robots - 1, 0), widen, start)
+    return fori_loop(max(robots - 1, 0), widen, start)
 
 
-@partial(jax.jit, static_argnames="max_hops")
-def reachable(linked: jax.Array, base: jax.Array | int, max_hops: int | None = None) -> jax.Array:
+@partial(jit, static_argnames=("max_hops",))
+def reachable(linked: Array, base: Array | int, max_hops: int | None = None) -> Array:
     """Return who reaches the base station, itself included (..., robots).
 
     Args:
@@ -59,12 +60,12 @@ def reachable(linked: jax.Array, base: jax.Array | int, max_hops: int | None = N
         max_hops: Over so many hops at most; None: over any number.
     """
     if max_hops is None:
-        return jnp.take(transitive_closure(linked), base, -2)
+        return xp.take(transitive_closure(linked), base, -2)
     return hops(linked, base) <= min(max_hops, linked.shape[-1] - 1)
 
 
-@jax.jit
-def connected_components(linked: jax.Array) -> jax.Array:
+@jit
+def connected_components(linked: Array) -> Array:
     """Return a number for each robot, the same for all that reach each other: the lowest slot among them.
 
     Args:
@@ -73,11 +74,11 @@ def connected_components(linked: jax.Array) -> jax.Array:
     Returns:
         int32 (..., robots); a robot without links has its own slot.
     """
-    return jnp.argmax(transitive_closure(linked), -1).astype(jnp.int32)
+    return xp.argmax(transitive_closure(linked), -1).astype(xp.int32)
 
 
-@jax.jit
-def bottleneck(power: jax.Array) -> jax.Array:
+@jit
+def bottleneck(power: Array) -> Array:
     """Return the power of the weakest link on the best way between each two robots [dBm].
 
     The best way is the one whose weakest link is strongest, whether it holds or not; so two robots reach
@@ -90,7 +91,7 @@ def bottleneck(power: jax.Array) -> jax.Array:
         (..., robots, robots), symmetric; inf from a robot to itself, -inf where no way leads.
     """
     robots = power.shape[-1]
-    best = jnp.where(np.eye(robots, dtype=bool), jnp.inf, power)
+    best = xp.where(np.eye(robots, dtype=bool), xp.inf, power)
     for _ in range(_squarings(robots)):
-        best = jnp.minimum(best[..., :, :, None], best[..., None, :, :]).max(-2)
+        best = xp.minimum(best[..., :, :, None], best[..., None, :, :]).max(-2)
     return best

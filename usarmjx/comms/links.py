@@ -1,11 +1,11 @@
 """Who hears whom in one world: a table of all pairs, symmetric, and what changed since the last one."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array, Bool, Float, Int
+from usarmjx.base.backend import stop_gradient, vmap, xp
 from usarmjx.comms.attenuation import AnyRadioSettings, received_power
 from usarmjx.comms.walls import count_walls
 from usarmjx.sensors.rays.targets import Geoms
@@ -43,17 +43,17 @@ class Links(struct.PyTreeNode, kw_only=True):
 
 def no_links(robots: int) -> Links:
     """Return the table of an episode that has not been looked at yet."""
-    never = jnp.zeros((robots, robots), bool)
+    never = xp.zeros((robots, robots), bool)
     return Links(
-        power=jnp.full((robots, robots), -jnp.inf, jnp.float32),
-        walls=jnp.zeros((robots, robots), jnp.int32),
+        power=xp.full((robots, robots), -xp.inf, xp.float32),
+        walls=xp.zeros((robots, robots), xp.int32),
         paired=never,
         in_range=never,
-        delivery_probability=jnp.zeros((robots, robots)),
+        delivery_probability=xp.zeros((robots, robots)),
         went_down=never,
         came_up=never,
-        evaluated=jnp.zeros((), bool),
-        step=jnp.zeros((), jnp.int32),
+        evaluated=xp.zeros((), bool),
+        step=xp.zeros((), xp.int32),
     )
 
 
@@ -62,46 +62,44 @@ def pairs_of(robots: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(robots, 1)
 
 
-def _square(values: jax.Array, robots: int, diagonal: float) -> jax.Array:
+def _square(values: Array, robots: int, diagonal: float) -> Array:
     """Return values of pairs (pairs,) as a symmetric table (robots, robots)."""
     # Gathered, not scattered: every entry of the table picks its pair.
     low, high = pairs_of(robots)
     index = np.zeros((robots, robots), int)
     index[low, high] = index[high, low] = np.arange(len(low))
     if not len(low):
-        return jnp.full((robots, robots), diagonal, values.dtype)
-    return jnp.where(np.eye(robots, dtype=bool), jnp.asarray(diagonal, values.dtype), values[index])
+        return xp.full((robots, robots), diagonal, values.dtype)
+    return xp.where(np.eye(robots, dtype=bool), xp.asarray(diagonal, values.dtype), values[index])
 
 
-def shadowing(settings: AnyRadioSettings, key: jax.Array, robots: int) -> jax.Array:
+def shadowing(settings: AnyRadioSettings, key: Array, robots: int) -> Array:
     """Return by how much surroundings strengthen or weaken each pair's link [dB] (pairs,).
 
     Log-normal: normal in decibels. A pair keeps its number as long as the key is the same, whoever else
     is there.
     """
-    if settings.shadowing == 0:
-        return jnp.zeros(len(pairs_of(robots)[0]))
-
-    def draw(low: jax.Array, high: jax.Array) -> jax.Array:
-        return jax.random.normal(jax.random.fold_in(jax.random.fold_in(key, low), high))
-
-    return settings.shadowing * jax.vmap(draw)(*map(jnp.asarray, pairs_of(robots)))
+    low, high = pairs_of(robots)
+    if settings.shadowing == 0 or not len(low):
+        return xp.zeros(len(low))
+    keys = vmap(random.fold_in)(random.fold_in(key, np.arange(robots))[low], high)
+    return settings.shadowing * random.normal(keys, (len(low),))
 
 
-def delivery_probability(settings: AnyRadioSettings, power: jax.Array) -> jax.Array:
+def delivery_probability(settings: AnyRadioSettings, power: Array) -> Array:
     """Return the probability that a message gets through at a power [dBm] (...)."""
     margin = power - settings.cutoff
     if settings.loss_band == 0:
-        return (margin >= 0).astype(jnp.float32)
-    return jnp.clip(margin / settings.loss_band, 0.0, 1.0)
+        return (margin >= 0).astype(xp.float32)
+    return xp.clip(margin / settings.loss_band, 0.0, 1.0)
 
 
 def pair_powers(
     settings: AnyRadioSettings,
     geoms: Geoms,
-    antennas: Float[jax.Array, "robots 3"],
-    shadow: Float[jax.Array, " pairs"] | float = 0.0,
-) -> tuple[Float[jax.Array, " pairs"], Int[jax.Array, " pairs"]]:
+    antennas: Float[Array, "robots 3"],
+    shadow: Float[Array, " pairs"] | float = 0.0,
+) -> tuple[Float[Array, " pairs"], Int[Array, " pairs"]]:
     """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
 
     Differentiable in the antennas' places; walls count as if they stayed as they are.
@@ -115,18 +113,18 @@ def pair_powers(
     low, high = pairs_of(len(antennas))
     start, end = antennas[low], antennas[high]
     way = end - start
-    distance = jnp.sqrt(jnp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
-    walls = count_walls(geoms, jax.lax.stop_gradient(start), jax.lax.stop_gradient(end))
+    distance = xp.sqrt(xp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
+    walls = count_walls(geoms, stop_gradient(start), stop_gradient(end))
     return received_power(settings, distance, walls) + shadow, walls
 
 
 def evaluate_links(
     settings: AnyRadioSettings,
     geoms: Geoms,
-    robots: tuple[Float[jax.Array, "robots 3"], Bool[jax.Array, " robots"]],
+    robots: tuple[Float[Array, "robots 3"], Bool[Array, " robots"]],
     before: Links,
-    key: jax.Array,
-    step: Int[jax.Array, ""],
+    key: Array,
+    step: Int[Array, ""],
 ) -> Links:
     """Return the links as they are now.
 
@@ -143,27 +141,27 @@ def evaluate_links(
     count = len(antennas)
     power, walls = pair_powers(settings, geoms, antennas, shadowing(settings, key, count))
     paired = in_use[:, None] & in_use[None, :] & ~np.eye(count, dtype=bool)
-    power = jnp.where(paired, _square(power, count, -jnp.inf), -jnp.inf)
+    power = xp.where(paired, _square(power, count, -xp.inf), -xp.inf)
     in_range = paired & (power >= settings.cutoff)
     return Links(
         power=power,
-        walls=jnp.where(paired, _square(walls, count, 0), 0),
+        walls=xp.where(paired, _square(walls, count, 0), 0),
         paired=paired,
         in_range=in_range,
         delivery_probability=delivery_probability(settings, power),
         went_down=before.evaluated & before.in_range & ~in_range,
         came_up=before.evaluated & ~before.in_range & in_range,
-        evaluated=jnp.ones((), bool),
-        step=jnp.asarray(step, jnp.int32),
+        evaluated=xp.ones((), bool),
+        step=xp.asarray(step, xp.int32),
     )
 
 
-def is_due(links: Links, step: jax.Array, every: int) -> Array:
+def is_due(links: Links, step: Array, every: int) -> Array:
     """Return whether it is time to evaluate again: so many control steps have passed, or none was yet ()."""
     return ~links.evaluated | (step >= links.step + every)
 
 
-def without_old_events(links: Links, step: jax.Array) -> Links:
+def without_old_events(links: Links, step: Array) -> Links:
     """Return the last table for another look at it: its events stay events of their own control step."""
     same = links.step == step
     return links.replace(went_down=links.went_down & same, came_up=links.came_up & same)

@@ -6,11 +6,12 @@ links that hold; what does not arrive is counted, by sender and by cause.
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_at, xp
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.links import Links
 
@@ -87,7 +88,7 @@ class Inboxes(struct.PyTreeNode, kw_only=True):
     @property
     def valid(self) -> Array:
         """Which places hold a message (robots, capacity)."""
-        return jnp.arange(self.sender.shape[-1]) < self.count[..., None]
+        return xp.arange(self.sender.shape[-1]) < self.count[..., None]
 
 
 class OutgoingMessages(struct.PyTreeNode, kw_only=True):
@@ -106,23 +107,23 @@ class OutgoingMessages(struct.PyTreeNode, kw_only=True):
 
 def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
     """Return empty boxes."""
-    box, none = (robots, settings.capacity), jnp.zeros(robots, jnp.int32)
+    box, none = (robots, settings.capacity), xp.zeros(robots, xp.int32)
     return Inboxes(
         count=none,
-        sender=jnp.zeros(box, jnp.int32),
-        time=jnp.zeros(box),
-        size_bytes=jnp.zeros(box, jnp.int32),
-        payload=jnp.zeros((*box, settings.numbers)),
+        sender=xp.zeros(box, xp.int32),
+        time=xp.zeros(box),
+        size_bytes=xp.zeros(box, xp.int32),
+        payload=xp.zeros((*box, settings.numbers)),
         spent=none,
-        step=jnp.zeros((), jnp.int32),
+        step=xp.zeros((), xp.int32),
         sent=none,
         dropped=DropCounts(over_budget=none, no_link=none, lost=none, inbox_full=none),
     )
 
 
-def _through(links: Links, key: Array) -> jax.Array:
+def _through(links: Links, key: Array) -> Array:
     """Return over which links a message gets through this time (robots, robots)."""
-    return jax.random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
+    return random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
 
 def deliver(
@@ -149,36 +150,37 @@ def deliver(
     """
     step, time = moment
     to, capacity = messages.receivers, settings.capacity
-    spent = jnp.where(inboxes.step == step, inboxes.spent, 0)
-    length = jnp.maximum(messages.size_bytes, 0).astype(jnp.int32)
+    spent = xp.where(inboxes.step == step, inboxes.spent, 0)
+    length = xp.maximum(messages.size_bytes, 0).astype(xp.int32)
     # Counted in messages, not in bytes, whose sum over many receivers could overflow.
-    left = jnp.maximum(settings.bytes_per_step - spent, 0)
-    affordable = jnp.where(length > 0, left // jnp.maximum(length, 1), to.shape[-1])
-    paid = to & (jnp.cumsum(to, -1) <= affordable[:, None])
+    left = xp.maximum(settings.bytes_per_step - spent, 0)
+    affordable = xp.where(length > 0, left // xp.maximum(length, 1), to.shape[-1])
+    paid = to & (xp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
     arrived = linked & _through(links, key)
 
-    index = inboxes.count[None, :] + jnp.cumsum(arrived, 0) - 1  # in the receiver's box
+    index = inboxes.count[None, :] + xp.cumsum(arrived, 0) - 1  # in the receiver's box
     fits = arrived & (index < capacity)
     # Which sender's message goes where: all other tables are looked up by it.
     robots = len(to)
-    sender, receiver = jnp.meshgrid(jnp.arange(robots), jnp.arange(robots), indexing="ij")
-    where = (receiver, jnp.where(fits, index, capacity))
-    new_sender = jnp.full((robots, capacity), -1).at[where].set(sender, mode="drop")
-    fresh, source = new_sender >= 0, jnp.maximum(new_sender, 0)
+    sender, receiver = np.indices((robots, robots), np.int32)
+    # What does not fit goes to a place behind the box.
+    where = (receiver, xp.where(fits, index, capacity))
+    new_sender = set_at(xp.full((robots, capacity + 1), -1), where, sender)[:, :capacity]
+    fresh, source = new_sender >= 0, xp.maximum(new_sender, 0)
 
     def count(dropped: Array) -> Array:
-        return dropped.sum(-1, dtype=jnp.int32)
+        return dropped.sum(-1, dtype=xp.int32)
 
     before = inboxes.dropped
     return inboxes.replace(
-        count=inboxes.count + fits.sum(0, dtype=jnp.int32),
-        sender=jnp.where(fresh, source, inboxes.sender),
-        time=jnp.where(fresh, time, inboxes.time),
-        size_bytes=jnp.where(fresh, length[source], inboxes.size_bytes),
-        payload=jnp.where(fresh[..., None], messages.payload[source], inboxes.payload),
+        count=inboxes.count + fits.sum(0, dtype=xp.int32),
+        sender=xp.where(fresh, source, inboxes.sender),
+        time=xp.where(fresh, time, inboxes.time),
+        size_bytes=xp.where(fresh, length[source], inboxes.size_bytes),
+        payload=xp.where(fresh[..., None], messages.payload[source], inboxes.payload),
         spent=spent + length * count(paid),
-        step=jnp.asarray(step, jnp.int32),
+        step=xp.asarray(step, xp.int32),
         sent=inboxes.sent + count(to),
         dropped=DropCounts(
             over_budget=before.over_budget + count(to & ~paid),
@@ -191,4 +193,4 @@ def deliver(
 
 def clear_inboxes(inboxes: Inboxes, mask: Array | bool = True) -> Inboxes:
     """Return the boxes with those of the masked robots (robots,) emptied: they have read their mail."""
-    return inboxes.replace(count=jnp.where(mask, 0, inboxes.count))
+    return inboxes.replace(count=xp.where(mask, 0, inboxes.count))

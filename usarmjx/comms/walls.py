@@ -26,8 +26,16 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import jit, on_numpy, xp
 from usarmjx.base.errors import UnsupportedGeomError
-from usarmjx.comms.clipping import PIECE_KINDS, XYZ, count_in_pieces, padded_to_chunks
+from usarmjx.comms.clipping import (
+    PIECE_KINDS,
+    XYZ,
+    components,
+    count_in_pieces,
+    local_segments,
+    padded_to_chunks,
+)
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
@@ -41,75 +49,75 @@ TINY = 1e-12
 GeomType = mujoco.mjtGeom
 
 
-def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment goes through a plane with normal z; sizes 0 mean unbounded."""
-    crossed = jnp.abs(middle[2]) < jnp.abs(half[2])
-    t = -middle[2] / jnp.where(half[2] == 0, 1.0, half[2])
+    crossed = xp.abs(middle[2]) < xp.abs(half[2])
+    t = -middle[2] / xp.where(half[2] == 0, 1.0, half[2])
     for axis in (0, 1):
-        crossed &= (size[axis] <= 0) | (jnp.abs(middle[axis] + t * half[axis]) < size[axis])
+        crossed = crossed & ((size[axis] <= 0) | (xp.abs(middle[axis] + t * half[axis]) < size[axis]))
     return crossed
 
 
-def crosses_box(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_box(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of a box with half lengths `size`: no axis separates them.
 
     The axes are the box's own and their cross products with the segment (a box swept along a segment has
     no other faces); one whose product vanishes, as the segment is parallel to it, separates nothing.
     """
-    crossed = jnp.ones((), bool)
-    for axis in range(3):
-        crossed &= jnp.abs(middle[axis]) < size[axis] + jnp.abs(half[axis])
+    crossed = xp.abs(middle[0]) < size[0] + xp.abs(half[0])
+    for axis in (1, 2):
+        crossed = crossed & (xp.abs(middle[axis]) < size[axis] + xp.abs(half[axis]))
     for axis in range(3):
         j, k = (axis + 1) % 3, (axis + 2) % 3
-        apart = jnp.abs(middle[j] * half[k] - middle[k] * half[j])
-        room = size[j] * jnp.abs(half[k]) + size[k] * jnp.abs(half[j])
-        crossed &= (apart < room) | (room == 0)
+        apart = xp.abs(middle[j] * half[k] - middle[k] * half[j])
+        room = size[j] * xp.abs(half[k]) + size[k] * xp.abs(half[j])
+        crossed = crossed & ((apart < room) | (room == 0))
     return crossed
 
 
-def _nearest_squared(middle: XYZ, half: XYZ, axes: int) -> jax.Array:
+def _nearest_squared(middle: XYZ, half: XYZ, axes: int) -> Array:
     """Squared distance of a segment from the origin, or, over two axes, from the z axis."""
     m, h = middle[:axes], half[:axes]
     along = sum(a * b for a, b in zip(m, h, strict=True))
-    t = jnp.clip(-along / jnp.maximum(sum(b * b for b in h), TINY), -1.0, 1.0)
+    t = xp.clip(-along / xp.maximum(sum(b * b for b in h), TINY), -1.0, 1.0)
     return sum((a + t * b) ** 2 for a, b in zip(m, h, strict=True))  # type: ignore - not empty
 
 
-def crosses_sphere(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_sphere(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of a sphere of radius `size[0]`."""
     return _nearest_squared(middle, half, 3) < size[0] ** 2
 
 
-def crosses_ellipsoid(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_ellipsoid(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of an ellipsoid with radii `size`: a unit sphere, stretched."""
     scale = [1.0 / s for s in size]
     stretched = [tuple(a * s for a, s in zip(v, scale, strict=True)) for v in (middle, half)]
     return _nearest_squared(*stretched, 3) < 1.0  # type: ignore - three components each
 
 
-def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of a cylinder about z with radius `size[0]`, half length `size[1]`.
 
     Of the part between the planes of the caps, the place nearest to the axis decides.
     """
     (mx, my, mz), (hx, hy, hz) = middle, half
-    slope = jnp.where(jnp.abs(hz) < TINY, TINY, hz)
-    centre, width = -mz / slope, size[1] / jnp.abs(slope)
-    low, high = jnp.clip(centre - width, -1.0, 1.0), jnp.clip(centre + width, -1.0, 1.0)
-    t = jnp.clip(-(mx * hx + my * hy) / jnp.maximum(hx * hx + hy * hy, TINY), low, high)
+    slope = xp.where(xp.abs(hz) < TINY, TINY, hz)
+    centre, width = -mz / slope, size[1] / xp.abs(slope)
+    low, high = xp.clip(centre - width, -1.0, 1.0), xp.clip(centre + width, -1.0, 1.0)
+    t = xp.clip(-(mx * hx + my * hy) / xp.maximum(hx * hx + hy * hy, TINY), low, high)
     beside = (mx + t * hx) ** 2 + (my + t * hy) ** 2
-    return (jnp.abs(mz) < size[1] + jnp.abs(hz)) & (beside < size[0] ** 2)
+    return (xp.abs(mz) < size[1] + xp.abs(hz)) & (beside < size[0] ** 2)
 
 
-def crosses_capsule(middle: XYZ, half: XYZ, size: XYZ) -> jax.Array:
+def crosses_capsule(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Whether a segment meets the inside of a capsule about z: its tube or one of its two balls."""
     crossed = crosses_cylinder(middle, half, size)
     for end in (-size[1], size[1]):
-        crossed |= crosses_sphere((middle[0], middle[1], middle[2] - end), half, size)
+        crossed = crossed | crosses_sphere((middle[0], middle[1], middle[2] - end), half, size)
     return crossed
 
 
-CROSSING_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], jax.Array]] = {
+CROSSING_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], Array]] = {
     int(GeomType.mjGEOM_PLANE): crosses_plane,
     int(GeomType.mjGEOM_BOX): crosses_box,
     int(GeomType.mjGEOM_SPHERE): crosses_sphere,
@@ -199,17 +207,15 @@ def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
     return split[0], turned, split[1]  # type: ignore - three of each
 
 
-def _entry(values: jax.Array, index: jax.Array) -> jax.Array:
+def _entry(values: jax.Array, index: Array) -> jax.Array:
     return jax.lax.dynamic_index_in_dim(values, index)[0]  # pyright: ignore[reportUnknownVariableType] - half typed
 
 
-def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
-    """Return how many solids of one type each segment crosses (segments,)."""
-    if kind in PIECE_KINDS:
-        return count_in_pieces(kind, block, middle, half)
+def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
+    """Return how many solids of one type each segment crosses (segments,), a few solids at a time, on JAX."""
     columns = _columns(block)
 
-    def chunk(c: jax.Array, count: jax.Array) -> jax.Array:
+    def chunk(c: Array, count: Array) -> Array:
         for k in range(SOLIDS_PER_PASS):
             here = c * SOLIDS_PER_PASS + k
             pos, mat, size = jax.tree.map(partial(_entry, index=here), columns)
@@ -224,8 +230,21 @@ def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> jax.Array:
     return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
 
 
-@jax.jit
-def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
+def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
+    """Return what `_count_in_passes` does, all solids at once: in few calls, for NumPy."""
+    crossed = CROSSING_KERNELS[kind](*local_segments(block, middle, half), components(block.size))
+    return crossed.sum(0, dtype=np.int32)
+
+
+def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
+    """Return how many solids of one type each segment crosses (segments,)."""
+    if kind in PIECE_KINDS:
+        return count_in_pieces(kind, block, middle, half)
+    return (_count_at_once if on_numpy() else _count_in_passes)(kind, block, middle, half)
+
+
+@jit
+def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
     """Return how many solids lie on the way of each segment, as the module says (segments,) int32.
 
     Args:
@@ -234,7 +253,7 @@ def count_walls(geoms: Geoms, start: jax.Array, end: jax.Array) -> jax.Array:
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """
-    middle = tuple(jnp.moveaxis((start + end) / 2, -1, 0))
-    half = tuple(jnp.moveaxis((end - start) / 2, -1, 0))
+    middle: XYZ = tuple(xp.moveaxis((start + end) / 2, -1, 0))
+    half: XYZ = tuple(xp.moveaxis((end - start) / 2, -1, 0))
     counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)]
-    return sum(counts, start=jnp.zeros(start.shape[:-1], jnp.int32))
+    return sum(counts, start=xp.zeros(start.shape[:-1], xp.int32))

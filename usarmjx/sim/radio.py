@@ -3,10 +3,11 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import named_scope, on_numpy, set_at, vmap, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.antenna import antenna_positions
@@ -62,18 +63,16 @@ def mail_of(scene: Scene) -> MessageSettings:
     return scene.mail
 
 
-def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[jax.Array, jax.Array]:
+def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[Array, Array]:
     """Return where the robots' antennas are [m] (robots, 3), and which robots are in use (robots,), by slot.
 
     A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
     """
-    places, in_use = jnp.zeros((scene.num_robots, 3)), jnp.zeros(scene.num_robots, bool)
+    places, in_use = xp.zeros((scene.num_robots, 3)), xp.zeros(scene.num_robots, bool)
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
-        here = antenna_positions(
-            group.robot, jnp.asarray(robots.pos), jnp.asarray(robots.quat), scene.arena.floor
-        )
-        places, in_use = places.at[group.slots].set(here), in_use.at[group.slots].set(state.active)
+        here = antenna_positions(group.robot, robots.pos, robots.quat, scene.arena.floor)
+        places, in_use = set_at(places, group.slots, here), set_at(in_use, group.slots, state.active)
     return places, in_use
 
 
@@ -95,31 +94,35 @@ def last_links(world: World) -> Links:
 def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     """Return what weakens links now: the arena's solids, and doors where they stand."""
     if world.arena_state is None:
-        doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
+        doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
         return with_boxes(arena_solids(scene.arena), *doors)
-    arena, lift = world.arena_state, jnp.array([0.0, 0.0, scene.arena.floor])
+    arena, lift = world.arena_state, xp.array([0.0, 0.0, scene.arena.floor])
     shapes = scene.arena.shapes[: len(arena.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
     pos, mat = arena.pos[walls] + lift, mat_from_quat(arena.quat[walls])
     return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, arena.size[walls])
 
 
-@jax.named_scope("update_links")
+@named_scope("update_links")
 def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     """Return the links as they are now if they are due, else as they were last."""
+    due = links_due(scene, world)
+    if on_numpy() and not due:
+        return last_links(world)
     places, in_use = robot_antennas(scene, world, physics)
     key, walls = episode_key(world, Stream.RADIO), radio_obstacles(scene, world, physics)
     now = evaluate_links(world_radio(scene, world), walls, (places, in_use), _links(world), key, world.step)
-    due = links_due(scene, world)
-    return jax.tree.map(lambda new, old: jnp.where(due, new, old), now, last_links(world))
+    if on_numpy():
+        return now
+    return jax.tree.map(lambda new, old: xp.where(due, new, old), now, last_links(world))
 
 
 def update_links_of_worlds(scene: Scene, worlds: World, physics: PhysicsState) -> Links:
     """Return the links of all worlds (worlds, ...); where none are due, nothing is evaluated."""
-    update, keep = jax.vmap(partial(update_links, scene)), jax.vmap(last_links)
+    update, keep = vmap(partial(update_links, scene)), vmap(last_links)
     if link_interval(scene) == 1:
         return update(worlds, physics)
-    due = jax.vmap(partial(links_due, scene))(worlds).any()
+    due = vmap(partial(links_due, scene))(worlds).any()
     return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
 
@@ -152,17 +155,17 @@ def outgoing_messages(
     mail, shape = mail_of(scene), (*worlds, scene.num_robots)
     size = BYTES_PER_NUMBER * mail.numbers if length is None else length
     return OutgoingMessages(
-        receivers=jnp.broadcast_to(to, (*shape, scene.num_robots)),
-        payload=jnp.broadcast_to(jnp.asarray(payload, jnp.float32), (*shape, mail.numbers)),
-        size_bytes=jnp.broadcast_to(size, shape),
+        receivers=xp.broadcast_to(to, (*shape, scene.num_robots)),
+        payload=xp.broadcast_to(xp.asarray(payload, xp.float32), (*shape, mail.numbers)),
+        size_bytes=xp.broadcast_to(size, shape),
     )
 
 
-@jax.named_scope("send_messages")
+@named_scope("send_messages")
 def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)
-    key = jax.random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
+    key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
     moment = (world.step, time_of(scene, world))
     return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
 

@@ -5,8 +5,9 @@ several gives each world an `ArenaState` of its own at every reset.
 """
 
 import jax
-import jax.numpy as jnp
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.engines.base import GeomPoses
 from usarmjx.models.build.arena_set import ArenaState, arena_index_of
 from usarmjx.models.build.victims import VictimTable, segment_poses
@@ -15,48 +16,48 @@ from usarmjx.sensors.surroundings import Surroundings, surroundings_at
 from usarmjx.sim.scene import Scene
 
 
-def arena_state_at(arenas: ArenaState | None, number: jax.Array, episode: jax.Array) -> ArenaState | None:
+def arena_state_at(arenas: ArenaState | None, number: Array, episode: Array) -> ArenaState | None:
     """Return the arena of a world's episode: worlds go through the arenas (arenas, ...) in turn."""
     if arenas is None:
         return None
     turn = arena_index_of(number, episode, len(arenas.starts))
-    return jax.tree.map(lambda rows: jnp.asarray(rows)[turn], arenas)
+    return jax.tree.map(lambda rows: xp.asarray(rows)[turn], arenas)
 
 
 def victims_of(scene: Scene, arena_state: ArenaState | None) -> VictimTable:
     """Return the victims of a world."""
-    return jax.tree.map(jnp.asarray, scene.victims) if arena_state is None else arena_state.victims
+    return jax.tree.map(xp.asarray, scene.victims) if arena_state is None else arena_state.victims
 
 
 def surroundings(
-    scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: jax.Array
+    scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: Array
 ) -> Surroundings | None:
     """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them."""
     if not any(group.suite.needs_surroundings for group in scene.groups):
         return None
-    tags = jax.tree.map(jnp.asarray, scene.tags if arena_state is None else arena_state.tags)
+    tags = jax.tree.map(xp.asarray, scene.tags if arena_state is None else arena_state.tags)
     return surroundings_at(
-        victims_of(scene, arena_state), tags, dropped, time, jnp.asarray(scene.arena.floor, jnp.float32)
+        victims_of(scene, arena_state), tags, dropped, time, xp.asarray(scene.arena.floor, xp.float32)
     )
 
 
-def start_poses(scene: Scene, arena_state: ArenaState | None) -> jax.Array:
+def start_poses(scene: Scene, arena_state: ArenaState | None) -> Array:
     """Return the start poses of a world: x, y, z above the arena's floor [m] and yaw [rad] (starts, 4)."""
     if arena_state is not None:
-        return jnp.asarray(arena_state.starts)
-    return jnp.array([(*start.at, start.yaw) for start in scene.arena.starts])
+        return xp.asarray(arena_state.starts)
+    return xp.array([(*start.at, start.yaw) for start in scene.arena.starts])
 
 
-def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: jax.Array) -> GeomPoses | None:
+def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: Array) -> GeomPoses | None:
     """Return where the geoms of `scene.moved` are at a time [s] (); without an axis over worlds."""
     if scene.moved_geoms is None:
         return None
     table = victims_of(scene, arena_state)
-    pos, quat = segment_poses(table, time, jnp)
+    pos, quat = segment_poses(table, time, xp)
     if arena_state is None:
         return GeomPoses(pos=pos[scene.moving_victim_boxes], quat=quat[scene.moving_victim_boxes])
     return GeomPoses(
-        pos=jnp.concatenate([arena_state.pos, pos]),
-        quat=jnp.concatenate([arena_state.quat, quat]),
-        size=jnp.concatenate([arena_state.size, table.size]),
+        pos=xp.concatenate([arena_state.pos, pos]),
+        quat=xp.concatenate([arena_state.quat, quat]),
+        size=xp.concatenate([arena_state.size, table.size]),
     )
