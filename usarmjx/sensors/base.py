@@ -6,10 +6,9 @@ The batch maps these functions over robots and worlds; nothing here knows of eit
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -31,6 +30,8 @@ from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 NOISE_SETTINGS = ("noise", "sigma", "max_noise", "min_noise")
 """Settings that are sizes of random errors; `precision` is the inverse of one."""
+
+NO_RAYS = np.zeros((0, 3), np.float32)
 
 
 class SensorInput(struct.PyTreeNode, kw_only=True):
@@ -66,8 +67,8 @@ class Reading(struct.PyTreeNode, kw_only=True):
         fresh: Whether it was taken now, rather than at an earlier scan ().
     """
 
-    value: jax.Array
-    fresh: jax.Array
+    value: Array
+    fresh: Array
 
 
 @dataclass(frozen=True)
@@ -138,10 +139,10 @@ class Sensor(ABC):
     mounts: tuple[Mount, ...]
     settings: tuple[Any, ...]
 
-    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
         """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
         fans = self.fans(bodies)
-        return (jnp.zeros((0, 3)), jnp.zeros((0, 3))) if fans is None else fans.rays()
+        return (NO_RAYS, NO_RAYS) if fans is None else fans.rays()
 
     def fans(self, bodies: BodyPoses) -> Fans | None:
         """Return all rays as fans, of a sensor whose rays start at its mounts and are fixed there.
@@ -152,7 +153,7 @@ class Sensor(ABC):
         del bodies
         return None
 
-    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, jax.Array]:
+    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
         """Return the rays as `rays` does, of a sensor that aims some of them at what is around.
 
         There are as many in every world, whatever there is.
@@ -160,13 +161,13 @@ class Sensor(ABC):
         del surroundings
         return self.rays(bodies)
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
+    def init_memory(self, inputs: SensorInput, key: Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
         """Return the sensor's memory at the start of an episode, before any ray is cast; most have none."""
         del inputs, key
         return ()
 
     @abstractmethod
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Return the new memory and the measured value; `inputs.hits` are those of this sensor's rays."""
 
     def handle_set(
@@ -248,14 +249,18 @@ class Sensor(ABC):
                 )
         return np.array([parts.index(mount.parent) for mount in self.mounts])
 
-    def mount_poses(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
+    def mount_poses(self, bodies: BodyPoses) -> tuple[Array, Array]:
         """Return the world poses of the mounts: positions (mounts, 3), orientations (mounts, 3, 3)."""
-        at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
-        angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
-        local = mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
-        index = self.bodies_of_mounts()
+        index, at, local = self._mounts_on_bodies
         mat = bodies.mat[index]
         return bodies.pos[index] + matvec(mat, at), matmul(mat, local)
+
+    @cached_property
+    def _mounts_on_bodies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bodies of the mounts (mounts,), positions (mounts, 3) and orientations there (mounts, 3, 3)."""
+        at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
+        angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
+        return self.bodies_of_mounts(), at, mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import noisy
 
@@ -27,17 +26,17 @@ class Co2(Sensor):
     needs_surroundings = True
     settings_class = NoisySensorSettings
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Smell once."""
         around = inputs.surroundings_or_empty
         pos, _ = self.mount_poses(inputs.bodies)
-        far = jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1)
-        breath = jnp.where(
-            jnp.asarray(around.breathes),
-            BREATH_CO2 * (MOUTH_RADIUS / jnp.maximum(far, MOUTH_RADIUS)) ** 2,
+        far = xp.linalg.norm(xp.asarray(around.mouth) - pos[0], axis=-1)
+        breath = xp.where(
+            xp.asarray(around.breathes),
+            BREATH_CO2 * (MOUTH_RADIUS / xp.maximum(far, MOUTH_RADIUS)) ** 2,
             0.0,
         )
-        density = jnp.minimum(breath.sum(), BREATH_CO2)
+        density = xp.minimum(breath.sum(), BREATH_CO2)
         return memory, noisy(key, density[None], self.settings)[0]
 
 

@@ -7,13 +7,14 @@ float32 would keep half a metre.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.roads.geodesy import (
@@ -69,6 +70,7 @@ class GpsSettings(SensorSettings):
         return ""
 
 
+@cache
 def satellite_directions() -> np.ndarray:
     """Return the directions of the satellites, north, west and up: unit vectors (satellites, 3).
 
@@ -161,20 +163,20 @@ class Gps(Sensor):
         except SpecError as error:
             raise SpecError(f"{self.kind} {self.mounts[0].name}: {error}") from error
 
-    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
         """One line to each satellite, however the robot is turned."""
         pos, _ = self.mount_poses(bodies)
-        along = jnp.asarray(satellite_directions())
-        return jnp.broadcast_to(pos[0], along.shape), along
+        along = xp.asarray(satellite_directions())
+        return xp.broadcast_to(pos[0], along.shape), along
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Take a position. The largest error is three standard deviations (GPSSensor.uc), cut off there."""
-        satellites = jnp.isinf(inputs.hits.distance).sum().astype(jnp.float32)
+        satellites = xp.isinf(inputs.hits.distance).sum().astype(xp.float32)
         pos, _ = self.mount_poses(inputs.bodies)
         deviation = largest_error(self.settings[0], satellites) / 3
-        error = deviation * jax.random.truncated_normal(key, -3.0, 3.0, (2,))
-        fixed = jnp.where(satellites >= MIN_FIX_SATELLITES, pos[0, :2] + error, 0.0)
-        return memory, jnp.append(fixed, satellites)
+        error = deviation * random.truncated_normal(key, -3.0, 3.0, (2,))
+        fixed = xp.where(satellites >= MIN_FIX_SATELLITES, pos[0, :2] + error, 0.0)
+        return memory, xp.append(fixed, satellites)
 
 
 SENSORS.add(Gps.kind, Gps)

@@ -5,17 +5,16 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import POSITIVE, ManualKey, NumberLimits
 from usarmjx.models.spec.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
-from usarmjx.sensors.surroundings import Surroundings
+from usarmjx.sensors.surroundings import Surroundings, nearest
 
 MAX_MOVERS = 8
 """So many moving body parts, the nearest, are looked at for whether something hides them."""
@@ -51,7 +50,7 @@ class HumanMotionSettings(NoisySensorSettings):
         return math.radians(self.fov) if self.fov <= 360 else self.fov * 2 * math.pi / 65535
 
 
-def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = jnp) -> Array:
+def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = xp) -> Array:
     """Return how likely a motion is a human's (...,).
 
     Ours, as the manual only names what it depends on: 1 for a near, fast and wide motion, half of it for
@@ -79,12 +78,12 @@ class _Movers(struct.PyTreeNode, kw_only=True):
         half_diagonal: Half the diagonals of their boxes [m] (n,).
     """
 
-    pos: jax.Array
-    distance: jax.Array
-    owner: jax.Array
-    speed: jax.Array
-    swing: jax.Array
-    half_diagonal: jax.Array
+    pos: Array
+    distance: Array
+    owner: Array
+    speed: Array
+    swing: Array
+    half_diagonal: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,24 +98,24 @@ class HumanMotion(Sensor):
     transparent = frozenset({SKY, GLASS})
     settings_class = HumanMotionSettings
 
-    def _movers(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, _Movers]:
+    def _movers(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, _Movers]:
         """Return where the sensor is (3,), and what moves before it."""
         settings = self.settings[0]
         pos, mat = self.mount_poses(bodies)
-        boxes = jnp.asarray(surroundings.box_pos)
+        boxes = xp.asarray(surroundings.box_pos)
         offset = boxes - pos[0]
-        far = jnp.linalg.norm(offset, axis=-1)
+        far = xp.linalg.norm(offset, axis=-1)
         ahead = (offset * mat[0, :, 0]).sum(-1) >= far * math.cos(settings.fov_radians / 2)
-        moves = (jnp.asarray(surroundings.speed) > MIN_MOVING_SPEED) & (
-            jnp.asarray(surroundings.box_owner) >= 0
+        moves = (xp.asarray(surroundings.speed) > MIN_MOVING_SPEED) & (
+            xp.asarray(surroundings.box_owner) >= 0
         )
-        shown = jnp.where(moves & ahead & (far <= settings.max_range), far, jnp.inf)
-        shown = jnp.concatenate([shown, jnp.full(MAX_MOVERS, jnp.inf)])
-        _, index = jax.lax.top_k(-shown, MAX_MOVERS)
+        shown = xp.where(moves & ahead & (far <= settings.max_range), far, xp.inf)
+        shown = xp.concatenate([shown, xp.full(MAX_MOVERS, xp.inf)])
+        index = nearest(shown, MAX_MOVERS)
 
-        def pick(values: Array) -> jax.Array:
-            values = jnp.asarray(values)
-            return jnp.concatenate([values, jnp.zeros((MAX_MOVERS, *values.shape[1:]), values.dtype)])[index]
+        def pick(values: Array) -> Array:
+            values = xp.asarray(values)
+            return xp.concatenate([values, xp.zeros((MAX_MOVERS, *values.shape[1:]), values.dtype)])[index]
 
         return pos[0], _Movers(
             pos=pick(boxes),
@@ -124,34 +123,32 @@ class HumanMotion(Sensor):
             owner=pick(surroundings.box_owner),
             speed=pick(surroundings.speed),
             swing=pick(surroundings.swing),
-            half_diagonal=jnp.linalg.norm(pick(surroundings.box_size), axis=-1),
+            half_diagonal=xp.linalg.norm(pick(surroundings.box_size), axis=-1),
         )
 
-    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, jax.Array]:
+    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
         """One ray to each of the nearest moving parts."""
         pos, movers = self._movers(bodies, surroundings)
         way = movers.pos - pos
-        along = way / jnp.maximum(jnp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
-        return jnp.broadcast_to(pos, along.shape), along
+        along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
+        return xp.broadcast_to(pos, along.shape), along
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Look once: at the closest part that nothing hides; at the widest motion of its victim."""
         settings = self.settings[0]
         _, movers = self._movers(inputs.bodies, inputs.surroundings_or_empty)
         # A ray to the centre of a box ends within half its diagonal of it; what is in front ends it before.
-        seen = jnp.isfinite(movers.distance) & (
-            inputs.hits.distance >= movers.distance - movers.half_diagonal
-        )
-        far = jnp.where(seen, movers.distance, jnp.inf)
-        first = jnp.argmin(far)
+        seen = xp.isfinite(movers.distance) & (inputs.hits.distance >= movers.distance - movers.half_diagonal)
+        far = xp.where(seen, movers.distance, xp.inf)
+        first = xp.argmin(far)
         same = seen & (movers.owner == movers.owner[first])
-        speed, swing = (jnp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
-        found = jnp.isfinite(far[first])
-        likely = jnp.where(
-            found, human_motion_probability(jnp.where(found, far[first], 0.0), speed, swing), 0.0
+        speed, swing = (xp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
+        found = xp.isfinite(far[first])
+        likely = xp.where(
+            found, human_motion_probability(xp.where(found, far[first], 0.0), speed, swing), 0.0
         )
         told = apply_output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
-        return memory, jnp.clip(told, 0.0, 1.0)
+        return memory, xp.clip(told, 0.0, 1.0)
 
 
 SENSORS.add(HumanMotion.kind, HumanMotion)

@@ -4,14 +4,15 @@ Values are in MuJoCo's axes; the server turns them into USARSim's.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
@@ -57,8 +58,8 @@ class OdometryMemory(struct.PyTreeNode, kw_only=True):
         ticks: Wheel ticks that it accounts for, left and right (2,).
     """
 
-    pose: jax.Array
-    ticks: jax.Array
+    pose: Array
+    ticks: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +82,22 @@ class Odometry(Sensor):
     def check(self) -> None:
         """Find what is wrong; see `Sensor.check`."""
         super().check()
-        self._pair()
+        _ = self._pair
 
+    @cached_property
     def _pair(self) -> np.ndarray:
+        """Joints of the left and the right wheel that it counts (2,)."""
         settings = self.settings[0]
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
-    def _ticks(self, inputs: SensorInput) -> jax.Array:
-        return jnp.trunc(inputs.state.joint_pos[self._pair()] / self.settings[0].encoder_resolution)
+    def _ticks(self, inputs: SensorInput) -> Array:
+        return xp.trunc(inputs.state.joint_pos[self._pair] / self.settings[0].encoder_resolution)
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> OdometryMemory:
+    def init_memory(self, inputs: SensorInput, key: Array) -> OdometryMemory:
         """Here and now are the reference."""
-        return OdometryMemory(pose=jnp.zeros(3), ticks=self._ticks(inputs))
+        return OdometryMemory(pose=xp.zeros(3), ticks=self._ticks(inputs))
 
-    def read(
-        self, inputs: SensorInput, memory: OdometryMemory, key: jax.Array
-    ) -> tuple[OdometryMemory, jax.Array]:
+    def read(self, inputs: SensorInput, memory: OdometryMemory, key: Array) -> tuple[OdometryMemory, Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
         ticks = self._ticks(inputs)
         robot, settings = self.plan.robot, self.settings[0]
@@ -106,14 +107,14 @@ class Odometry(Sensor):
         x, y, heading = memory.pose
         advance = (left + right) / 2
         turned = heading + (right - left) / (robot.wheel_separation * (1 + settings.separation_error))
-        pose = jnp.stack([x + advance * jnp.cos(heading), y + advance * jnp.sin(heading), wrap_angle(turned)])
+        pose = xp.stack([x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)])
         return OdometryMemory(pose=pose, ticks=ticks), pose
 
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: OdometryMemory
     ) -> OdometryMemory | None:
         """RESET makes the present pose the reference (manual, Table 4)."""
-        return self.init_memory(inputs, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+        return self.init_memory(inputs, xp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
 @dataclass(frozen=True)
@@ -147,12 +148,12 @@ class InsMemory(struct.PyTreeNode, kw_only=True):
         drift_rate: Drift of x, y, z [m/s] and about x, y, z [rad/s] (6,).
     """
 
-    pos: jax.Array
-    mat: jax.Array
-    true_pos: jax.Array
-    true_mat: jax.Array
+    pos: Array
+    mat: Array
+    true_pos: Array
+    true_mat: Array
     time: Array
-    drift_rate: jax.Array
+    drift_rate: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,14 +163,14 @@ class Ins(Sensor):
     kind = "INS"
     settings_class = InsSettings
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> InsMemory:
+    def init_memory(self, inputs: SensorInput, key: Array) -> InsMemory:
         """The first estimate is the truth; each component gets a drift rate of its own.
 
         The manual gives no formula for the drift, only that a higher Precision means less of it and that
         components drift differently: ours is a constant rate, uniform in +-1/Precision.
         """
         pos, mat = self.mount_poses(inputs.bodies)
-        rate = jax.random.uniform(key, (6,), minval=-1.0, maxval=1.0) / self.settings[0].precision
+        rate = random.uniform(key, (6,), minval=-1.0, maxval=1.0) / self.settings[0].precision
         return InsMemory(
             pos=pos[0],
             mat=mat[0],
@@ -179,7 +180,7 @@ class Ins(Sensor):
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
-    def read(self, inputs: SensorInput, memory: InsMemory, key: jax.Array) -> tuple[InsMemory, jax.Array]:
+    def read(self, inputs: SensorInput, memory: InsMemory, key: Array) -> tuple[InsMemory, Array]:
         """The manual's seven steps.
 
         The distance carries the sign of the motion along the heading; the manual's has none, so that its
@@ -189,20 +190,21 @@ class Ins(Sensor):
         pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[0], mat[0]
         elapsed = inputs.time - memory.time
-        span = jnp.maximum(elapsed, 1e-6)
-        turn_key, path_key = jax.random.split(key)
+        span = xp.maximum(elapsed, 1e-6)
+        turn_key, path_key = random.split(key)
         rate = rotation_vector(memory.true_mat.T @ mat) / span  # 1
         rate = relative_normal(turn_key, rate, settings.mean, settings.sigma)  # 2
         drift = memory.drift_rate * elapsed
         estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[3:])  # 3
         path = pos - memory.true_pos
-        distance = jnp.linalg.norm(path) * jnp.sign(jnp.dot(path, mat[:, 0]))  # 4
+        distance = xp.linalg.norm(path) * xp.sign(xp.dot(path, mat[:, 0]))  # 4
         distance = relative_normal(path_key, distance, settings.mean, settings.sigma)  # 5
-        _, pitch, yaw = angles_from_mat(estimate, jnp)
-        heading = jnp.stack([jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), -jnp.sin(pitch)])
+        angles = angles_from_mat(estimate, xp)
+        _, pitch, yaw = angles
+        heading = xp.stack([xp.cos(pitch) * xp.cos(yaw), xp.cos(pitch) * xp.sin(yaw), -xp.sin(pitch)])
         position = memory.pos + distance * heading + drift[:3]  # 6, 7
         memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=inputs.time)
-        return memory, jnp.concatenate([position, angles_from_mat(estimate, jnp)])
+        return memory, xp.concatenate([position, angles])
 
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: InsMemory
@@ -210,9 +212,9 @@ class Ins(Sensor):
         """POSE sets the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and ends the drift."""
         if opcode.upper() != "POSE" or len(params) != 6:
             return None
-        roll, pitch, yaw = jnp.asarray(params[3:])
-        mat = mat_from_angles(roll, pitch, yaw, jnp)
-        return memory.replace(pos=jnp.asarray(params[:3]), mat=mat, drift_rate=jnp.zeros(6))
+        roll, pitch, yaw = xp.asarray(params[3:])
+        mat = mat_from_angles(roll, pitch, yaw, xp)
+        return memory.replace(pos=xp.asarray(params[:3]), mat=mat, drift_rate=xp.zeros(6))
 
 
 @dataclass(frozen=True)
@@ -250,26 +252,31 @@ class Encoder(Sensor):
         if (self.bodies_of_mounts() == 0).any():
             raise SpecError("an encoder needs a part that turns, not the chassis")
 
-    def _angles(self, inputs: SensorInput) -> jax.Array:
-        bodies = self.bodies_of_mounts()
+    @cached_property
+    def _joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """The joint that each turns with and the sign of its turn, both (mounts,)."""
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
-        return jnp.asarray(inputs.state.joint_pos[bodies - 1] * sign)
+        return self.bodies_of_mounts() - 1, sign
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> jax.Array:
+    def _angles(self, inputs: SensorInput) -> Array:
+        joints, sign = self._joints
+        return xp.asarray(inputs.state.joint_pos[joints] * sign)
+
+    def init_memory(self, inputs: SensorInput, key: Array) -> Array:
         """Counts start at zero."""
         return self._angles(inputs)
 
-    def read(self, inputs: SensorInput, memory: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def read(self, inputs: SensorInput, memory: Array, key: Array) -> tuple[Array, Array]:
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(inputs) - memory
         resolution = np.array([settings.resolution for settings in self.settings], np.float32)
-        return memory, jnp.trunc(noisy(key, angles, self.settings) / resolution)
+        return memory, xp.trunc(noisy(key, angles, self.settings) / resolution)
 
     def handle_set(
-        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: jax.Array
-    ) -> jax.Array | None:
+        self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Array
+    ) -> Array | None:
         """RESET sets the counts to zero (manual, Table 5)."""
-        return self.init_memory(inputs, jnp.zeros(0)) if opcode.upper() == "RESET" else None
+        return self.init_memory(inputs, xp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
 @dataclass(frozen=True)
@@ -287,10 +294,10 @@ class GroundTruth(Sensor):
     kind = "GroundTruth"
     settings_class = GroundTruthSettings
 
-    def read(self, inputs: SensorInput, memory: tuple[()], key: jax.Array) -> tuple[tuple[()], jax.Array]:
+    def read(self, inputs: SensorInput, memory: tuple[()], key: Array) -> tuple[tuple[()], Array]:
         """Return the pose."""
         pos, mat = self.mount_poses(inputs.bodies)
-        return memory, jnp.concatenate([pos[0], angles_from_mat(mat[0], jnp)])
+        return memory, xp.concatenate([pos[0], angles_from_mat(mat[0], xp)])
 
 
 for _sensor in (Odometry, Ins, Encoder, GroundTruth):

@@ -6,46 +6,55 @@ from functools import partial
 from itertools import pairwise
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import vmap, xp
 from usarmjx.sensors.base import NoisySensorSettings
 
 OutputCurve = tuple[tuple[float, float], ...]
 """Points (input, output) of an OutputCurve, inputs ascending."""
 
 
-def relative_uniform(key: jax.Array, data: jax.Array, amplitude: Array | float) -> jax.Array:
+def relative_uniform(key: Array, data: Array, amplitude: Array | float) -> Array:
     """Return data + random(amplitude) * data, random in [-amplitude, amplitude] (manual 10.2.2)."""
-    return data * (1 + jax.random.uniform(key, data.shape, minval=-amplitude, maxval=amplitude))
+    return data * (1 + random.uniform(key, data.shape, minval=-amplitude, maxval=amplitude))
 
 
-def relative_normal(key: jax.Array, data: jax.Array, mean: Array | float, sigma: Array | float) -> jax.Array:
+def relative_normal(key: Array, data: Array, mean: Array | float, sigma: Array | float) -> Array:
     """Return data * (1 + N(mean, sigma)): noise proportional to the rate of change (manual 10.6)."""
-    return data * (1 + mean + sigma * jax.random.normal(key, data.shape))
+    if isinstance(sigma, float) and not sigma:
+        return data * (1 + mean)
+    return data * (1 + mean + sigma * random.normal(key, data.shape))
 
 
 def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
     """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
     values = [getattr(s, name) for s in settings]
     if any(isinstance(value, jax.Array) for value in values):
-        return jnp.stack([jnp.asarray(value, jnp.float32) for value in values])
+        return xp.stack([xp.asarray(value, xp.float32) for value in values])
     return np.array(values, np.float32)
 
 
-def noisy(key: jax.Array, data: jax.Array, settings: Sequence[NoisySensorSettings]) -> jax.Array:
+def noisy(key: Array, data: Array, settings: Sequence[NoisySensorSettings]) -> Array:
     """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
 
     Keys are folded by place: a sensor's noise does not depend on those after it.
     """
     noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
-    keys = jax.vmap(partial(jax.random.fold_in, key))(np.arange(len(settings)))
-    told = jax.vmap(relative_uniform)(keys, data, noise)
-    if not any(isinstance(row, jax.Array) or row.any() for row in (mean, sigma)):
+    keys = random.fold_in(key, np.arange(len(settings)))
+    rows = (-1, *[1] * (data.ndim - 1))
+    told = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
+    if _is_zero(mean) and _is_zero(sigma):
         return told
-    others = jax.vmap(partial(jax.random.fold_in, data=1))(keys)
-    return jax.vmap(relative_normal)(others, told, mean, sigma)
+    others = vmap(partial(random.fold_in, data=1))(keys)
+    return relative_normal(others, told, mean.reshape(rows), sigma.reshape(rows))
+
+
+def _is_zero(values: Array) -> bool:
+    """Return whether numbers that are known by now are all 0."""
+    return isinstance(values, np.ndarray) and not values.any()
 
 
 def curve_problem(points: OutputCurve) -> str:
@@ -56,9 +65,9 @@ def curve_problem(points: OutputCurve) -> str:
     return f"the points of OutputCurve are {points!r}, expected finite ones with growing inputs"
 
 
-def apply_output_curve(data: jax.Array, points: OutputCurve) -> jax.Array:
+def apply_output_curve(data: Array, points: OutputCurve) -> Array:
     """Distort data by straight lines between points, zero outside them; no points: unchanged (manual 10)."""
     if not points:
         return data
     inputs, outputs = zip(*points, strict=True)
-    return jnp.interp(data, jnp.array(inputs), jnp.array(outputs), left=0.0, right=0.0)
+    return xp.interp(data, xp.array(inputs), xp.array(outputs), left=0.0, right=0.0)

@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
 from usarmjx.models.spec.shapes import GLASS, SKY
@@ -46,7 +46,7 @@ def farthest(settings: tuple[RangeSettings, ...]) -> float:
     return max(one.max_range for one in settings)
 
 
-def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: jax.Array) -> jax.Array:
+def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Array) -> Array:
     """Turn true distances [m] (sensors, n) into what each sensor reports [m] (sensors, n).
 
     Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
@@ -56,11 +56,11 @@ def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: ja
         np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range")
     )
     hit = distance < high
-    told = noisy(key, jnp.where(hit, distance, 0.0), settings)
-    ranges = jnp.where(hit, jnp.clip(told, low, high), high)
+    told = noisy(key, xp.where(hit, distance, 0.0), settings)
+    ranges = xp.where(hit, xp.clip(told, low, high), high)
     curves = [s.output_curve for s in settings]
     if any(curves):
-        return jnp.stack([apply_output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
+        return xp.stack([apply_output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
     return ranges
 
 
@@ -115,14 +115,18 @@ class Sonar(Sensor):
 
     def fans(self, bodies: BodyPoses) -> Fans:
         """All beams' lines."""
-        cones = np.stack([beam_directions(settings.beam_angle) for settings in self.settings])
-        return Fans(*self.mount_poses(bodies), cones)
+        return Fans(*self.mount_poses(bodies), self._cones)
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    @cached_property
+    def _cones(self) -> np.ndarray:
+        """The lines of each beam about its mount's x axis (mounts, lines, 3)."""
+        return np.stack([beam_directions(settings.beam_angle) for settings in self.settings])
+
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         limit = np.array([math.cos(settings.max_incidence) for settings in self.settings], np.float32)
         heard = inputs.hits.cosine.reshape(len(limit), -1) >= limit[:, None]
-        distance = jnp.where(heard, inputs.hits.distance.reshape(heard.shape), jnp.inf).min(-1)
+        distance = xp.where(heard, inputs.hits.distance.reshape(heard.shape), xp.inf).min(-1)
         return memory, range_readings(distance[:, None], self.settings, key)[:, 0]
 
 
@@ -148,12 +152,12 @@ class Ir(Sensor):
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
-    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
+    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
         """Each sensor's line, along its x axis."""
         pos, mat = self.mount_poses(bodies)
         return pos, mat[:, :, 0]
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         return memory, range_readings(inputs.hits.distance[:, None], self.settings, key)[:, 0]
 
@@ -234,9 +238,14 @@ class RangeScanner(Sensor):
 
     def fans(self, bodies: BodyPoses) -> Fans:
         """One line per step of the fan."""
-        return Fans(*self.mount_poses(bodies), self.directions()[None])
+        return Fans(*self.mount_poses(bodies), self._fan)
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    @cached_property
+    def _fan(self) -> np.ndarray:
+        """The one fan that all beams are (1, beams, 3)."""
+        return self.directions()[None]
+
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""
         return memory, range_readings(inputs.hits.distance[None], self.settings, key)[0]
 

@@ -4,18 +4,17 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_at, xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey, OneOf
 from usarmjx.models.spec.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.sketch import OverlayLines, no_overlay
-from usarmjx.sensors.surroundings import Surroundings
+from usarmjx.sensors.surroundings import Surroundings, nearest
 
 MAX_TAGS = 16
 """Most tags that a sensor reads at once, the nearest; so many rays look for obstacles."""
@@ -59,7 +58,7 @@ class RfidSettings(SensorSettings):
         return next(mode for mode in SENSING_MODES if mode.lower() == self.sensing_mode.lower())
 
 
-def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp: ModuleType = jnp) -> Array:
+def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp: ModuleType = xp) -> Array:
     """Return the strength of a tag's answer [dBm] (...,): twice the indoor path loss (manual 10.9.3.3).
 
     Args:
@@ -72,13 +71,13 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
     return settings.tx_power_dbm - loss - settings.obstacle_attenuation_db * blocked
 
 
-def _goodness(settings: RfidSettings, strength: Array) -> jax.Array:
+def _goodness(settings: RfidSettings, strength: Array) -> Array:
     """Return how green a line is (...,): 1 as strong as from a metre away, 0 as weak as can be received."""
     least, best = (
         settings.rx_sensitivity_dbm,
         signal_strength(settings, np.ones((), np.float32), np.zeros((), np.float32), np),
     )
-    return jnp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
+    return xp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
 
 
 class RfidMemory(struct.PyTreeNode, kw_only=True):
@@ -90,8 +89,8 @@ class RfidMemory(struct.PyTreeNode, kw_only=True):
         overlay: Lines to the tags; None unless they are wanted.
     """
 
-    answered: jax.Array
-    last_read_ids: jax.Array
+    answered: Array
+    last_read_ids: Array
     overlay: OverlayLines | None = None
 
 
@@ -107,23 +106,23 @@ class _Tags(struct.PyTreeNode, kw_only=True):
         there: Whether there is such a tag (n,).
     """
 
-    index: jax.Array
-    pos: jax.Array
-    distance: jax.Array
-    id: jax.Array
-    single: jax.Array
-    there: jax.Array
+    index: Array
+    pos: Array
+    distance: Array
+    id: Array
+    single: Array
+    there: Array
 
 
-def _nearest_tags(surroundings: Surroundings, pos: jax.Array) -> _Tags:
+def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
     """Return `MAX_TAGS` tags, those that are there first; always as many, some of them not there."""
-    spare = jnp.zeros(MAX_TAGS)
-    there = jnp.concatenate([jnp.asarray(surroundings.tag_there), spare > 0])
-    positions = jnp.concatenate([jnp.asarray(surroundings.tag_pos), jnp.zeros((MAX_TAGS, 3))])
-    far = jnp.where(there, jnp.linalg.norm(positions - pos, axis=-1), jnp.inf)
-    _, index = jax.lax.top_k(-far, MAX_TAGS)
-    single = jnp.concatenate([jnp.asarray(surroundings.tag_single), spare > 0])
-    ids = jnp.concatenate([jnp.asarray(surroundings.tag_id, jnp.int32), spare.astype(jnp.int32)])
+    spare = xp.zeros(MAX_TAGS)
+    there = xp.concatenate([xp.asarray(surroundings.tag_there), spare > 0])
+    positions = xp.concatenate([xp.asarray(surroundings.tag_pos), xp.zeros((MAX_TAGS, 3))])
+    far = xp.where(there, xp.linalg.norm(positions - pos, axis=-1), xp.inf)
+    index = nearest(far, MAX_TAGS)
+    single = xp.concatenate([xp.asarray(surroundings.tag_single), spare > 0])
+    ids = xp.concatenate([xp.asarray(surroundings.tag_id, xp.int32), spare.astype(xp.int32)])
     return _Tags(
         index=index,
         pos=positions[index],
@@ -146,32 +145,32 @@ class Rfid(Sensor):
     transparent = frozenset({SKY, GLASS})
     settings_class = RfidSettings
 
-    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[jax.Array, jax.Array]:
+    def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
         """One ray to each of the nearest tags, unless obstacles do not matter."""
         if self.settings[0].mode == RADIUS_MODE:
             return self.rays(bodies)
         pos, _ = self.mount_poses(bodies)
         tags = _nearest_tags(surroundings, pos[0])
-        way = tags.pos + jnp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos[0]
-        along = way / jnp.maximum(jnp.linalg.norm(way, axis=-1, keepdims=True), MIN_TAG_DISTANCE)
-        return jnp.broadcast_to(pos[0], along.shape), along
+        way = tags.pos + xp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos[0]
+        along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), MIN_TAG_DISTANCE)
+        return xp.broadcast_to(pos[0], along.shape), along
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> RfidMemory:
+    def init_memory(self, inputs: SensorInput, key: Array) -> RfidMemory:
         """Nothing was read yet."""
         del key
         room = inputs.surroundings_or_empty.tag_there.shape[0] + MAX_TAGS
         lines = no_overlay(MAX_TAGS) if self.has_overlay else None
         return RfidMemory(
-            answered=jnp.zeros(room, bool), last_read_ids=jnp.full(MAX_TAGS, -1, jnp.int32), overlay=lines
+            answered=xp.zeros(room, bool), last_read_ids=xp.full(MAX_TAGS, -1, xp.int32), overlay=lines
         )
 
-    def read(self, inputs: SensorInput, memory: RfidMemory, key: jax.Array) -> tuple[RfidMemory, jax.Array]:
+    def read(self, inputs: SensorInput, memory: RfidMemory, key: Array) -> tuple[RfidMemory, Array]:
         """Read all tags in reach once; those that answer only once never again."""
         del key
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
         tags = _nearest_tags(inputs.surroundings_or_empty, pos[0])
-        blocked = jnp.zeros(MAX_TAGS, bool)
+        blocked = xp.zeros(MAX_TAGS, bool)
         if settings.mode != RADIUS_MODE:
             blocked = inputs.hits.distance < tags.distance - OBSTACLE_MARGIN
         if settings.mode == ATTENUATION_MODE:
@@ -179,25 +178,25 @@ class Rfid(Sensor):
             reached = near & (strength >= settings.rx_sensitivity_dbm)
             good = _goodness(settings, strength)
         else:
-            reach = jnp.where(tags.single, settings.max_single_shot_range, settings.max_range)
+            reach = xp.where(tags.single, settings.max_single_shot_range, settings.max_range)
             near = tags.there & (tags.distance <= reach)
-            reached, good = near & ~blocked, (~blocked).astype(jnp.float32)
+            reached, good = near & ~blocked, (~blocked).astype(xp.float32)
         read = reached & ~memory.answered[tags.index]
-        offset = jnp.where(read[:, None], tags.pos - pos[0], 0.0)
+        offset = xp.where(read[:, None], tags.pos - pos[0], 0.0)
         told = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
-        row = jnp.stack([read.astype(jnp.float32), jnp.where(read, tags.id, 0).astype(jnp.float32)], -1)
+        row = xp.stack([read.astype(xp.float32), xp.where(read, tags.id, 0).astype(xp.float32)], -1)
         lines = None
         if self.has_overlay:
-            rgb = jnp.stack([1 - good, good, jnp.zeros(MAX_TAGS)], -1)
+            rgb = xp.stack([1 - good, good, xp.zeros(MAX_TAGS)], -1)
             black = (settings.mode == ATTENUATION_MODE) & ~reached[:, None]
-            start = jnp.broadcast_to(pos[0], tags.pos.shape)
-            lines = OverlayLines(start=start, end=tags.pos, rgb=jnp.where(black, 0.0, rgb), shown=near)
+            start = xp.broadcast_to(pos[0], tags.pos.shape)
+            lines = OverlayLines(start=start, end=tags.pos, rgb=xp.where(black, 0.0, rgb), shown=near)
         memory = RfidMemory(
-            answered=memory.answered.at[tags.index].max(read & tags.single),
-            last_read_ids=jnp.where(read, tags.id, -1),
+            answered=set_at(memory.answered, tags.index, memory.answered[tags.index] | (read & tags.single)),
+            last_read_ids=xp.where(read, tags.id, -1),
             overlay=lines,
         )
-        return memory, jnp.concatenate([row, told], -1)
+        return memory, xp.concatenate([row, told], -1)
 
     @property
     def has_overlay(self) -> bool:

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import jax
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, TURN, ManualKey
 from usarmjx.sensors.base import SENSORS, SensorInput
 from usarmjx.sensors.ranging import (
@@ -106,7 +106,7 @@ class RangeScanner3D(RangeScanner):
         """Unit directions of the beams about the mount's x axis, row by row (beams, 3)."""
         return grid_directions(self.settings[0]).reshape(-1, 3)
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once, all beams at the same moment."""
         ranges = range_readings(inputs.hits.distance[None], self.settings, key)[0]
         return memory, ranges.reshape(self.settings[0].shape)

@@ -1,9 +1,9 @@
 """What sensors draw into the pictures of cameras, so that one sees what they do (manual 10.9.2, 10.10.2)."""
 
-import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 
 
 class OverlayLines(struct.PyTreeNode, kw_only=True):
@@ -24,5 +24,5 @@ class OverlayLines(struct.PyTreeNode, kw_only=True):
 
 def no_overlay(count: int) -> OverlayLines:
     """Return an overlay with room for some lines, of which there is none."""
-    nowhere = jnp.zeros((count, 3))
-    return OverlayLines(start=nowhere, end=nowhere, rgb=nowhere, shown=jnp.zeros(count, bool))
+    nowhere = xp.zeros((count, 3))
+    return OverlayLines(start=nowhere, end=nowhere, rgb=nowhere, shown=xp.zeros(count, bool))

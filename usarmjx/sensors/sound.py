@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 
@@ -41,18 +40,18 @@ class Sound(Sensor):
     needs_surroundings = True
     settings_class = SoundSettings
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Listen once."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         if around.mouth.shape[0] == 0:
-            return memory, jnp.zeros(2)
+            return memory, xp.zeros(2)
         pos, _ = self.mount_poses(inputs.bodies)
-        far = jnp.maximum(jnp.linalg.norm(jnp.asarray(around.mouth) - pos[0], axis=-1), MIN_SOURCE_DISTANCE)
-        loud = jnp.asarray(around.loudness) / far**2
-        best = jnp.argmax(loud)
+        far = xp.maximum(xp.linalg.norm(xp.asarray(around.mouth) - pos[0], axis=-1), MIN_SOURCE_DISTANCE)
+        loud = xp.asarray(around.loudness) / far**2
+        best = xp.argmax(loud)
         heard = apply_output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
-        lasts = jnp.where(loud[best] > 0, jnp.asarray(around.duration)[best], 0.0)
-        return memory, jnp.stack([heard, lasts])
+        lasts = xp.where(loud[best] > 0, xp.asarray(around.duration)[best], 0.0)
+        return memory, xp.stack([heard, lasts])
 
 
 SENSORS.add(Sound.kind, Sound)

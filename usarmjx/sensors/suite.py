@@ -1,7 +1,8 @@
 """All sensors of a robot class, read together, each when it is due."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
+from itertools import accumulate
 from typing import Any
 
 import jax
@@ -9,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors import co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput
-from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayQuery, cast_rays
+from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import CameraSettings, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
@@ -35,12 +38,12 @@ class SensorMemory(struct.PyTreeNode, kw_only=True):
         last: Each sensor's last reading.
     """
 
-    due: jax.Array
+    due: Array
     own: tuple[Any, ...]
-    last: tuple[jax.Array, ...]
+    last: tuple[Array, ...]
 
 
-NO_MEMORY = SensorMemory(due=jnp.zeros(0), own=(), last=())
+NO_MEMORY = SensorMemory(due=np.zeros(0, np.float32), own=(), last=())
 """Of a robot whose sensors have not started."""
 
 
@@ -60,19 +63,25 @@ class Suite:
     def ray_counts(self) -> tuple[int, ...]:
         """How many rays each sensor casts."""
         n = len(self.plan.parts)
-        bodies = BodyPoses(pos=jnp.zeros((n, 3)), mat=jnp.zeros((n, 3, 3)))
-        return tuple(
-            jax.eval_shape(sensor.aimed_rays, bodies, NO_SURROUNDINGS)[0].shape[0] for sensor in self.sensors
-        )
+        bodies = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.zeros((n, 3, 3), np.float32))
+        with numpy_backend():
+            return tuple(len(sensor.aimed_rays(bodies, NO_SURROUNDINGS)[0]) for sensor in self.sensors)
 
-    def rays(
-        self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS
-    ) -> tuple[jax.Array, jax.Array]:
+    @cached_property
+    def _ray_ends(self) -> tuple[int, ...]:
+        """How many rays all sensors up to each cast."""
+        return tuple(accumulate(self.ray_counts))
+
+    @cached_property
+    def _intervals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Time between two measurements [s] (sensors,), and which sensors measure on command only."""
+        interval = np.array([sensor.settings[0].scan_interval for sensor in self.sensors], np.float32)
+        return interval, np.array([sensor.on_command for sensor in self.sensors], bool)
+
+    def rays(self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS) -> tuple[Array, Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
         pairs = [sensor.aimed_rays(bodies, surroundings) for sensor in self.sensors]
-        return jnp.concatenate([origin for origin, _ in pairs]), jnp.concatenate(
-            [along for _, along in pairs]
-        )
+        return xp.concatenate([origin for origin, _ in pairs]), xp.concatenate([along for _, along in pairs])
 
     def due(self, time: Array, memory: SensorMemory) -> Array:
         """Return which sensors measure at a time [s] () (sensors,)."""
@@ -86,79 +95,138 @@ class Suite:
         due: Array | None = None,
         surroundings: Surroundings = NO_SURROUNDINGS,
     ) -> Hits:
-        """Cast the rays of the robot in `slot` (); angles of incidence only where a sensor needs them.
+        """Cast the rays of the robot in `slot` () at geoms, see `hits`."""
+        return self.hits(partial(cast_rays, geoms), bodies, slot, due, surroundings)
 
-        Rays of sensors that are not due (sensors,) are not cast and meet nothing; None: all are due.
+    def hits(
+        self,
+        cast: RayCaster,
+        bodies: BodyPoses,
+        slot: Array | np.int32,
+        due: Array | None = None,
+        surroundings: Surroundings = NO_SURROUNDINGS,
+    ) -> Hits:
+        """Return what the rays of all sensors of a robot meet; angles of incidence only where one needs them.
+
+        Args:
+            cast: Casts them.
+            bodies: Poses of the robot's bodies.
+            slot: The robot's slot ().
+            due: Which sensors measure now (sensors,); rays of the others are not cast and meet nothing. None:
+                all do.
+            surroundings: Victims and tags.
         """
-        hits: list[Hits] = []
-        for i, (sensor, count) in enumerate(zip(self.sensors, self.ray_counts, strict=True)):
-            if count:
-                rays = sensor.aimed_rays(bodies, surroundings)
-                query = RayQuery(
-                    transparent=sensor.transparent,
-                    bundle_size=sensor.bundle_size,
-                    max_distance=sensor.max_distance,
-                    incidence=sensor.needs_incidence,
-                    exclude_owner=slot,
-                    wanted=None if due is None else due[i],
-                )
-                with jax.named_scope(sensor.kind):
-                    hits.append(cast_rays(geoms, *rays, query, sensor.fans(bodies)))
-        return jax.tree.map(lambda *parts: jnp.concatenate(parts), *hits) if hits else NO_HITS
+        hits = [
+            self._hits_of(sensor, cast, bodies, slot, None if due is None else due[i], surroundings)
+            for i, sensor in enumerate(self.sensors)
+            if self.ray_counts[i]
+        ]
+        if not hits:
+            return NO_HITS
+        distance, cosine = ([getattr(part, name) for part in hits] for name in ("distance", "cosine"))
+        return Hits(distance=xp.concatenate(distance), cosine=xp.concatenate(cosine))
 
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> SensorMemory:
+    def _hits_of(
+        self,
+        sensor: Sensor,
+        cast: RayCaster,
+        bodies: BodyPoses,
+        slot: Array | np.int32,
+        wanted: Array | None,
+        surroundings: Surroundings,
+    ) -> Hits:
+        """Return what the rays of one sensor meet, if anybody wants to know."""
+        if on_numpy() and wanted is not None and not wanted:
+            return self._misses[sensor]
+        fans = sensor.fans(bodies)
+        origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
+        query = RayQuery(
+            transparent=sensor.transparent,
+            bundle_size=sensor.bundle_size,
+            max_distance=sensor.max_distance,
+            incidence=sensor.needs_incidence,
+            exclude_owner=slot,
+            wanted=wanted,
+        )
+        with named_scope(sensor.kind):
+            return cast(origin, direction, query, fans)
+
+    @cached_property
+    def _misses(self) -> dict[Sensor, Hits]:
+        """What rays meet that are not cast, on NumPy."""
+        return {
+            sensor: Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
+            for sensor, count in zip(self.sensors, self.ray_counts, strict=True)
+        }
+
+    def init_memory(self, inputs: SensorInput, key: Array) -> SensorMemory:
         """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
 
         No rays are cast for it: `inputs.hits` is not used.
         """
         sensors = self._as_noisy_as(inputs)
-        own = tuple(s.init_memory(inputs, jax.random.fold_in(key, i)) for i, s in enumerate(sensors))
-        rays = jnp.zeros(sum(self.ray_counts))
+        own = tuple(s.init_memory(inputs, random.fold_in(key, i)) for i, s in enumerate(sensors))
+        rays = xp.zeros(sum(self.ray_counts))
         seen = inputs.replace(hits=Hits(distance=rays, cosine=rays))
-        blank = jax.eval_shape(self._read_all, seen, own, key)[1]
+
+        def read_all() -> tuple[Array, ...]:
+            return tuple(self._read_one(i, sensor, seen, own[i], key)[1] for i, sensor in enumerate(sensors))
+
+        # Only how large the values are is asked: JAX finds out without measuring, NumPy takes a measurement.
+        blank = read_all() if on_numpy() else jax.eval_shape(read_all)
         for sensor, value in zip(self.sensors, blank, strict=True):
             sensor.check_value(value.shape)
-        due = jnp.array([jnp.inf if sensor.on_command else 0.0 for sensor in self.sensors]) + inputs.time
-        return SensorMemory(due=due, own=own, last=tuple(jnp.zeros(v.shape, v.dtype) for v in blank))
+        due = xp.where(self._intervals[1], xp.inf, 0.0) + inputs.time
+        return SensorMemory(due=due, own=own, last=tuple(xp.zeros(v.shape, v.dtype) for v in blank))
 
     def _as_noisy_as(self, inputs: SensorInput) -> tuple[Sensor, ...]:
         """Return the sensors of a robot whose noise may be more or less than usual."""
         factor = inputs.noise_factor
         return self.sensors if factor is None else tuple(s.with_noise(factor) for s in self.sensors)
 
-    def _read_all(
-        self, inputs: SensorInput, own: tuple[Any, ...], key: jax.Array
-    ) -> tuple[tuple[Any, ...], tuple[jax.Array, ...]]:
+    def _read_one(
+        self,
+        i: int,
+        sensor: Sensor,
+        inputs: SensorInput,
+        memory: Any,  # noqa: ANN401 - the sensor's own
+        key: Array,
+    ) -> tuple[Any, Array]:
+        """Return what sensor `i` of a robot remembers after it measures, and what it measures."""
+        mine = slice(self._ray_ends[i] - self.ray_counts[i], self._ray_ends[i])
+        hits = Hits(distance=inputs.hits.distance[mine], cosine=inputs.hits.cosine[mine])
         # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
-        ends = np.cumsum(self.ray_counts)
-        pairs: list[tuple[Any, jax.Array]] = []
-        sensors = self._as_noisy_as(inputs)
-        for i, (sensor, count, end) in enumerate(zip(sensors, self.ray_counts, ends, strict=True)):
-            mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], inputs.hits)
-            with jax.named_scope(sensor.kind):
-                pairs.append(sensor.read(inputs.replace(hits=mine), own[i], jax.random.fold_in(key, i)))
-        return tuple(memory for memory, _ in pairs), tuple(value for _, value in pairs)
+        with named_scope(sensor.kind):
+            memory, value = sensor.read(inputs.replace(hits=hits), memory, random.fold_in(key, i))
+        return memory, np.asarray(value) if on_numpy() else value
 
     def read(
-        self, inputs: SensorInput, memory: SensorMemory, key: jax.Array
+        self, inputs: SensorInput, memory: SensorMemory, key: Array
     ) -> tuple[SensorMemory, tuple[Reading, ...]]:
         """Measure what is due; the others keep their last reading, marked as not fresh."""
-        interval = np.array([s.settings[0].scan_interval for s in self.sensors], np.float32)
-        manual = np.array([sensor.on_command for sensor in self.sensors])
+        interval, manual = self._intervals
         fresh = self.due(inputs.time, memory)
-        own, values = self._read_all(inputs, memory.own, key)
-
-        def pick(i: int, new: Any, old: Any) -> Any:  # noqa: ANN401 - any PyTree
-            return jax.tree.map(lambda a, b: jnp.where(fresh[i], a, b), new, old)
-
-        own = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(own, memory.own, strict=True)))
-        last = tuple(pick(i, new, old) for i, (new, old) in enumerate(zip(values, memory.last, strict=True)))
+        kept = [
+            self._read_if(i, sensor, fresh[i], inputs, memory, key)
+            for i, sensor in enumerate(self._as_noisy_as(inputs))
+        ]
         # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.
         late = inputs.time - memory.due >= interval
-        following = jnp.where(manual, jnp.inf, jnp.where(late, inputs.time, memory.due) + interval)
-        due = jnp.where(fresh, following, memory.due)
+        following = xp.where(manual, xp.inf, xp.where(late, inputs.time, memory.due) + interval)
+        due = xp.where(fresh, following, memory.due)
+        own, last = tuple(own for own, _ in kept), tuple(value for _, value in kept)
         readings = tuple(Reading(value=value, fresh=fresh[i]) for i, value in enumerate(last))
         return SensorMemory(due=due, own=own, last=last), readings
+
+    def _read_if(
+        self, i: int, sensor: Sensor, fresh: Array, inputs: SensorInput, memory: SensorMemory, key: Array
+    ) -> tuple[Any, Array]:
+        """As `_read_one` of a sensor that is due, else what there was before."""
+        before = memory.own[i], memory.last[i]
+        if on_numpy():
+            return self._read_one(i, sensor, inputs, before[0], key) if fresh else before
+        after = self._read_one(i, sensor, inputs, before[0], key)
+        return jax.tree.map(lambda new, old: jnp.where(fresh, new, old), after, before)
 
     def find(self, kind: str, name: str) -> int | None:
         """Return the place of the sensor that holds the mount of that type and name, case ignored."""
@@ -187,7 +255,7 @@ class Suite:
         own = self.sensors[i].handle_set(opcode, params, inputs, memory.own[i])
         if own is None:
             return None
-        due = memory.due.at[i].set(inputs.time) if opcode.upper() == "SCAN" else memory.due
+        due = set_at(memory.due, i, inputs.time) if opcode.upper() == "SCAN" else memory.due
         return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
 
 

@@ -2,11 +2,12 @@
 
 from types import ModuleType
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend, on_numpy, xp
 from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import (
     VictimTable,
@@ -58,13 +59,20 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
     tag_there: Array
 
 
+def nearest(distance: Array, count: int) -> Array:
+    """Return the places of the least of some distances (n,), the nearest first (count,)."""
+    if on_numpy():
+        return np.argsort(distance, stable=True)[:count]
+    return jax.lax.top_k(-distance, count)[1]
+
+
 def surroundings_at(
     victims: VictimTable,
     arena_tags: TagTable,
     dropped_tags: DroppedTags,
     time: Array,
     floor: Array,
-    xp: ModuleType = jnp,
+    xp: ModuleType = xp,
 ) -> Surroundings:
     """Return what is around in one world.
 
@@ -98,7 +106,8 @@ def surroundings_at(
     )
 
 
-NO_SURROUNDINGS = surroundings_at(
-    victim_table([]), tag_table([]), no_dropped_tags(np), np.zeros(()), np.zeros(()), np
-)
+with numpy_backend():
+    NO_SURROUNDINGS = surroundings_at(
+        victim_table([]), tag_table([]), no_dropped_tags(xp), xp.zeros(()), xp.zeros(())
+    )
 """Of a world without victims, and without tags of its own."""

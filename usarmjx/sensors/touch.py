@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.rotations import matvec
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import POSITIVE
@@ -53,18 +54,22 @@ class Touch(Sensor):
     grouped = True
     settings_class = TouchSettings
 
-    def rays(self, bodies: BodyPoses) -> tuple[jax.Array, jax.Array]:
+    @cached_property
+    def _spots(self) -> np.ndarray:
+        """Where the lines of each button start on its mount [m] (mounts, lines, 3)."""
+        return np.stack([button_ray_origins(settings.diameter) for settings in self.settings])
+
+    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
         """All buttons' lines, button by button, parallel to its x axis."""
         pos, mat = self.mount_poses(bodies)
-        spots = np.stack([button_ray_origins(settings.diameter) for settings in self.settings])
-        origin = pos[:, None] + matvec(mat[:, None], spots)
-        along = jnp.broadcast_to(mat[:, None, :, 0], origin.shape)
+        origin = pos[:, None] + matvec(mat[:, None], self._spots)
+        along = xp.broadcast_to(mat[:, None, :, 0], origin.shape)
         return origin.reshape(-1, 3), along.reshape(-1, 3)
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Feel once (manual 10.8.1); the robot's own parts do not count."""
         nearest = inputs.hits.distance.reshape(len(self.mounts), -1).min(-1)
-        return memory, (nearest < SETBACK + TRIGGER).astype(jnp.float32)
+        return memory, (nearest < SETBACK + TRIGGER).astype(xp.float32)
 
 
 SENSORS.add(Touch.kind, Touch)

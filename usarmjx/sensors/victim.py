@@ -1,13 +1,14 @@
 """Victim and false positive sensor (manual 10.10), as the original's VictSensor.uc works."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
@@ -102,59 +103,61 @@ class VictSensor(Sensor):
     needs_surroundings = True
     settings_class = VictSensorSettings
 
+    @cached_property
+    def _grids(self) -> tuple[np.ndarray, ...]:
+        """Directions of each grid (rays, 3)."""
+        return shifted_grids(self.settings[0])
+
+    @cached_property
+    def _fan(self) -> np.ndarray:
+        """Directions of all of them, one after the other (1, rays, 3)."""
+        return np.concatenate(self._grids)[None]
+
     def fans(self, bodies: BodyPoses) -> Fans:
         """All four grids, one after the other."""
-        return Fans(*self.mount_poses(bodies), np.concatenate(shifted_grids(self.settings[0]))[None])
+        return Fans(*self.mount_poses(bodies), self._fan)
 
-    def read(self, inputs: SensorInput, memory: Any, key: jax.Array) -> tuple[Any, jax.Array]:  # noqa: ANN401
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Look once with all four grids."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         pos, mat = self.mount_poses(inputs.bodies)
         end, inside = self._ends(inputs)
-        bounds = np.cumsum([len(grid) for grid in shifted_grids(settings)])[:-1]
-        met = jnp.stack([grid.any(1) for grid in jnp.split(inside, bounds, axis=1)])
-        offset = jnp.asarray(around.box_pos) - pos[0]
+        bounds = np.cumsum([len(grid) for grid in self._grids])[:-1]
+        met = xp.stack([grid.any(1) for grid in xp.split(inside, bounds, axis=1)])
+        offset = xp.asarray(around.box_pos) - pos[0]
         position = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
-        far = jnp.linalg.norm(offset, axis=-1)
-        taken, noise = jax.random.split(key)
-        doubt = jnp.abs(jax.random.normal(taken, met.shape)) * far > settings.distance / 3
-        seen = (met & (doubt | (jnp.asarray(around.box_owner) >= 0))).any(0)
-        error = settings.mean + settings.sigma * jax.random.normal(noise, position.shape)
-        told = jnp.where(seen[:, None], position + far[:, None] * error, 0.0)
-        row = jnp.stack([seen.astype(jnp.float32), jnp.asarray(around.box_part, jnp.float32)], -1)
+        far = xp.linalg.norm(offset, axis=-1)
+        taken, noise = random.split(key)
+        doubt = xp.abs(random.normal(taken, met.shape)) * far > settings.distance / 3
+        seen = (met & (doubt | (xp.asarray(around.box_owner) >= 0))).any(0)
+        error = settings.mean + settings.sigma * random.normal(noise, position.shape)
+        told = xp.where(seen[:, None], position + far[:, None] * error, 0.0)
+        row = xp.stack([seen.astype(xp.float32), xp.asarray(around.box_part, xp.float32)], -1)
         if self.has_overlay:
-            rgb = jnp.where((inputs.hits.distance <= settings.distance)[:, None], RED, WHITE)
+            rgb = xp.where((inputs.hits.distance <= settings.distance)[:, None], RED, WHITE)
             for owned, color in ((around.box_owner < 0, YELLOW), (around.box_owner >= 0, GREEN)):
-                rgb = jnp.where((inside & owned[:, None]).any(0)[:, None], color, rgb)
-            memory = OverlayLines(start=end, end=end, rgb=rgb, shown=jnp.ones(len(end), bool))
-        return memory, jnp.concatenate([row, told], -1)
+                rgb = xp.where(xp.any(inside & owned[:, None], 0)[:, None], color, rgb)
+            memory = OverlayLines(start=end, end=end, rgb=rgb, shown=xp.ones(len(end), bool))
+        return memory, xp.concatenate([row, told], -1)
 
-    def _ends(self, inputs: SensorInput) -> tuple[jax.Array, jax.Array]:
+    def _ends(self, inputs: SensorInput) -> tuple[Array, Array]:
         """Return where rays end [m] (rays, 3), and which boxes' surfaces are there (boxes, rays)."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         origin, along = self.rays(inputs.bodies)
         near = inputs.hits.distance <= settings.distance
-        end = origin + jnp.minimum(inputs.hits.distance, settings.distance)[:, None] * along
+        end = origin + xp.minimum(inputs.hits.distance, settings.distance)[:, None] * along
+        pos, mat, size = map(xp.asarray, (around.box_pos, around.box_mat, around.box_size))
+        away = [end[:, j] - pos[:, j, None] for j in range(3)]
+        inside = near
+        for axis in range(3):  # sums of products, which a GPU does not round to TensorFloat-32
+            position = sum(mat[:, j, axis, None] * away[j] for j in range(3))
+            inside = inside & (xp.abs(position) <= size[:, axis, None] + TOLERANCE)
+        return end, inside
 
-        def one(pos: Array, mat: Array, size: Array) -> jax.Array:
-            away = end - pos
-            inside = near
-            for axis in range(3):  # sums of products, which a GPU does not round to TensorFloat-32
-                position = sum(mat[j, axis] * away[:, j] for j in range(3))
-                inside &= jnp.abs(position) <= size[axis] + TOLERANCE
-            return inside
-
-        if around.box_pos.shape[0] == 0:
-            return end, jnp.zeros((0, len(end)), bool)
-        boxes = (around.box_pos, around.box_mat, around.box_size)
-        return end, jax.vmap(one)(*map(jnp.asarray, boxes))
-
-    def init_memory(self, inputs: SensorInput, key: jax.Array) -> Any:  # noqa: ANN401 - an overlay if it has one
+    def init_memory(self, inputs: SensorInput, key: Array) -> Any:  # noqa: ANN401 - an overlay if it has one
         """Nothing was met yet."""
         del inputs, key
-        return (
-            no_overlay(sum(len(grid) for grid in shifted_grids(self.settings[0]))) if self.has_overlay else ()
-        )
+        return no_overlay(self._fan.shape[1]) if self.has_overlay else ()
 
     @property
     def has_overlay(self) -> bool:

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.rotations import matvec
 from usarmjx.sensors.rays.kernels import TINY, XYZ, bounding_box
 
@@ -30,14 +32,17 @@ class Fans(NamedTuple):
         directions: Unit vectors in the frames (fans, lines, 3).
     """
 
-    pos: jax.Array
-    mat: jax.Array
+    pos: Array
+    mat: Array
     directions: np.ndarray
 
-    def rays(self) -> tuple[jax.Array, jax.Array]:
+    def rays(self) -> tuple[Array, Array]:
         """Return starts [m] and unit vectors in world axes, fan by fan, both (rays, 3)."""
-        along = matvec(self.mat[:, None], self.directions)
-        return jnp.broadcast_to(self.pos[:, None], along.shape).reshape(-1, 3), along.reshape(-1, 3)
+        if on_numpy():  # a matrix product for each fan
+            along = self.directions @ self.mat.swapaxes(1, 2)
+        else:
+            along = matvec(self.mat[:, None], self.directions)
+        return xp.broadcast_to(self.pos[:, None], along.shape).reshape(-1, 3), along.reshape(-1, 3)
 
 
 class Cone(NamedTuple):
@@ -104,7 +109,7 @@ def cone_box_distance(
 
 
 def cone_sphere_distance(
-    offset: XYZ, axis: XYZ, radius: jax.Array, tip_radius: jax.Array, slope: jax.Array
+    offset: XYZ, axis: XYZ, radius: Array, tip_radius: jax.Array, slope: jax.Array
 ) -> jax.Array:
     """As `cone_box_distance`, for the bounding sphere: too much of what is long, at a quarter of the work.
 

@@ -82,6 +82,8 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
 
 
 DEFAULT_QUERY = RayQuery()
+RayCaster = Callable[[Array, Array, RayQuery, Fans | None], Hits]
+"""Casts rays at all there is in a world: as `cast_rays`, its geoms given."""
 
 
 class GeomHits(NamedTuple):
