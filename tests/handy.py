@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.models.effecters import effecters_of, no_dropped_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
@@ -77,17 +78,17 @@ def block(at, half=(0.03, 0.03, 0.03), mass=0.3, name="block"):
 def operate(rig, name, opcode, value=0.0):
     """Let the robot of a rig operate an effecter without stock; return whether that was done."""
     effecter = next(e for e in effecters_of(rig.robot) if e.mount.name == name)
-    load, outcome = apply_operation(
-        Operation(rig.robot, effecter, effecter.opcode(opcode)),
-        np.array([value]),
-        EffecterState(
-            command=jax.tree.map(lambda x: x[None], rig.commands[0]),
-            stock=np.zeros(1, int),
-            tags=no_dropped_tags(np),
-        ),
-        mask=np.array([True]),
-        ground=lambda: np.full((1, 3), np.inf),
-        xp=np,
-    )
+    with numpy_backend():
+        load, outcome = apply_operation(
+            Operation(rig.robot, effecter, effecter.opcode(opcode)),
+            np.array([value]),
+            EffecterState(
+                command=jax.tree.map(lambda x: x[None], rig.commands[0]),
+                stock=np.zeros(1, int),
+                tags=no_dropped_tags(),
+            ),
+            mask=np.array([True]),
+            ground=lambda: np.full((1, 3), np.inf),
+        )
     rig.commands[0] = jax.tree.map(lambda x: np.array(x[0]), load.command)
     return bool(outcome.done[0])

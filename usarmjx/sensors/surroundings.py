@@ -108,6 +108,6 @@ def surroundings_at(
 
 with numpy_backend():
     NO_SURROUNDINGS = surroundings_at(
-        victim_table([]), tag_table([]), no_dropped_tags(xp), xp.zeros(()), xp.zeros(())
+        victim_table([]), tag_table([]), no_dropped_tags(), xp.zeros(()), xp.zeros(())
     )
 """Of a world without victims, and without tags of its own."""

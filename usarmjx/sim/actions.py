@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import jax
-import jax.numpy as jnp
-
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import named_scope, xp
 from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.engines.base import PhysicsState
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
-from usarmjx.sim.operate import find_operation, operate
+from usarmjx.sim.operate import EffecterOrder, find_operation, operate
 from usarmjx.sim.radio import send
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
@@ -68,7 +66,7 @@ class Actions:
     messages: OutgoingMessages | None = None
 
 
-@jax.named_scope("apply_actions")
+@named_scope("apply_actions")
 def apply_actions(
     scene: Scene, world: World, physics: PhysicsState, actions: Actions, where: Array | None = None
 ) -> World:
@@ -93,7 +91,7 @@ def apply_actions(
     for effecter in actions.effecter_actions:
         world = _operate(scene, world, physics, effecter, where)
     if world.mail is not None:
-        world = world.replace(mail=world.mail.replace(count=jnp.zeros_like(world.mail.count)))
+        world = world.replace(mail=world.mail.replace(count=xp.zeros_like(world.mail.count)))
     messages = actions.messages
     if messages is not None:
         if where is not None:
@@ -108,11 +106,12 @@ def _operate(
     group = scene.groups[action.group]
     effecter, opcode, value = find_operation(group, action.name, action.opcode, action.value)
     shape = world.groups[action.group].active.shape
-    value = jnp.broadcast_to(jnp.asarray(value, jnp.float32), shape)
-    mask = jnp.broadcast_to(action.where, shape)
+    value = xp.broadcast_to(xp.asarray(value, xp.float32), shape)
+    mask = xp.broadcast_to(action.where, shape)
     if where is not None:
-        mask &= where[group.slots]
-    return operate(scene, world, physics, (action.group, effecter), opcode, value, mask)[0]
+        mask = mask & where[group.slots]
+    order = EffecterOrder(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
+    return operate(scene, world, physics, order)[0]
 
 
 def _update(scene: Scene, world: World, index: int, update: CommandUpdate, where: Array | None) -> World:

@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from types import ModuleType
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import named_scope, set_at, vmap, xp
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.rotations import matvec
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
@@ -19,8 +19,8 @@ from usarmjx.models.build.parts import parts_of
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, Effect, Effecter, Opcode
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import SKY
-from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
-from usarmjx.sensors.rays.targets import Geoms
+from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.rays.raycast import Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
 from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.visible import ray_geoms, visible_arena
@@ -107,7 +107,6 @@ def apply_operation(
     *,
     mask: Array,
     ground: Callable[[], Array],
-    xp: ModuleType = jnp,
 ) -> tuple[EffecterState, OperationResult]:
     """Carry out one operation of robots of one class in one world.
 
@@ -117,71 +116,97 @@ def apply_operation(
         state: What it can change.
         mask: Which robots shall do it (n,).
         ground: Returns the ground below the effecters [m] (n, 3), not finite where there is none.
-        xp: Array module of all arrays.
 
     Returns:
         What it changed, and what became of it: a parameter that is out of range, or no number, does nothing.
     """
     value, opcode = xp.asarray(value, xp.float32), what.opcode
     low, high = (opcode.min_val, opcode.max_val) if opcode.takes_value else (-np.inf, np.inf)
-    effect = what.effecter.effect(opcode, xp.clip(value, low, high), state.stock, xp)
+    effect = what.effecter.effect(opcode, xp.clip(value, low, high), state.stock)
     done = mask & (value >= low - LIMIT_TOLERANCE) & (value <= high + LIMIT_TOLERANCE) & effect.possible
     tags = state.tags
     if effect.drops:
-        done, tags = _drop_tags(tags, ground(), done, xp)
+        done, tags = _drop_tags(tags, ground(), done)
     number = NO_NUMBER if effect.reply_number is None else effect.reply_number
     result = OperationResult(done=done, number=xp.where(done, number, NO_NUMBER).astype(xp.int32))
     stock = state.stock if effect.stock is None else xp.where(done, effect.stock, state.stock)
     return EffecterState(
-        command=_update_command(what, effect, state.command, done, xp), stock=stock, tags=tags
+        command=_update_command(what, effect, state.command, done), stock=stock, tags=tags
     ), result
 
 
-def _update_command(
-    what: Operation, effect: Effect, command: RobotCommand, done: Array, xp: ModuleType
-) -> RobotCommand:
+def _update_command(what: Operation, effect: Effect, command: RobotCommand, done: Array) -> RobotCommand:
     """Return the commands (n, ...) of robots that have an effect on themselves."""
     joints: dict[str, ArrayLike] = {}
     for part in parts_of(what.robot):
         if effect.target is not None and part.name in what.effecter.joints:
-            joints[part.name] = what.effecter.joint_target(part, effect.target, xp)
+            joints[part.name] = what.effecter.joint_target(part, effect.target)
     update = CommandUpdate(joints=joints, mode=ControlMode(effect.mode), light=effect.light)
-    return update_command(kinematic_tree_of(what.robot), command, update, done, xp)
+    return update_command(kinematic_tree_of(what.robot), command, update, done)
 
 
-def _drop_tags(tags: DroppedTags, ground: Array, asked: Array, xp: ModuleType) -> tuple[Array, DroppedTags]:
+def _drop_tags(tags: DroppedTags, ground: Array, asked: Array) -> tuple[Array, DroppedTags]:
     """Put one tag on the ground (n, 3) for each of those who asked for it, as long as there is room."""
     asked = asked & xp.isfinite(ground).all(-1)
     place = tags.count + xp.cumsum(asked) - 1
     done = asked & (place < MAX_DROPPED_TAGS)
     here = done[:, None] & (place[:, None] == np.arange(MAX_DROPPED_TAGS))
     pos = (here[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
-    pos = xp.where(here.any(0)[:, None], pos, tags.pos).astype(xp.float32)
+    pos = xp.where(xp.any(here, 0)[:, None], pos, tags.pos).astype(xp.float32)
     return done, DroppedTags(pos=pos, count=(tags.count + done.sum()).astype(xp.int32))
 
 
 def effecter_position(effecter: Effecter, plan: KinematicTree, bodies: BodyPoses) -> Array:
-    """Return where in the world an effecter of one robot is [m] (3,)."""
+    """Return where in the world an effecter of robots is [m] (..., 3)."""
     body = plan.parts.index(effecter.mount.parent)
-    return bodies.pos[body] + bodies.mat[body] @ np.array(flip_vector(effecter.mount.at), np.float32)
+    at = np.array(flip_vector(effecter.mount.at), np.float32)
+    return bodies.pos[..., body, :] + matvec(bodies.mat[..., body, :, :], at)
 
 
-def ground_below(geoms: Geoms, point: Array) -> jax.Array:
-    """Return the point of floor or arena below a point (3,) [m] (3,); infinitely low where there is none."""
-    down = jnp.array([[0.0, 0.0, -1.0]])
-    hits = cast_rays(geoms, point[None], down, RayQuery(transparent=frozenset({SKY})))
-    return jnp.asarray(point).at[2].add(-hits.distance[0])
+def ground_below(point: Array, cast: RayCaster) -> Array:
+    """Return the ground below points (n, 3) [m] (n, 3), infinitely low where there is none."""
+    down = np.broadcast_to(np.array([0.0, 0.0, -1.0], np.float32), point.shape)
+    hits = cast(point, down, RayQuery(transparent=frozenset({SKY})), None)
+    return set_at(point, (..., 2), point[..., 2] - hits.distance)
 
 
-@jax.named_scope("operate")
+def _ground_caster(scene: Scene, world: World) -> RayCaster:
+    """Return what casts rays at floor and arena on JAX, each for itself: they start far from each other."""
+    geoms = ray_geoms(visible_arena(scene, world.arena_state, time_of(scene, world)))
+
+    def cast(origin: Array, direction: Array, query: RayQuery, fans: Fans | None = None) -> Hits:
+        del fans
+
+        def one(origin: Array, direction: Array) -> Hits:
+            return cast_rays(geoms, origin[None], direction[None], query)
+
+        return jax.tree.map(lambda values: values[..., 0], vmap(one)(origin, direction))
+
+    return cast
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffecterOrder:
+    """What robots of one group shall do with one of their effecters.
+
+    Attributes:
+        group: Index into `scene.groups`.
+        effecter: Index into the group's `effecters`.
+        opcode: One of its operations.
+        value: The parameter (robots,).
+        where: Which robots shall do it (robots,).
+    """
+
+    group: int
+    effecter: int
+    opcode: Opcode
+    value: Array
+    where: Array
+
+
+@named_scope("operate")
 def operate(
-    scene: Scene,
-    world: World,
-    physics: PhysicsState,
-    effecter_index: tuple[int, int],
-    opcode: Opcode,
-    value: jax.Array,
-    mask: jax.Array,
+    scene: Scene, world: World, physics: PhysicsState, order: EffecterOrder, cast: RayCaster | None = None
 ) -> tuple[World, OperationResult]:
     """Let a group's robots operate one of their effecters; those without power cannot.
 
@@ -189,27 +214,25 @@ def operate(
         scene: The scene.
         world: One world.
         physics: Its physics.
-        effecter_index: Indices of the group in `scene.groups` and of the effecter in its `effecters`.
-        opcode: One of the effecter's operations.
-        value: Its parameter (robots,).
-        mask: Which robots shall do it (robots,).
+        order: What they shall do.
+        cast: Casts rays at what dropped things fall on, floor and arena; None: on JAX `cast_rays`.
     """
-    index, place = effecter_index
-    group, state = scene.groups[index], world.groups[index]
-    effecter = group.effecters[place]
+    group, state = scene.groups[order.group], world.groups[order.group]
+    effecter = group.effecters[order.effecter]
 
-    def ground() -> jax.Array:
-        bodies = jax.vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
-        points = jax.vmap(partial(effecter_position, effecter, group.plan))(bodies)
-        geoms = ray_geoms(visible_arena(scene, world.arena_state, time_of(scene, world)))
-        return jax.vmap(partial(ground_below, geoms))(points)
+    def ground() -> Array:
+        bodies = vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
+        point = effecter_position(effecter, group.plan, bodies)
+        return ground_below(point, _ground_caster(scene, world) if cast is None else cast)
 
-    before = EffecterState(command=state.command, stock=state.releases[:, place], tags=world.tags)
-    mask = mask & powered(scene, world, group, state)
-    what = Operation(robot=group.robot, effecter=effecter, opcode=opcode)
-    after, result = apply_operation(what, value, before, mask=mask, ground=ground)
-    state = state.replace(command=after.command, releases=state.releases.at[:, place].set(after.stock))
-    return world.with_group(index, state).replace(tags=after.tags), result
+    stock = state.releases[:, order.effecter]
+    before = EffecterState(command=state.command, stock=stock, tags=world.tags)
+    mask = order.where & powered(scene, world, group, state)
+    what = Operation(robot=group.robot, effecter=effecter, opcode=order.opcode)
+    after, result = apply_operation(what, order.value, before, mask=mask, ground=ground)
+    releases = set_at(state.releases, (slice(None), order.effecter), after.stock)
+    state = state.replace(command=after.command, releases=releases)
+    return world.with_group(order.group, state).replace(tags=after.tags), result
 
 
 def operate_in_worlds(
@@ -218,14 +241,14 @@ def operate_in_worlds(
     physics: PhysicsState,
     effecter_index: tuple[int, int],
     opcode: Opcode,
-    value: jax.Array,
-    mask: jax.Array,
+    value: Array,
+    where: Array,
 ) -> tuple[World, OperationResult]:
     """Let the robots of a group operate as `operate` does, in all worlds (worlds, ...)."""
 
-    def one(
-        world: World, physics: PhysicsState, value: jax.Array, mask: jax.Array
-    ) -> tuple[World, OperationResult]:
-        return operate(scene, world, physics, effecter_index, opcode, value, mask)
+    def one(world: World, physics: PhysicsState, value: Array, where: Array) -> tuple[World, OperationResult]:
+        group, effecter = effecter_index
+        order = EffecterOrder(group=group, effecter=effecter, opcode=opcode, value=value, where=where)
+        return operate(scene, world, physics, order)
 
-    return jax.vmap(one)(worlds, physics, value, mask)
+    return vmap(one)(worlds, physics, value, where)

@@ -1,8 +1,9 @@
 """Effecters: what robots act on the world with (manual 8, 11).
 
 `base.Effecter` is one of a robot, with the parts and solids that it adds and what its operations do;
-`gripper`, `roller` and `still` are the manual's, found by type in `EFFECTERS`. `effect` runs in NumPy and,
-traced, in JAX. Begin with `still`. A type that is not registered here is refused while the scene is built.
+`gripper`, `roller` and `still` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and,
+traced, on JAX: see `usarmjx.base.backend`. Begin with `still`. A type that is not registered here is refused
+while the scene is built.
 """
 
 from functools import cache

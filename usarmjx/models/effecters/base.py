@@ -7,14 +7,13 @@ out.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.spec.robot import Mount, Part
@@ -39,9 +38,9 @@ class DroppedTags(struct.PyTreeNode, kw_only=True):
     count: Array
 
 
-def no_dropped_tags(xp: ModuleType = jnp) -> DroppedTags:
+def no_dropped_tags() -> DroppedTags:
     """Return the tags of a world in which none was dropped yet."""
-    return DroppedTags(pos=xp.zeros((MAX_DROPPED_TAGS, 3), xp.float32), count=xp.zeros((), xp.int32))
+    return DroppedTags(pos=xp.zeros((MAX_DROPPED_TAGS, 3)), count=xp.zeros((), xp.int32))
 
 
 @dataclass(frozen=True)
@@ -127,14 +126,13 @@ class Effecter(ABC):
         """The operations that it understands."""
 
     @abstractmethod
-    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
         """Return what an operation does.
 
         Args:
             opcode: One of `opcodes`.
             value: Parameter, within the operation's limits (...,).
             stock: What is left in stock (...,).
-            xp: Array module of both.
         """
 
     @property
@@ -142,9 +140,9 @@ class Effecter(ABC):
         """Names of the joints that it moves, all alike."""
         return ()
 
-    def joint_target(self, part: Part, target: Array, xp: ModuleType) -> Array:
+    def joint_target(self, part: Part, target: Array) -> Array:
         """Return the target of one of its joints [rad or m, or per second] for that of all (...,)."""
-        del part, xp
+        del part
         return target
 
     @property

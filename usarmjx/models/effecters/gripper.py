@@ -2,9 +2,9 @@
 
 import math
 from dataclasses import dataclass
-from types import ModuleType
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 from usarmjx.models.spec.robot import Motor, Part
 from usarmjx.models.spec.shapes import Shape
@@ -61,14 +61,14 @@ class Gripper(Effecter):
         """Left and right finger."""
         return (self.settings.left_finger, self.settings.right_finger)
 
-    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
         """Closing on a thing, the servos press with their full force."""
         del stock
         if opcode == NOP:
             return Effect(target=xp.zeros_like(value), mode=1)
         return Effect(target=xp.full_like(value, self.settings.min_angle) if opcode == RESET else value)
 
-    def joint_target(self, part: Part, target: Array, xp: ModuleType) -> Array:
+    def joint_target(self, part: Part, target: Array) -> Array:
         """Each finger has half of the angle."""
         return LEVER * xp.sin(target / 2) if part.joint == "slide" else target / 2
 

@@ -1,9 +1,9 @@
 """The roller table (manual 11.3): a row of driven rollers that move things along its x axis."""
 
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 from usarmjx.models.robots.kit import AXLE_ROTATION
 from usarmjx.models.spec.robot import Motor, Part
@@ -48,7 +48,7 @@ class RollerTable(Effecter):
         """All rollers, rear to front."""
         return tuple(f"{self.mount.name}_{i}" for i in range(1, ROLLERS + 1))
 
-    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
         """A positive speed moves what lies on the rollers along +x."""
         del stock
         return Effect(target=value if opcode.takes_value else xp.zeros_like(value), mode=1)

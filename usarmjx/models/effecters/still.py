@@ -1,9 +1,9 @@
 """Effecters without moving parts: the RFID releaser and the headlight (manual 11.2, 11.5)."""
 
 from dataclasses import dataclass
-from types import ModuleType
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 
 
@@ -39,7 +39,7 @@ class RfidReleaser(Effecter):
         """Tags that it starts with."""
         return self.settings.num_tags
 
-    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
         """Without tags left it fails to release one."""
         del value
         if opcode == RELEASE:
@@ -63,7 +63,7 @@ class Headlight(Effecter):
         """Activate with 1 or nothing is on, with 0 off; Reset and NOP are off."""
         return (ACTIVATE, RESET, NOP)
 
-    def effect(self, opcode: Opcode, value: Array, stock: Array, xp: ModuleType) -> Effect:
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
         """On is what is nearer to 1 than to 0."""
         del stock
         return Effect(light=value > 0.5 if opcode == ACTIVATE else xp.zeros_like(value, bool))
