@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.crowd import Crowd
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c import INTEGRATION_STATE
-from usarmjx.engines.placement import HALVINGS, MAX_DEPTH, RAISE, REACH, RINGS, free_pose
+from usarmjx.engines.placement import HALVINGS, MAX_DEPTH, RAISE, REACH, RINGS
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import Door, LooseObject
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.sim.scene import START_GAP, build_scene, start_height
+from usarmjx.sim.scene import START_GAP, start_height
 
 SETTLED = 0.03
 """How far a robot moves in the second after it was put somewhere [m]: it falls by the gap at most, sinks into
@@ -24,47 +24,6 @@ its springs, and rocks."""
 SPACING = REACH / RINGS
 LOWERED = RAISE / 2**HALVINGS
 """How exactly a raise is found [m]."""
-UPRIGHT = (1.0, 0.0, 0.0, 0.0)
-
-
-class Crowd:
-    """Robots in an arena, parked until they are put somewhere."""
-
-    def __init__(self, arena, *names):
-        scene = build_scene(arena, [*names])
-        self.floor, self.model, self.data = scene.arena.floor, scene.model, mujoco.MjData(scene.model)
-        groups = [scene.group_of(slot) for slot in range(len(names))]
-        self.indices = [scene.groups[group].indices[place] for group, place in groups]
-        self.heights = [
-            self.floor + kinematic_tree_of(ROBOTS.get(name)).clearance + START_GAP for name in names
-        ]
-
-    def ask(self, robot, pos, yaw=0.0, **options):
-        quat = quat_from_angles(0.0, 0.0, yaw)
-        return free_pose(self.model, self.data, self.indices[robot], pos, quat, self.floor, **options)
-
-    def on_floor(self, robot, x=0.0, y=0.0, above=0.0):
-        return np.array([x, y, self.heights[robot] + above])
-
-    def put(self, robot, pos, quat=UPRIGHT):
-        start = self.indices[robot].root_qposadr
-        self.data.qpos[start : start + 7] = *pos, *quat
-
-    def qpos(self, robot):
-        index = self.indices[robot]
-        return self.data.qpos[[*range(index.root_qposadr, index.root_qposadr + 7), *index.qposadr]].copy()
-
-    def depth(self, robot):
-        """How deep it is in anything [m], as MuJoCo has it for the whole world."""
-        mujoco.mj_forward(self.model, self.data)
-        own = np.isin(self.model.geom_bodyid, self.indices[robot].body_ids)
-        mine = own[self.data.contact.geom].reshape(-1, 2).any(-1)
-        return -self.data.contact.dist[mine].min(initial=0.0)
-
-    def run(self, seconds):
-        for index in self.indices:
-            self.data.ctrl[list(index.hold_actuator_ids)] = 1.0
-        mujoco.mj_step(self.model, self.data, nstep=round(seconds / self.model.opt.timestep))
 
 
 def box(size, at, surface="wall", **options):
@@ -231,6 +190,19 @@ def test_the_nearest_free_pose_is_taken():
     moved = crowd.ask(0, asked)[0] - asked
     assert math.isclose(np.linalg.norm(moved), SPACING)
     assert moved[0] <= -0.06 + MAX_DEPTH
+
+
+def test_whoever_would_touch_is_in_the_way_whichever_of_the_two_says_so():
+    """MuJoCo lets two geoms touch if either one's type is among the other's affinities."""
+    crowd = Crowd(replace(FLAT, shapes=(box((0.5, 0.5, 0.5), (0.0, 0.0, 0.5)),)), "P2AT")
+    own = np.isin(crowd.model.geom_bodyid, crowd.indices[0].body_ids)
+    wall = np.arange(crowd.model.ngeom) == crowd.model.geom("arena/0").id
+    found = {}
+    for of_robot, of_wall in (((8, 0), (0, 8)), ((0, 8), (8, 0)), ((8, 0), (8, 0)), ((0, 8), (0, 8))):
+        for geoms, (contype, conaffinity) in ((own, of_robot), (wall, of_wall)):
+            crowd.model.geom_contype[geoms], crowd.model.geom_conaffinity[geoms] = contype, conaffinity
+        found[of_robot, of_wall] = crowd.ask(0, crowd.on_floor(0), reach=0.0) is not None
+    assert [*found.values()] == [False, False, True, True]
 
 
 BRICK = LooseObject(
