@@ -17,7 +17,9 @@ MUCH = 2.5e9
 # A run is the same on every machine; `dev.py fuzz` looks for what no run has met.
 # No deadlines: a loaded machine is no failure.
 hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
-hypothesis.settings.register_profile("fuzz", derandomize=False, max_examples=2000, print_blob=True, deadline=None)
+hypothesis.settings.register_profile(
+    "fuzz", derandomize=False, max_examples=2000, print_blob=True, deadline=None
+)
 hypothesis.settings.load_profile("same")
 
 

@@ -117,3 +117,15 @@ def test_compiled_functions_run_as_they_are_on_numpy():
     assert ours.dtype == np.int32
     assert total(jnp.asarray(values)) == 3
     assert len(seen) == 2, "compiled once"
+
+
+def test_parts_of_a_tick_are_named_in_compiled_code_only():
+    @named_scope("outer")
+    def function(x):
+        with named_scope("inner"):
+            return xp.sin(x)
+
+    text = jax.jit(function).lower(1.0).as_text(debug_info=True)
+    assert "outer/inner" in text
+    with numpy_backend():
+        assert function(np.float32(0.0)) == 0.0

@@ -56,3 +56,25 @@ def test_what_is_cut_off_lies_within_and_is_jaxs(bounds):
     assert bounds[0] < ours.min()
     assert ours.max() < bounds[1]
     np.testing.assert_allclose(ours, theirs, atol=NEAR_BOUNDS)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("bounds", [(0, 3), (-5, 100), (2, 3), (0, 70_000), (0, 2**31 - 1)])
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_whole_numbers_are_jaxs(seed, bounds):
+    with numpy_backend():
+        ours = random.randint(random.key(seed), *bounds)
+    theirs = random.randint(jax.random.key(seed), *bounds)
+    assert ours == theirs
+    assert (ours.dtype, ours.shape) == (np.int32, ())
+    assert bounds[0] <= ours < bounds[1]
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("count", [0, 1, 7, 100, 2000])  # from 1626 on JAX sorts twice
+def test_orders_are_jaxs(count):
+    values = np.arange(count, dtype=np.int32)
+    with numpy_backend():
+        ours = random.permutation(random.key(3), values)
+    np.testing.assert_array_equal(ours, random.permutation(jax.random.key(3), values))
+    assert sorted(ours) == values.tolist()

@@ -10,15 +10,12 @@ import pytest
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.cameras.picture import camera_viewpoint, render_picture_jit
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.sensors.rays.targets import indices_by_key
-from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
+from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 from usarmjx.sim.scene import build_scene
+from usarmjx.sim.single_world import SingleWorld
 
 NAMES = [name for name in ROBOTS.names() if ROBOTS.get(name).cameras]
 WIDTH, HEIGHT = 32, 24
@@ -53,27 +50,57 @@ def posed(name):
     joints = [j for j in range(scene.model.njnt) if scene.model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
     data.qpos[scene.model.jnt_qposadr[joints]] = TURNED
     mujoco.mj_kinematics(scene.model, data)
-    pieces = ray_primitives_of(scene.model, np.arange(scene.model.ngeom), materials_of(scene.model, STUDIO))
-    return scene, data, pieces, indices_by_key(pieces.kind, pieces.material.tolist())
+    single = SingleWorld(build_scene(STUDIO, ()))
+    slot = single.add(ROBOTS.get(name), name, (0.0, 0.0, 2.0), np.array([1.0, 0, 0, 0]))
+    single.engine.data.qpos[:] = data.qpos
+    return scene, data, single.render_scene(), single.sensor_input(slot).bodies
 
 
 @cache
 def room():
-    """Room for the geoms of any robot, so that one compiled function takes all pictures."""
-    everyone = [posed(name)[3] for name in NAMES]
-    return {sort: max(len(p.get(sort, ())) for p in everyone) for places in everyone for sort in places}
+    """How many geoms of each sort any robot has, so that one compiled function takes all pictures."""
+    counts = {}
+    for name in NAMES:
+        geoms = posed(name)[2].geoms
+        for sort, block in zip(sorts(geoms), geoms.blocks, strict=True):
+            counts[sort] = max(counts.get(sort, 0), len(block.owner))
+    return dict(sorted(counts.items()))
+
+
+def sorts(geoms):
+    return list(zip(geoms.kinds, geoms.materials, geoms.compact, strict=True))
+
+
+def padded(render_scene):
+    """The same with as many geoms of each sort as any robot has; those too many are far away."""
+    geoms, appearance = render_scene.geoms, render_scene.appearance
+    ends = np.cumsum([len(block.owner) for block in geoms.blocks])
+    there = {sort: (block, end) for sort, block, end in zip(sorts(geoms), geoms.blocks, ends, strict=True)}
+    some, blocks, looks = geoms.blocks[0], [], []
+    for sort, count in room().items():
+        block, end = there.get(sort, (jax.tree.map(lambda x: x[:0], some), 0))
+        missing = count - len(block.owner)
+        first = end - len(block.owner)
+        look = jax.tree.map(lambda x, a=first, b=end: x[a:b], appearance)
+        far = GeomBlock(pos=1e6, mat=np.eye(3), size=0.0, owner=-1)
+        blocks.append(jax.tree.map(lambda x, y, n=missing: filled(x, y, n), block, far))
+        looks.append(jax.tree.map(lambda x, n=missing: filled(x, 0, n), look))
+    kinds, materials, compact = zip(*room(), strict=True)
+    return render_scene.replace(
+        geoms=Geoms(blocks=tuple(blocks), kinds=kinds, materials=materials, compact=compact),
+        appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *looks),
+    )
+
+
+def filled(rows, value, missing):
+    return np.concatenate([rows, np.full((missing, *rows.shape[1:]), value, rows.dtype)])
 
 
 def picture(name, camera):
     """What a camera sees."""
-    scene, data, pieces, places = posed(name)
-    index = scene.groups[0].indices[0]
-    stage = dynamic_render_scene(STUDIO, data, pieces, places, room(), {0: index}, {})
-    body = list(index.body_ids)
-    bodies = BodyPoses(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
-    return jax.device_get(
-        render_picture_jit(stage, camera_viewpoint(camera, bodies, 0, camera.default_fov), WIDTH, HEIGHT)
-    )
+    _, _, render_scene, bodies = posed(name)
+    eye = camera_viewpoint(camera, bodies, 0, camera.default_fov)
+    return jax.device_get(render_picture_jit(padded(render_scene), eye, WIDTH, HEIGHT))
 
 
 def rolled(angles):

@@ -5,7 +5,6 @@ import math
 import socket
 import sys
 
-import jax
 import numpy as np
 import pytest
 
@@ -95,7 +94,7 @@ def test_degrees_of_a_gps_message(text, value):
 
 @pytest.fixture(scope="module")
 def port():
-    world = DynamicWorld(ARDA, Physics(), jax.random.key(5))
+    world = DynamicWorld(ARDA, Physics(), 5)
     with serving(world, realtime_factor=PACE) as (port, _):
         yield port
 

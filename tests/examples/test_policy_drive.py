@@ -87,7 +87,7 @@ def test_each_side_gets_its_own_share_of_an_action():
 
 def seconds_to_goal(*words):
     """How long the example takes for the 3 m to a goal on an empty floor [simulated s]."""
-    world = DynamicWorld(FLAT, Physics(), jax.random.key(1), max_robots=16)
+    world = DynamicWorld(FLAT, Physics(), 1, max_robots=16)
     world.prepare(ROBOTS.get("P2AT"))
     words = [*words, "--to", "2.0,2.0", "--start", "0.0,0.0,-0.3", "--seconds", "20"]
     with serving(world, realtime_factor=2.0) as (port, _):

@@ -110,6 +110,7 @@ class Moment(NamedTuple):
     state: Any
     hits: Any
     around: Any
+    noise: Any = None
 
 
 def around_at(time, people=PEOPLE, tags=TAGS):
@@ -151,9 +152,8 @@ def course_of(suite: Suite) -> Moment:
 
 def sensed(suite: Suite, moment: Moment) -> SensorInput:
     bodies = forward_kinematics(suite.plan, moment.state)
-    return SensorInput(
-        time=moment.time, state=moment.state, bodies=bodies, hits=moment.hits, surroundings=moment.around
-    )
+    given = dict(zip(("time", "state", "hits", "surroundings", "noise_factor"), moment, strict=True))
+    return SensorInput(bodies=bodies, **given)
 
 
 def start(suite: Suite, moment: Moment):
@@ -210,6 +210,20 @@ def test_a_class_reads_on_numpy_what_it_reads_on_jax(robot):
         np.testing.assert_array_equal(mine.fresh, other.fresh)
         intervals = (TIMES[-1] + 1e-3) / max(sensor.settings[0].scan_interval, 0.2)
         assert mine.fresh.sum() == (0 if sensor.on_command else 1 + int(intervals)), sensor.kind
+
+
+@pytest.mark.oracle
+def test_more_noise_is_as_much_more_on_numpy():
+    """Of a robot whose noise varies (`SensorInput.noise_factor`)."""
+    kinds = ("Sonar", "IRScanner", "INS", "Odometry", "GPS", "Encoder")
+    sensors = tuple(mount for mount in EVERYTHING.sensors if mount.kind in kinds)
+    suite = suite_of(replace(EVERYTHING, name="Shaky", sensors=sensors))
+    course = course_of(suite)
+    shaken = course._replace(noise=np.full(len(TIMES), 1.7, np.float32))
+    ours, plain = numpy_results(suite, shaken), numpy_results(suite, course)
+    assert_same(ours, jax_results(suite, shaken))
+    for sensor, mine, other in zip(suite.sensors, ours[1][3], plain[1][3], strict=True):
+        assert (mine.value != other.value).any(), sensor.kind
 
 
 def test_the_course_shows_the_sensors_something():

@@ -5,7 +5,6 @@ import re
 import sys
 from dataclasses import dataclass, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -122,7 +121,7 @@ def test_the_example_reads_it_in_a_batch(example, lean, capsys):
 
 
 def test_a_client_hears_it_and_asks_about_it(example, lean):
-    world = DynamicWorld(example.YARD, Physics(), jax.random.key(1), max_robots=1)
+    world = DynamicWorld(example.YARD, Physics(), 1, max_robots=1)
     world.prepare(lean)
     with serving(world, realtime_factor=0.0) as (port, _):
         peer = Peer(port, "INIT {ClassName USARBot.LightP2AT} {Name R1} {Start S-12.0}")

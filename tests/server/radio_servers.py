@@ -6,8 +6,6 @@ import math
 import re
 import time
 
-import jax
-
 from tests.scripts import load
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.comms.attenuation import RadioSettings
@@ -23,8 +21,7 @@ SHORT = RadioSettings(cutoff=-49.67 - 10.9 * math.log10(REACH / 2))
 
 def crowded(arena, *kinds):
     """A world that is ready for robots of these classes, as many as come."""
-    world = DynamicWorld(arena, Physics(), jax.random.key(1), max_robots=16)
-    world._capacity = dict.fromkeys(world._capacity, 64)
+    world = DynamicWorld(arena, Physics(), 1, max_robots=16)
     for kind in kinds:
         world.prepare(ROBOTS.get(kind))
     return world

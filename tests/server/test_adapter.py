@@ -130,7 +130,7 @@ def look(lines):
 
 @pytest.fixture(scope="module")
 def yellow():
-    world = DynamicWorld(ARENAS.get("yellow"), Physics(), jax.random.key(1), max_robots=4)
+    world = DynamicWorld(ARENAS.get("yellow"), Physics(), 1, max_robots=4)
     for name in ("P2AT", "P2DX"):
         world.prepare(ROBOTS.get(name))
     return world
@@ -210,17 +210,14 @@ def test_a_rotation_is_in_the_wires_sense(house):
     client = house.connect("INIT {ClassName P2DX} {Location 4.5,1.9,1.8} {Rotation 0,0,0.5}")
     house.run()
     assert look(heard(client))[2][5] == pytest.approx(0.5, abs=0.011)
-    world = client._world
-    root = world._index[0].root_qposadr
-    _, _, _, *quat = world._data.qpos[root : root + 7]
+    quat = client._world.state(client.robot).quat
     assert 2 * math.atan2(quat[3], quat[0]) == pytest.approx(-0.5, abs=0.01), "clockwise is negative here"
 
 
 def test_a_robot_inside_the_floor_is_raised_and_that_is_logged(house, caplog):
     caplog.set_level(logging.INFO, "usarmjx")
     client = house.connect("INIT {ClassName P2AT} {Name Mole} {Location 4.5,1.9,3.0}")
-    assert "Mole would start" in caplog.text
-    assert "inside the floor: raised" in caplog.text
+    assert "Mole: no room at 4.50,-1.90,-3.00: it stands at 4.50,-1.90,-1.8" in caplog.text
     house.run()
     assert look(heard(client))[2][2] == pytest.approx(1.82, abs=0.02)
 
@@ -325,7 +322,7 @@ def test_an_empty_battery_leaves_only_sta_and_brakes(house, robot):
     house.say(robot, "DRIVE {Left 2} {Right 2}")
     house.run(5 * TICK)
     heard(robot)
-    robot.robot.spawn_time -= robot.robot.spec.battery_life
+    house.world.edit(robot.robot, battery_start=-robot.robot.spec.battery_life)
     assert house.say(robot, "GETGEO {Type Robot}") == []
     assert house.say(robot, "GETCONF {Type Robot}") == []
     assert house.say(robot, "SET {Type Odometry} {Name Odometry} {Opcode RESET}") == []
@@ -646,11 +643,11 @@ def test_a_departure_leaves_the_others_bit_identical(house, robot):
     last = house.connect("INIT {ClassName P2AT} {Start Start5}")
     house.say(last, "DRIVE {Left 1} {Right 1}")
     house.run(2 * TICK)
-    before = [house.world._state(client.robot.slot) for client in (robot, last)]
+    before = [house.world.state(client.robot) for client in (robot, last)]
     sonar_count = heard(robot)
     assert sonar_count
     house.leave(other)
-    after = [house.world._state(client.robot.slot) for client in (robot, last)]
+    after = [house.world.state(client.robot) for client in (robot, last)]
     for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(old, new)
     assert len(house.world.robots) == 2

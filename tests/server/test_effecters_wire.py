@@ -48,7 +48,7 @@ def robots():
 
 @pytest.fixture(scope="module")
 def live():
-    world = DynamicWorld(ARENA, Physics(), jax.random.key(1), max_robots=2)
+    world = DynamicWorld(ARENA, Physics(), 1, max_robots=2)
     for robot in (TAGGER, SPOTTER):
         world.prepare(robot)
     return world
@@ -108,7 +108,8 @@ def spotter(live):
 def tags_of(world):
     """Positions of the tags in a world (tags, 3)."""
     if isinstance(world, DynamicWorld):
-        return world.tags.pos[: int(world.tags.count)]
+        tags = world.one_world()[0].tags
+        return tags.pos[: int(tags.count)]
     tags = jax.tree.map(lambda x: np.asarray(x[world._instance]), world._state.worlds.tags)
     return tags.pos[: int(tags.count)]
 
@@ -219,7 +220,7 @@ def test_the_headlight_shows_in_sta_and_obeys_drive_too(world, client):
 def test_an_empty_battery_answers_nothing_and_does_nothing(live):
     client = connect(live)
     before = len(tags_of(live))
-    client.robot.spawn_time -= TAGGER.battery_life
+    live.edit(client.robot, battery_start=-TAGGER.battery_life)
     assert say(client, "SET {Type RFIDReleaser} {Name Gun} {Opcode Release}") == []
     assert len(tags_of(live)) == before
     client.leave()

@@ -9,7 +9,6 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-import jax
 import pytest
 
 from tests.server.peers import Peer, serving
@@ -161,7 +160,7 @@ TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
 @pytest.fixture(scope="module")
 def ports():
     """Servers of all arenas that the trips need."""
-    worlds = [DynamicWorld(ARENAS.get(name), Physics(), jax.random.key(1)) for name in ("field", "pool")]
+    worlds = [DynamicWorld(ARENAS.get(name), Physics(), 1) for name in ("field", "pool")]
     with (
         serving(worlds[0], realtime_factor=PACE) as (field, _),
         serving(worlds[1], realtime_factor=PACE) as (pool, _),

@@ -8,7 +8,6 @@ import socket
 import struct
 from dataclasses import replace
 
-import jax
 import numpy as np
 from PIL import Image
 
@@ -94,8 +93,7 @@ def shows(picture, color):
 
 
 def gallery():
-    world = DynamicWorld(GALLERY, Physics(), jax.random.key(1), max_robots=16)
-    world._capacity = dict.fromkeys(world._capacity, 128)
+    world = DynamicWorld(GALLERY, Physics(), 1, max_robots=16)
     for robot in (CYCLOPS, LOOKOUT, MOLE):
         world.prepare(robot)
     return world

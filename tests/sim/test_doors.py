@@ -84,11 +84,12 @@ def test_a_scanner_sees_the_door_or_what_is_behind_it(batch, angle, reach):
 
 
 def test_a_served_radio_counts_doors_where_they_stand():
-    world = DynamicWorld(ARENA, Physics(), jax.random.key(0))
+    world = DynamicWorld(ARENA, Physics(), 0)
     ether = RadioChannel(world, RadioSettings())
     ends = ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0))
     assert ether.obstacles_between(*ends) == 1
-    world._data.qpos[world._model.joint("door/middle").qposadr[0]] = OPEN
+    engine = world._single.engine
+    engine.data.qpos[engine.model.joint("door/middle").qposadr[0]] = OPEN
     assert ether.obstacles_between(*ends) == 0
     robot = world.spawn(ROBOTS.get("ComStation"), "Base", (2.0, -2.0, 0.0), (0.0, 0.0, 0.0))
     assert world.door_angles()[0] == pytest.approx(OPEN), "a new robot leaves doors as they are"

@@ -1,10 +1,8 @@
 """The examples that walk and wave, against a served world: what the robots do is read off the physics."""
 
-import asyncio
 import contextlib
 import math
 import socket
-import threading
 from functools import partial
 
 import jax
@@ -13,13 +11,12 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.scripts import load
+from tests.server.peers import PATIENCE, serving
 from usarmjx.models.build.body_plan import forward_kinematics
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.net import BotServer, BotServerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-PATIENCE = 60.0  # s of real time for what takes well under a second on an idle machine
 FACTOR = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
 LEANING = math.radians(30)  # a robot that leans more than this is about to fall
 STANDING = math.radians(3)  # an arm of 0.5 kg, moved by 7 kg that stand on stiff servos
@@ -30,31 +27,6 @@ HAND = 0.11  # m from the elbow to the end of the forearm
 client = load("usarsim_client")
 ers_walk = load("ers_walk")
 qrio_wave = load("qrio_wave")
-
-
-@contextlib.contextmanager
-def serving(world):
-    """A running server's port."""
-    started, box = threading.Event(), {}
-
-    async def main():
-        box["loop"] = asyncio.get_running_loop()
-        box["server"] = BotServer(world, BotServerSettings(port=0, realtime_factor=FACTOR))
-        task = asyncio.create_task(box["server"].run())
-        while not box["server"].port and not task.done():
-            await asyncio.sleep(0.01)
-        started.set()
-        await task
-
-    thread = threading.Thread(target=lambda: asyncio.run(main()), daemon=True)
-    thread.start()
-    assert started.wait(PATIENCE)
-    try:
-        yield box["server"].port
-    finally:
-        box["loop"].call_soon_threadsafe(box["server"].stop)
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
 
 
 class Watched(client.UsarsimClient):
@@ -84,9 +56,9 @@ class Watched(client.UsarsimClient):
 @contextlib.contextmanager
 def robot_of(name):
     """A connected client whose robot of that class stands on a flat floor."""
-    world = DynamicWorld(FLAT, Physics(), jax.random.key(2), max_robots=1)
+    world = DynamicWorld(FLAT, Physics(), 2, max_robots=1)
     world.prepare(ROBOTS.get(name))
-    with serving(world) as port, Watched(world, port) as robot:
+    with serving(world, realtime_factor=FACTOR) as (port, _), Watched(world, port) as robot:
         _, place, turn = robot.start_poses()[0]
         robot.init(f"USARBot.{name}", "It", place, turn)
         yield robot

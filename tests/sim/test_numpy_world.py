@@ -1,6 +1,7 @@
 """Effecters, radio and mail of a world on NumPy: as on JAX, nothing traced."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 
 from tests.handy import TAGGER, known
 from tests.sim.on_numpy import as_numpy, assert_same, nothing_compiled, row
+from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
 from usarmjx.comms import connectivity
 from usarmjx.comms.attenuation import RadioSettings
@@ -18,6 +20,7 @@ from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics, new_spec
+from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.spec.robot import Mount
 from usarmjx.sensors.rays.raycast import Hits
@@ -32,6 +35,7 @@ from usarmjx.sim.radio import (
     send,
     update_links,
 )
+from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.site import arena_state_at, moved_geom_poses, start_poses, victims_of
 
@@ -58,6 +62,8 @@ TARGETS = 1e-6
 """Sines of angles up to 1.6 rad."""
 POWER = 1e-4
 """Single precision of 100 dB is 8e-6; logarithm and normal numbers differ in their last places too [dB]."""
+DRAWN = 1e-6
+"""Numbers between bounds are a product and a sum, which XLA fuses."""
 PLACES = 1e-5
 """Of antennas up to 20 m from the origin [m]."""
 
@@ -210,6 +216,26 @@ def test_walls_are_the_same_on_both_libraries(name):
         ours = count_walls(solids, start, end)
     assert_same(ours, count_walls(solids, start, end))
     assert ours.any()
+
+
+@pytest.mark.oracle
+def test_a_world_starts_the_same_on_both_libraries():
+    """Robots change places and differ from each other: orders, whole numbers and others are drawn."""
+    vary = DomainRandomization(
+        mass=(0.8, 1.2), wheel=(0.9, 1.3), torque=(0.5, 1.0), latency=(0, 9), radio_pdo=(-60.0, -40.0)
+    )
+    scene = build_scene(YELLOW, ["P2AT", "P2DX", "P2AT"], radio=RadioSettings(), vary=vary)
+    with nothing_compiled():
+        key = random.fold_in(random.key(4), 2)
+        ours = init_world(scene, key, np.array(2, np.int32), shuffle=True)
+        again = reset(scene, ours[0], shuffle=True)
+    start = jax.jit(partial(init_world, scene, shuffle=True))
+    theirs = start(jax.random.fold_in(jax.random.key(4), 2), jnp.array(2, jnp.int32))
+    assert_same(ours, as_numpy(theirs), rtol=DRAWN, atol=PLACES)
+    assert ours[0].varied.latency.any()
+    then = jax.jit(partial(reset, scene, shuffle=True))(theirs[0])
+    assert_same(again, as_numpy(then), rtol=DRAWN, atol=PLACES)
+    assert not np.allclose(again[1], ours[1]), "other places"
 
 
 @pytest.mark.oracle

@@ -53,6 +53,8 @@ class MjModel:
     actuator_gear: np.ndarray
     actuator_trnid: np.ndarray
     actuator_trntype: np.ndarray
+    body_conaffinity: np.ndarray
+    body_contype: np.ndarray
     body_geomadr: np.ndarray
     body_geomnum: np.ndarray
     body_inertia: np.ndarray
@@ -66,12 +68,14 @@ class MjModel:
     body_pos: np.ndarray
     body_quat: np.ndarray
     body_subtreemass: np.ndarray
+    body_treeid: np.ndarray
     dof_M0: np.ndarray
     dof_armature: np.ndarray
     dof_bodyid: np.ndarray
     dof_damping: np.ndarray
     dof_dampingpoly: np.ndarray
     dof_invweight0: np.ndarray
+    dof_treeid: np.ndarray
     geom_aabb: np.ndarray
     geom_adhesion: np.ndarray
     geom_bodyid: np.ndarray
@@ -120,6 +124,7 @@ class MjModel:
     njnt: int
     nq: int
     ntendon: int
+    ntree: int
     nu: int
     nv: int
     opt: MjOption
@@ -159,6 +164,8 @@ class MjData:
     ctrl: np.ndarray
     geom_xmat: np.ndarray
     geom_xpos: np.ndarray
+    mocap_pos: np.ndarray
+    mocap_quat: np.ndarray
     qacc_warmstart: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
@@ -438,6 +445,9 @@ class mjtWarning(_Enum):
     mjWARN_CONTACTFULL: ClassVar[mjtWarning]
     mjWARN_CNSTRFULL: ClassVar[mjtWarning]
 
+mjMAXVAL: float
+
+def mj_collision(m: MjModel, d: MjData) -> None: ...
 def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_getState(m: MjModel, d: MjData, state: np.ndarray, sig: int) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...

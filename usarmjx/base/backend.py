@@ -7,7 +7,7 @@ products and sums (`tests/base/test_backend.py`).
 """
 
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
@@ -20,6 +20,7 @@ from usarmjx.base import numpy_arrays
 from usarmjx.base.arrays import Array
 
 T = TypeVar("T")
+P = ParamSpec("P")
 P = ParamSpec("P")
 _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
@@ -56,9 +57,36 @@ else:
     xp = _ArrayFunctions()
 
 
-def named_scope(name: str) -> AbstractContextManager[None]:
-    """Name a part of a tick in profiles of compiled code; nothing on NumPy."""
-    return nullcontext() if _on_numpy.get() else jax.named_scope(name)
+def named_scope(name: str) -> "_NamedScope":
+    """Name a part of a tick in profiles of compiled code: a context, or a decorator. Nothing on NumPy."""
+    return _NamedScope(name)
+
+
+class _NamedScope(AbstractContextManager[None]):
+    """What `named_scope` returns."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._scope: AbstractContextManager[Any] | None = None
+
+    def __enter__(self) -> None:
+        if not _on_numpy.get():
+            self._scope = jax.named_scope(self._name)
+            self._scope.__enter__()
+
+    def __exit__(self, *error: Any) -> None:  # noqa: ANN401 - as of any context
+        if self._scope is not None:
+            self._scope.__exit__(*error)
+
+    def __call__(self, function: Callable[P, T]) -> Callable[P, T]:
+        @wraps(function)
+        def named(*args: P.args, **kwargs: P.kwargs) -> T:
+            if _on_numpy.get():
+                return function(*args, **kwargs)
+            with jax.named_scope(self._name):
+                return function(*args, **kwargs)
+
+        return named
 
 
 def set_at(values: Array, index: Any, new: Any) -> Any:  # noqa: ANN401 - what indexes and is assigned

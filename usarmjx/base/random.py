@@ -120,6 +120,29 @@ def truncated_normal(of: Any, low: float, high: float, shape: Sequence[int] = ()
     return np.minimum(np.maximum(SQRT_2 * _erf_inv(drawn), first), last)
 
 
+def randint(of: Any, low: int, high: int) -> Any:  # noqa: ANN401 - a key and a number of the library in force
+    """Return a whole number of those from `low` to before `high`; of one key."""
+    if not on_numpy():
+        return jax.random.randint(of, (), low, high)
+    first, second = (int(_random_bits(own, 1)[0]) for own in split(of))
+    span = high - low
+    # The first word is the upper half of a number of 64 bits; as JAX has it, products are cut off at 32.
+    share = (((1 << 16) % span) ** 2 & MASK) % span
+    return np.array(low + ((first % span * share + second % span) & MASK) % span, np.int32)
+
+
+def permutation(of: Any, values: Array) -> Any:  # noqa: ANN401 - a key and an array of the library in force
+    """Return values (n,) in a random order."""
+    if not on_numpy():
+        return jax.random.permutation(of, values)
+    mixed = np.asarray(values)
+    # JAX sorts by random words, again and again if two of so many might be the same.
+    for _ in range(math.ceil(3 * math.log(max(1, len(mixed))) / math.log(MASK))):
+        of, own = split(of)
+        mixed = mixed[np.argsort(_random_bits(own, len(mixed)), stable=True)]
+    return mixed
+
+
 def _erf_inv(x: np.ndarray) -> np.ndarray:
     """Return the inverse error function of numbers in (-1, 1), single precision."""
     w = -np.log1p(-x * x)

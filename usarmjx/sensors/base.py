@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
@@ -190,7 +190,7 @@ class Sensor(ABC):
         """Return what a sensor that `has_overlay` shows of its last reading in pictures."""
         raise NotImplementedError(f"{self.kind} draws nothing")
 
-    def with_noise(self, factor: Array) -> "Sensor":
+    def with_noise(self, factor: ArrayLike) -> "Sensor":
         """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""
         scaled: list[Any] = []
         for settings in self.settings:

@@ -1,7 +1,7 @@
 """All sensors of a robot class, read together, each when it is due."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import accumulate
 from typing import Any
 
@@ -182,7 +182,11 @@ class Suite:
     def _as_noisy_as(self, inputs: SensorInput) -> tuple[Sensor, ...]:
         """Return the sensors of a robot whose noise may be more or less than usual."""
         factor = inputs.noise_factor
-        return self.sensors if factor is None else tuple(s.with_noise(factor) for s in self.sensors)
+        if factor is None:
+            return self.sensors
+        return (
+            _scaled(self, float(factor)) if on_numpy() else tuple(s.with_noise(factor) for s in self.sensors)
+        )
 
     def _read_one(
         self,
@@ -257,6 +261,12 @@ class Suite:
             return None
         due = set_at(memory.due, i, inputs.time) if opcode.upper() == "SCAN" else memory.due
         return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
+
+
+@lru_cache(maxsize=64)
+def _scaled(suite: Suite, factor: float) -> tuple[Sensor, ...]:
+    """Return a suite's sensors with so many times the noise, kept for the next time that they read."""
+    return tuple(sensor.with_noise(factor) for sensor in suite.sensors)
 
 
 @cache

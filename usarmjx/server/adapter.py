@@ -4,8 +4,6 @@ import logging
 import math
 from collections.abc import Callable
 
-import numpy as np
-
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import PeerError, UnknownNameError, UsageError
 from usarmjx.base.transforms import Vec3
@@ -27,9 +25,10 @@ from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import RobotSession
-from usarmjx.server.worlds.served_world import Robot, ServedWorld
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
-from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode, update_command
+from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode
 from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
@@ -123,7 +122,7 @@ class Client:
             return flip_wire_vector(init.location), angles
         if not starts:
             raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
-        start = starts[init.start.lower()] if init.start else self._world.arena.starts[0]
+        start = starts[init.start.lower()] if init.start else self._world.free_start(spec)
         pos = (*start.at[:2], start_height(self._world.arena, start, spec))
         return pos, angles if init.rotation else (0.0, 0.0, start.yaw)
 
@@ -196,8 +195,7 @@ class Client:
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
 
     def _update_command(self, update: CommandUpdate) -> None:
-        robot = self._present
-        self._world.set_command(robot, update_command(robot.plan, robot.command, update, xp=np))
+        self._world.update_command(self._present, update)
 
     def _set_joint_mode(self, joint: int, order: int, value: float) -> bool:
         """Give one joint an order as the wire numbers them; return whether there is such an order."""

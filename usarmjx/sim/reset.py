@@ -1,9 +1,10 @@
 """How a world starts: its first episode and the next ones. Pure functions of one world."""
 
 import jax
-import jax.numpy as jnp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base import random
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import named_scope, on_numpy, set_at, xp
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
@@ -13,7 +14,7 @@ from usarmjx.models.build.variation import max_wheel_radius, sample_values
 from usarmjx.models.effecters import no_dropped_tags
 from usarmjx.sensors.suite import NO_MEMORY
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.scene import Scene, origin_height, parking_position
+from usarmjx.sim.scene import RobotGroup, Scene, origin_height, parking_position
 from usarmjx.sim.site import arena_state_at, start_poses
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import (
@@ -29,14 +30,14 @@ from usarmjx.sim.world import (
 
 def init_world(
     scene: Scene,
-    key: jax.Array,
-    number: jax.Array,
+    key: Array,
+    number: Array,
     arenas: ArenaState | None = None,
     *,
     shuffle: bool = False,
-) -> tuple[World, jax.Array]:
+) -> tuple[World, Array]:
     """Return a new world and the qpos (nq,) it starts from; see `reset`."""
-    zero = jnp.zeros((), jnp.int32)
+    zero = xp.zeros((), xp.int32)
     faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
     world = World(
         key=key,
@@ -51,10 +52,10 @@ def init_world(
     return reset(scene, world, arenas, shuffle=shuffle)
 
 
-@jax.named_scope("reset")
+@named_scope("reset")
 def reset(
     scene: Scene, world: World, arenas: ArenaState | None = None, *, shuffle: bool = False
-) -> tuple[World, jax.Array]:
+) -> tuple[World, Array]:
     """Return the world at the start of its next episode, and the qpos (nq,) it starts from.
 
     Args:
@@ -67,7 +68,7 @@ def reset(
     world = world.replace(
         episode=episode,
         arena_state=arena_state_at(arenas, world.number, episode),
-        step=jnp.zeros((), jnp.int32),
+        step=xp.zeros((), xp.int32),
         groups=(),
         tags=no_dropped_tags(),
         links=None if scene.radio is None else no_links(scene.num_robots),
@@ -79,46 +80,70 @@ def reset(
         )
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
-    physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
+    physics = PhysicsState(qpos=qpos, qvel=xp.zeros(scene.model.nv), act=xp.zeros(scene.model.na))
     groups: list[GroupState] = []
     for group in scene.groups:
-        n = len(group.slots)
-        active = jnp.array([not scene.roster[int(slot)].parked for slot in group.slots])
-        command = jax.tree.map(lambda x, n=n: jnp.broadcast_to(x, (n, *x.shape)), idle_command(group.robot))
-        groups.append(
-            GroupState(
-                command=command,
-                active=active,
-                battery_start=jnp.zeros(n),
-                drowned=jnp.zeros(n, bool),
-                releases=jnp.tile(jnp.array(group.releases, jnp.int32), (n, 1)),
-                memory=NO_MEMORY,
-                fov=jnp.tile(
-                    jnp.array([c.default_fov for c in cameras_of(group.robot)], jnp.float32), (n, 1)
-                ),
-                command_history=_initial_history(scene, command),
-            )
-        )
+        active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
+        groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots))))
     world = world.replace(groups=tuple(groups))
-    key = episode_key(world, Stream.SENSOR_START)
     groups = [
-        state.replace(
-            memory=map_robots(group.suite.init_memory, sense_self(scene, world, physics, group), group, key)
-        )
+        started(scene, world, physics, group, state)
         for group, state in zip(scene.groups, world.groups, strict=True)
     ]
     return world.replace(groups=tuple(groups)), qpos
 
 
-def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
+def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: Array) -> GroupState:
+    """Return robots that nobody has told anything yet and whose sensors have not started.
+
+    Args:
+        scene: The scene.
+        group: Robots of one class.
+        active: Which of them are in use, broadcast to (robots,).
+        since: Since when their batteries are full [s] (robots,).
+    """
+    n = len(group.slots)
+    command = jax.tree.map(lambda x: xp.broadcast_to(x, (n, *x.shape)), idle_command(group.robot))
+    return GroupState(
+        command=command,
+        active=xp.broadcast_to(active, (n,)),
+        battery_start=since,
+        drowned=xp.zeros(n, bool),
+        releases=xp.tile(xp.array(group.releases, xp.int32), (n, 1)),
+        memory=NO_MEMORY,
+        fov=xp.tile(xp.array([c.default_fov for c in cameras_of(group.robot)], xp.float32), (n, 1)),
+        command_history=_initial_history(scene, command),
+    )
+
+
+def started(
+    scene: Scene, world: World, physics: PhysicsState, group: RobotGroup, state: GroupState
+) -> GroupState:
+    """Return the state of robots whose sensors start now, as those of all do at a reset.
+
+    Args:
+        scene: The scene.
+        world: The world that they join.
+        physics: Where they are.
+        group: Robots of one class, some of a group of the scene or others.
+        state: As `new_group_state` returns it.
+    """
+    key = episode_key(world, Stream.SENSOR_START)
+    if on_numpy() and world.step:  # those who join later draw other numbers than those who began
+        key = random.fold_in(key, world.step)
+    inputs = sense_self(scene, world, physics, group)
+    return state.replace(memory=map_robots(group.suite.init_memory, inputs, group, key))
+
+
+def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
     """Active robots take start poses in the arena's (or a random) order, parked ones their places."""
     starts = start_poses(scene, world.arena_state)
-    order = jnp.arange(len(starts))
+    order = xp.arange(len(starts))
     if shuffle:
-        order = jax.random.permutation(episode_key(world, Stream.START_POSES), order)
-    qpos = jnp.asarray(scene.model.qpos0, jnp.float32)
+        order = random.permutation(episode_key(world, Stream.START_POSES), order)
+    qpos = xp.asarray(scene.model.qpos0, xp.float32)
     if world.arena_state is not None:
-        qpos = qpos.at[scene.loose_geoms.root_qposadr].set(world.arena_state.loose)
+        qpos = set_at(qpos, scene.loose_geoms.root_qposadr, world.arena_state.loose)
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for group in scene.groups:
         for place, slot in enumerate(group.slots):
@@ -128,11 +153,11 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> jax.Array:
                 height = origin_height(scene.arena, z, group.robot)
                 if world.varied is not None and world.varied.wheel is not None:
                     # Larger wheels shall not start in the floor.
-                    height += jnp.maximum(world.varied.wheel[slot] - 1.0, 0.0) * max_wheel_radius(group.robot)
-                root = [x, y, height, jnp.cos(yaw / 2), 0.0, 0.0, jnp.sin(yaw / 2)]
+                    height += xp.maximum(world.varied.wheel[slot] - 1.0, 0.0) * max_wheel_radius(group.robot)
+                root = [x, y, height, xp.cos(yaw / 2), 0.0, 0.0, xp.sin(yaw / 2)]
             else:
                 root = [*parking_position(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
-            qpos = qpos.at[address].set(jnp.stack([jnp.asarray(v, jnp.float32) for v in root]))
+            qpos = set_at(qpos, address, xp.stack([xp.asarray(v, xp.float32) for v in root]))
     return qpos
 
 
@@ -142,8 +167,8 @@ def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | No
     if latency is None:
         return None
 
-    def before(value: Array) -> jax.Array:
-        return jnp.repeat(jnp.asarray(value)[:, None], latency[1], 1)
+    def before(value: Array) -> Array:
+        return xp.repeat(xp.asarray(value)[:, None], latency[1], 1)
 
     return CommandHistory(
         target=before(command.target), mode=before(command.mode), setpoint=before(command.setpoint)

@@ -1,7 +1,7 @@
 """A scene: an arena with a roster of robots, composed and resolved. Static; every world is a copy of it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -48,6 +48,20 @@ PARKING_HEIGHT = 30.0
 """Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""
 PARKING_STEP = 8.0
 """Distance between two parked robots [m]: more than a submarine's length."""
+ARENA_TABLES = frozenset(
+    {
+        "victims",
+        "tags",
+        "moving_victim_boxes",
+        "moved_geoms",
+        "_moved_names",
+        "fixed_geoms",
+        "moved_geom_table",
+        "loose_geoms",
+        "door_qpos",
+    }
+)
+"""The properties of a scene that are those of its arena, whatever robots there are."""
 START_GAP = 0.002
 """Robots start this far above the floor, so that none starts inside it [m]."""
 
@@ -96,6 +110,10 @@ class RobotGroup:
     def robot(self) -> RobotSpec:
         """The robot class."""
         return self.plan.robot
+
+    def part(self, members: np.ndarray) -> "RobotGroup":
+        """Return a group of some of its robots (members,)."""
+        return replace(self, slots=self.slots[members], indices=tuple(self.indices[i] for i in members))
 
     @property
     def effecters(self) -> tuple[Effecter, ...]:
@@ -251,6 +269,15 @@ class Scene:
         """Qpos addresses of the doors' hinges (doors,)."""
         return door_qpos(self.model, self.arena)
 
+    def with_robots(
+        self, model: mujoco.MjModel, roster: tuple[RosterEntry, ...], groups: tuple[RobotGroup, ...]
+    ) -> "Scene":
+        """Return a scene with the same arena and other robots, which are behind the arena in the model."""
+        other = replace(self, model=model, roster=roster, groups=groups)
+        known = {name: value for name, value in vars(self).items() if name in ARENA_TABLES}
+        vars(other).update(known)  # where cached properties are kept
+        return other
+
     def arena_of(self, number: int, episode: int) -> ArenaSpec:
         """Return the arena that a world has in an episode."""
         if self.arenas is None:
@@ -354,17 +381,20 @@ def build_scene(
 
 
 def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[RobotGroup, ...]:
+    return robot_groups(model, {slot: entry.spec for slot, entry in enumerate(entries)})
+
+
+def robot_groups(model: mujoco.MjModel, robots: Mapping[int, RobotSpec]) -> tuple[RobotGroup, ...]:
+    """Return the robots of a model, by slot, as groups by class."""
     slots: dict[RobotSpec, list[int]] = {}
-    for slot, entry in enumerate(entries):
-        slots.setdefault(entry.spec, []).append(slot)
-    groups: list[RobotGroup] = []
-    for robot, members in slots.items():
-        groups.append(
-            RobotGroup(
-                plan=kinematic_tree_of(robot),
-                suite=suite_of(robot),
-                slots=np.array(members),
-                indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
-            )
+    for slot, robot in robots.items():
+        slots.setdefault(robot, []).append(slot)
+    return tuple(
+        RobotGroup(
+            plan=kinematic_tree_of(robot),
+            suite=suite_of(robot),
+            slots=np.array(members),
+            indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
         )
-    return tuple(groups)
+        for robot, members in slots.items()
+    )

@@ -1,14 +1,13 @@
 """What the cameras of a world's robots see. Pure functions of one world."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import named_scope, xp
 from usarmjx.cameras.light import SUN_DIRECTION, Headlights, PointLights, point_lights
 from usarmjx.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.cameras.paint import ROBOT_LABEL
@@ -57,15 +56,12 @@ def find_camera(
     return group, found, index
 
 
-@jax.named_scope("render_scene")
+@named_scope("render_scene")
 def build_render_scene(
     scene: Scene, world: World, physics: PhysicsState
 ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
     """Return all that cameras see of a world, and where the robots' bodies are, by group."""
-    bodies = tuple(
-        jax.vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
-        for group in scene.groups
-    )
+    bodies = tuple(forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups)
     geoms, paint = camera_geoms(
         [
             *visible_arena(scene, world.arena_state, time_of(scene, world)),
@@ -103,16 +99,16 @@ def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> He
         pos.append(body.pos[:, lamp.body] + mat @ lamp.pos)
         along.append(mat @ lamp.direction)
         on.append(state.command.light & powered(scene, world, group, state))
-    slots = np.concatenate([group.slots for group in scene.groups])
+    slots = np.concatenate([np.zeros(0, int), *(group.slots for group in scene.groups)])
     return Headlights(
-        pos=jnp.concatenate(pos),
-        direction=jnp.concatenate(along),
-        on=jnp.concatenate(on),
+        pos=xp.concatenate([xp.zeros((0, 3)), *pos]),
+        direction=xp.concatenate([xp.zeros((0, 3)), *along]),
+        on=xp.concatenate([xp.zeros(0, bool), *on]),
         label=ROBOT_LABEL + slots,
     )
 
 
-@jax.named_scope("render")
+@named_scope("render")
 def render_group(
     scene: Scene,
     world: World,
@@ -131,7 +127,7 @@ def render_group(
     """
     group, camera, place = group_camera
     render_scene, bodies = build_render_scene(scene, world, physics)
-    members = bodies[group], jnp.asarray(scene.groups[group].slots), world.groups[group].fov[:, place]
+    members = bodies[group], xp.asarray(scene.groups[group].slots), world.groups[group].fov[:, place]
     return map_pictures(
         lambda *member: render_picture(render_scene, camera_viewpoint(camera, *member), *size), *members
     )

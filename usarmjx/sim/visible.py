@@ -5,15 +5,14 @@ too, and the geoms of a robot can be told apart.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.cameras.paint import (
     DOOR_LABEL,
@@ -82,7 +81,7 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     kind, material, compact = _sorting_keys(rows)
     pos, mat, size, owner, rgb, label = _joined(rows, "pos", "mat", "size", "owner", "rgb", "label")
     geom_index = np.concatenate([row.geom_index for row in rows])
-    owner = jnp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
+    owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
     order = np.concatenate(list(indices_by_key(kind, material, compact).values()))
     appearance = GeomAppearance(
@@ -94,8 +93,10 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     return geoms, appearance
 
 
-def _joined(rows: Sequence[VisibleGeoms], *names: str) -> list[jax.Array]:
-    columns = [jnp.concatenate([jnp.asarray(getattr(row, name)) for row in rows]) for name in names]
+def _joined(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
+    columns = [xp.concatenate([xp.asarray(getattr(row, name)) for row in rows]) for name in names]
+    if on_numpy():
+        return columns
     # Kept as arrays: else XLA works out the poses of all geoms again for every ray, and compiles for minutes.
     return jax.lax.optimization_barrier(columns)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
 
@@ -107,21 +108,21 @@ def _sorting_keys(rows: Sequence[VisibleGeoms]) -> tuple[np.ndarray, list[str], 
     return kind, material.tolist(), compact.tolist()
 
 
-def visible_arena(scene: Scene, arena_state: ArenaState | None, time: jax.Array) -> list[VisibleGeoms]:
+def visible_arena(scene: Scene, arena_state: ArenaState | None, time: Array) -> list[VisibleGeoms]:
     """Return floor and arena, victims included, at a time [s] ()."""
     rows = [_visible(scene.fixed_geoms)]
     here = moved_geom_poses(scene, arena_state, time)
     if here is not None:
         look = scene.moved_geom_table
         size = look.size if here.size is None else here.size
-        lift = jnp.array([0.0, 0.0, scene.arena.floor])
+        lift = xp.array([0.0, 0.0, scene.arena.floor])
         moved = _visible(look, here.pos + lift, mat_from_quat(here.quat), size)
         if arena_state is not None:
-            bones = bone_labels(arena_state.victims.owner, jnp)
+            bones = bone_labels(arena_state.victims.owner, xp)
             boxes = len(moved.kind) - len(bones)
             moved = moved._replace(
-                rgb=jnp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),
-                label=jnp.concatenate([jnp.asarray(look.label[:boxes]), bones]),
+                rgb=xp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),
+                label=xp.concatenate([xp.asarray(look.label[:boxes]), bones]),
             )
         rows.append(moved)
     return rows
@@ -138,7 +139,7 @@ def visible_loose(scene: Scene, physics: PhysicsState) -> VisibleGeoms:
 
 def visible_doors(scene: Scene, physics: PhysicsState) -> VisibleGeoms:
     """Return the doors as they stand."""
-    pos, mat, size = door_boxes(scene.arena, physics.qpos[scene.door_qpos], jnp)
+    pos, mat, size = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
     rgb = np.array([door.rgba[:3] for door in scene.arena.doors], np.float32).reshape(-1, 3)
     return _boxes(pos, mat, size, rgb, DOOR_LABEL)
 
@@ -159,21 +160,19 @@ def visible_water(scene: Scene) -> VisibleGeoms:
     return rows._replace(transparency=np.full(n, WATER_TRANSPARENCY, np.float32))
 
 
-def visible_robots(
-    scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[jax.Array]
-) -> list[VisibleGeoms]:
+def visible_robots(scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[Array]) -> list[VisibleGeoms]:
     """Return the robots, by group; those that are not in use are far away."""
     rows: list[VisibleGeoms] = []
     for group, body, used in zip(scene.groups, bodies, active, strict=True):
         plan, n, g = group.plan, len(group.slots), len(group.plan.geom_type)
-        pos, mat = jax.vmap(partial(geom_poses, plan))(body)
+        pos, mat = geom_poses(plan, body)
         slot = np.repeat(group.slots, g)
         rows.append(
             VisibleGeoms(
                 kind=np.tile(plan.geom_type, n),
-                pos=jnp.where(used[:, None, None], pos, PADDING_DISTANCE).reshape(-1, 3),
+                pos=xp.where(used[:, None, None], pos, PADDING_DISTANCE).reshape(-1, 3),
                 mat=mat.reshape(-1, 3, 3),
-                size=jnp.tile(plan.geom_size, (n, 1)),
+                size=xp.tile(plan.geom_size, (n, 1)),
                 owner=slot,
                 material=np.full(n * g, OPAQUE, object),
                 rgb=np.tile(plan.geom_rgb, (n, 1)),
@@ -194,10 +193,10 @@ def _boxes(
     made_of = np.full(n, material, object)
     return VisibleGeoms(
         kind=np.full(n, BOX),
-        pos=jnp.asarray(pos),
-        mat=jnp.asarray(mat),
-        size=jnp.asarray(size),
-        owner=jnp.full(n, -1),
+        pos=xp.asarray(pos),
+        mat=xp.asarray(mat),
+        size=xp.asarray(size),
+        owner=xp.full(n, -1),
         material=made_of,
         rgb=rgb,
         label=np.full(n, label),
@@ -212,10 +211,10 @@ def _visible(
     """Return geoms that are no robot's, where the scene has them or elsewhere."""
     return VisibleGeoms(
         kind=table.kind,
-        pos=jnp.asarray(table.pos if pos is None else pos),
-        mat=jnp.asarray(table.mat if mat is None else mat),
-        size=jnp.asarray(table.size if size is None else size),
-        owner=jnp.full(len(table.kind), -1),
+        pos=xp.asarray(table.pos if pos is None else pos),
+        mat=xp.asarray(table.mat if mat is None else mat),
+        size=xp.asarray(table.size if size is None else size),
+        owner=xp.full(len(table.kind), -1),
         material=table.material,
         rgb=table.rgb,
         label=table.label,

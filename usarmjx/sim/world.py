@@ -8,16 +8,17 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import named_scope, set_at, vmap, xp
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes
 from usarmjx.engines.base import Inputs, PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.build.body_plan import forward_kinematics
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.variation import RandomizedValues
 from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.drives.state import RobotState
@@ -25,7 +26,7 @@ from usarmjx.models.effecters import DroppedTags
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
-from usarmjx.sensors.rays.raycast import NO_HITS
+from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
 from usarmjx.sensors.suite import SensorMemory
 from usarmjx.sim.control import DriveConditions, RobotCommand, compute_actuation
 from usarmjx.sim.scene import RobotGroup, Scene
@@ -68,12 +69,12 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     """
 
     command: RobotCommand
-    active: jax.Array
-    battery_start: jax.Array
-    drowned: jax.Array
-    releases: jax.Array
+    active: Array
+    battery_start: Array
+    drowned: Array
+    releases: Array
     memory: SensorMemory
-    fov: jax.Array
+    fov: Array
     command_history: CommandHistory | None = None
 
 
@@ -87,10 +88,10 @@ class FaultCounts(struct.PyTreeNode, kw_only=True):
         refused: Commanded numbers that were not finite.
     """
 
-    not_finite: jax.Array
-    overflow: jax.Array
-    runaway: jax.Array
-    refused: jax.Array
+    not_finite: Array
+    overflow: Array
+    runaway: Array
+    refused: Array
 
 
 class World(struct.PyTreeNode, kw_only=True):
@@ -110,11 +111,11 @@ class World(struct.PyTreeNode, kw_only=True):
         varied: What this world and its robots have otherwise than others; None: nothing.
     """
 
-    key: jax.Array
-    number: jax.Array
+    key: Array
+    number: Array
     arena_state: ArenaState | None
-    episode: jax.Array
-    step: jax.Array
+    episode: Array
+    step: Array
     groups: tuple[GroupState, ...]
     tags: DroppedTags
     faults: FaultCounts
@@ -127,14 +128,14 @@ class World(struct.PyTreeNode, kw_only=True):
         return self.replace(groups=(*self.groups[:index], group, *self.groups[index + 1 :]))
 
 
-def time_of(scene: Scene, world: World) -> jax.Array:
+def time_of(scene: Scene, world: World) -> Array:
     """Return the simulated time since the last reset [s] ()."""
-    return world.step.astype(jnp.float32) * scene.physics.period
+    return xp.asarray(world.step, xp.float32) * scene.physics.period
 
 
-def episode_key(world: World, stream: Stream) -> jax.Array:
+def episode_key(world: World, stream: Stream) -> Array:
     """Return the key of a stream of random numbers in the present episode."""
-    return jax.random.fold_in(jax.random.fold_in(world.key, stream), world.episode)
+    return random.fold_in(random.fold_in(world.key, stream), world.episode)
 
 
 def robot_states(group: RobotGroup, physics: PhysicsState) -> RobotState:
@@ -151,20 +152,20 @@ def robot_states(group: RobotGroup, physics: PhysicsState) -> RobotState:
 
 
 def map_robots(
-    function: Callable[..., T], sensor_input: SensorInput, group: RobotGroup, key: jax.Array, *rest: object
+    function: Callable[..., T], sensor_input: SensorInput, group: RobotGroup, key: Array, *rest: object
 ) -> T:
     """Map function(sensor_input, *rest, key) over a group's robots, each with a key folded by its slot."""
-    keys = jax.vmap(partial(jax.random.fold_in, key))(group.slots)
+    keys = vmap(partial(random.fold_in, key))(group.slots)
     noise = None if sensor_input.noise_factor is None else 0
     shared: Any = SensorInput(time=None, state=0, bodies=0, hits=0, noise_factor=noise)  # type: ignore - axes, not values
-    return jax.vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sensor_input, *rest, keys)
+    return vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sensor_input, *rest, keys)
 
 
 def sense_self(scene: Scene, world: World, physics: PhysicsState, group: RobotGroup) -> SensorInput:
     """Return what a group's robots sense of themselves, no rays cast; leading axis over robots."""
     states = robot_states(group, physics)
-    bodies = jax.vmap(partial(forward_kinematics, group.plan))(states)
-    blind = jax.tree.map(lambda x: jnp.zeros((len(group.slots), *x.shape)), NO_HITS)
+    bodies = forward_kinematics(group.plan, states)
+    blind = jax.tree.map(lambda x: xp.zeros((len(group.slots), *x.shape)), NO_HITS)
     time = time_of(scene, world)
     around = surroundings(scene, world.arena_state, world.tags, time)
     noise = None if world.varied is None or world.varied.noise is None else world.varied.noise[group.slots]
@@ -173,95 +174,111 @@ def sense_self(scene: Scene, world: World, physics: PhysicsState, group: RobotGr
     )
 
 
-@jax.named_scope("cast_rays")
-def sense(scene: Scene, world: World, physics: PhysicsState) -> tuple[SensorInput, ...]:
-    """Return what each group's robots sense, rays cast; leading axis over robots, but for the time."""
-    sensor_inputs = [sense_self(scene, world, physics, group) for group in scene.groups]
+def caster(scene: Scene, world: World, physics: PhysicsState) -> RayCaster:
+    """Return what casts rays at all that there is in a world, on JAX."""
+    bodies = [forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups]
     geoms = ray_geoms(
         [
             *visible_arena(scene, world.arena_state, time_of(scene, world)),
             visible_loose(scene, physics),
             visible_doors(scene, physics),
-            *visible_robots(
-                scene,
-                [sensor_input.bodies for sensor_input in sensor_inputs],
-                [state.active for state in world.groups],
-            ),
+            *visible_robots(scene, bodies, [state.active for state in world.groups]),
         ]
     )
+    return partial(cast_rays, geoms)
+
+
+@named_scope("cast_rays")
+def sense(
+    scene: Scene, world: World, physics: PhysicsState, cast: RayCaster | None = None
+) -> tuple[SensorInput, ...]:
+    """Return what each group's robots sense, rays cast; leading axis over robots, but for the time.
+
+    Args:
+        scene: The scene, or one with some of a world's robots only.
+        world: The world, of these robots.
+        physics: Where everything is.
+        cast: Casts rays; None: those of `caster`.
+    """
+    cast = caster(scene, world, physics) if cast is None else cast
+    inputs = [sense_self(scene, world, physics, group) for group in scene.groups]
     return tuple(
-        sensor_input.replace(
-            hits=jax.vmap(
-                partial(group.suite.cast_rays, geoms, surroundings=sensor_input.surroundings_or_empty)
-            )(
-                sensor_input.bodies,
-                jnp.asarray(group.slots),
-                jax.vmap(partial(group.suite.due, jnp.asarray(sensor_input.time)))(state.memory),
-            )
-        )
-        for group, sensor_input, state in zip(scene.groups, sensor_inputs, world.groups, strict=True)
+        one.replace(hits=_hits(group, one, state.memory, cast))
+        for group, one, state in zip(scene.groups, inputs, world.groups, strict=True)
     )
 
 
-def depth_in_water(arena: ArenaSpec, pos: Array) -> jax.Array:
-    """Return how far a point (3,) is below water, negative above it [m] (); without any `DRY_DEPTH`."""
-    depth = jnp.full((), DRY_DEPTH)
+def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: RayCaster) -> Hits:
+    """Return what the rays of a group's robots meet (robots, rays); those of sensors that are due."""
+
+    def one(bodies: BodyPoses, slot: Array, memory: SensorMemory) -> Hits:
+        due = group.suite.due(inputs.time, memory)
+        return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
+
+    return vmap(one)(inputs.bodies, xp.asarray(group.slots), memory)
+
+
+def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
+    """Return how far points (..., 3) are below water, negative above it [m] (...,); else `DRY_DEPTH`."""
+    depth = xp.full(pos.shape[:-1], DRY_DEPTH)
     for water in arena.waters:
         low, high = np.array(water.low), np.array(water.high)
-        here = (pos[:2] >= low[:2]).all() & (pos[:2] <= high[:2]).all() & (pos[2] >= low[2] + arena.floor)
-        depth = jnp.where(here, high[2] + arena.floor - pos[2], depth)
+        inside = (pos[..., :2] >= low[:2]).all(-1) & (pos[..., :2] <= high[:2]).all(-1)
+        here = inside & (pos[..., 2] >= low[2] + arena.floor)
+        depth = xp.where(here, high[2] + arena.floor - pos[..., 2], depth)
     return depth
 
 
-def drowns(robot: RobotSpec, depth: jax.Array) -> jax.Array:
-    """Return whether water kills the battery: of all but underwater robots (KRobot.uc) ()."""
+def drowns(robot: RobotSpec, depth: Array) -> Array:
+    """Return whether water kills the battery: of all but underwater robots (KRobot.uc) (...,)."""
     return (depth > 0) & (robot.drive.vehicle != "NauticVehicle")
 
 
-def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> jax.Array:
+def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return which robots of a group are in use and have a battery that lasts (n,)."""
     age = time_of(scene, world) - state.battery_start
     return state.active & (age < group.robot.battery_life) & ~state.drowned
 
 
-@jax.named_scope("compute_inputs")
+@named_scope("compute_inputs")
 def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
     """Turn the commands in force into the engine's inputs for one control step.
 
     Parked robots are pinned where they wait; robots with an empty battery brake (KRobot.uc).
     """
     time = time_of(scene, world)
-    ctrl, act = jnp.zeros(scene.model.nu), jnp.asarray(physics.act)
-    xfrc_applied = jnp.zeros((scene.model.nbody, 6))
-    pinned, pinned_dof = jnp.zeros(scene.model.nq, bool), jnp.zeros(scene.model.nv, bool)
+    ctrl, act = xp.zeros(scene.model.nu), xp.asarray(physics.act)
+    xfrc_applied = xp.zeros((scene.model.nbody, 6))
+    pinned, pinned_dof = xp.zeros(scene.model.nq, bool), xp.zeros(scene.model.nv, bool)
     if world.arena_state is not None:
-        loose, missing = scene.loose_geoms, jnp.asarray(~world.arena_state.present)
+        loose, missing = scene.loose_geoms, xp.asarray(~world.arena_state.present)
         pinned = _set_mask(pinned, loose.root_qposadr, missing)
         pinned_dof = _set_mask(pinned_dof, loose.root_dof, missing)
     refused = world.faults.refused
     groups: list[GroupState] = []
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
-        depth = jax.vmap(partial(depth_in_water, scene.arena))(robots.pos)
+        depth = depth_in_water(scene.arena, robots.pos)
         state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
         torque, speed = (_of_group(world, group, name) for name in ("torque", "speed"))
-        clock = jnp.broadcast_to(time, awake.shape)
+        clock = xp.broadcast_to(time, awake.shape)
         now = DriveConditions(time=clock, powered=awake, depth=depth, torque=torque, speed=speed)
         command, state = _delayed_command(world, group, state)
 
-        run = jax.vmap(partial(compute_actuation, group.plan, period=scene.physics.period))
-        driven = run(command, robots, physics.act[group.actadr], now)
+        driven = compute_actuation(
+            group.plan, command, robots, physics.act[group.actadr], now, scene.physics.period
+        )
         parked = ~state.active
-        ctrl = ctrl.at[group.actuator_ids].set(driven.ctrl).at[group.hold_actuator_ids].set(driven.hold)
-        act = act.at[group.actadr].set(jnp.where(parked[:, None], 0.0, driven.act))
-        wrench = jnp.where(parked[:, None], 0.0, driven.wrench)
-        xfrc_applied = xfrc_applied.at[group.chassis].set(wrench)
+        ctrl = set_at(set_at(ctrl, group.actuator_ids, driven.ctrl), group.hold_actuator_ids, driven.hold)
+        act = set_at(act, group.actadr, xp.where(parked[:, None], 0.0, driven.act))
+        wrench = xp.where(parked[:, None], 0.0, driven.wrench)
+        xfrc_applied = set_at(xfrc_applied, group.chassis, wrench)
         for addresses in (group.root_qposadr, group.qposadr):
             pinned = _set_mask(pinned, addresses, parked)
         for addresses in (group.root_dofadr, group.dofadr):
             pinned_dof = _set_mask(pinned_dof, addresses, parked)
-        refused = refused + driven.refused.sum().astype(jnp.int32)
+        refused = refused + driven.refused.sum().astype(xp.int32)
         groups.append(state)
     inputs = Inputs(
         ctrl=ctrl,
@@ -269,14 +286,14 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         xfrc_applied=xfrc_applied,
         pinned=pinned,
         pinned_dof=pinned_dof,
-        qpos=jnp.asarray(scene.model.qpos0, jnp.float32),
+        qpos=xp.asarray(scene.model.qpos0, xp.float32),
         geom_poses=moved_geom_poses(scene, world.arena_state, time),
         varied=world.varied,
     )
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs
 
 
-def _of_group(world: World, group: RobotGroup, name: str) -> jax.Array | None:
+def _of_group(world: World, group: RobotGroup, name: str) -> Array | None:
     """Return a number of each of a group's robots (n,); None: it does not vary."""
     values = None if world.varied is None else getattr(world.varied, name)
     return None if values is None else values[group.slots]
@@ -289,30 +306,32 @@ def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tupl
         return command, state
     told = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
     history = jax.tree.map(
-        lambda new, old: jnp.concatenate([new[:, None], old], 1), told, state.command_history
+        lambda new, old: xp.concatenate([new[:, None], old], 1), told, state.command_history
     )
     heard = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
     command = command.replace(target=heard.target, mode=heard.mode, setpoint=heard.setpoint)
     return command, state.replace(command_history=jax.tree.map(lambda values: values[:, :-1], history))
 
 
-def _set_mask(mask: jax.Array, addresses: np.ndarray, where: jax.Array) -> jax.Array:
-    return mask.at[addresses].set(jnp.broadcast_to(where[:, None], addresses.shape))
+def _set_mask(mask: Array, addresses: np.ndarray, where: Array) -> Array:
+    return set_at(mask, addresses, xp.broadcast_to(where[:, None], addresses.shape))
 
 
-@jax.named_scope("finish_step")
-def finish_step(
-    scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array
-) -> tuple[World, jax.Array]:
+def runaway_limit(robot: RobotSpec) -> float:
+    """Return up to which speed of its chassis a robot is sound [m/s]."""
+    return max(RUNAWAY_SPEED, 1.5 * robot.drive.top_speed)
+
+
+@named_scope("finish_step")
+def finish_step(scene: Scene, world: World, physics: PhysicsState, overflow: Array) -> tuple[World, Array]:
     """Count the step and what went wrong in it; return also whether the physics is still finite ()."""
     finite = (
-        jnp.isfinite(physics.qpos).all() & jnp.isfinite(physics.qvel).all() & jnp.isfinite(physics.act).all()
+        xp.isfinite(physics.qpos).all() & xp.isfinite(physics.qvel).all() & xp.isfinite(physics.act).all()
     )
-    fast = jnp.zeros((), bool)
+    fast = xp.zeros((), bool)
     for group, state in zip(scene.groups, world.groups, strict=True):
-        speed = jnp.linalg.norm(physics.qvel[group.root_dofadr[:, :3]], axis=-1)
-        limit = max(RUNAWAY_SPEED, 1.5 * group.robot.drive.top_speed)
-        fast |= (state.active & (speed > limit)).any()
+        speed = xp.linalg.norm(physics.qvel[group.root_dofadr[:, :3]], axis=-1)
+        fast |= (state.active & (speed > runaway_limit(group.robot))).any()
     faults = world.faults.replace(
         not_finite=world.faults.not_finite + ~finite,
         overflow=world.faults.overflow + (overflow != 0),
@@ -322,24 +341,27 @@ def finish_step(
 
 
 def finish_and_compute_inputs(
-    scene: Scene, world: World, physics: PhysicsState, overflow: jax.Array
-) -> tuple[World, jax.Array, tuple[World, Inputs]]:
+    scene: Scene, world: World, physics: PhysicsState, overflow: Array
+) -> tuple[World, Array, tuple[World, Inputs]]:
     """Finish a control step as `finish_step` does, and begin the next one as `compute_inputs` does."""
     world, finite = finish_step(scene, world, physics, overflow)
     return world, finite, compute_inputs(scene, world, physics)
 
 
-@jax.named_scope("observe")
+@named_scope("observe")
 def observe(
-    scene: Scene, world: World, physics: PhysicsState
+    scene: Scene, world: World, physics: PhysicsState, cast: RayCaster | None = None
 ) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
-    """Read the sensors that are due; per group and sensor a reading with a leading axis over robots."""
-    sensor_inputs = sense(scene, world, physics)
-    key = jax.random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
+    """Read the sensors that are due; per group and sensor a reading with a leading axis over robots.
+
+    Arguments are those of `sense`.
+    """
+    sensor_inputs = sense(scene, world, physics, cast)
+    key = random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
     groups: list[GroupState] = []
     readings: list[tuple[Reading, ...]] = []
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
-        with jax.named_scope(group.robot.name):
+        with named_scope(group.robot.name):
             memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)

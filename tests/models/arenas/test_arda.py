@@ -5,7 +5,6 @@ import math
 import re
 from collections import deque
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -285,7 +284,7 @@ GPS = re.compile(
 
 @pytest.fixture(scope="module")
 def port():
-    world = DynamicWorld(ARDA, Physics(), jax.random.key(3))
+    world = DynamicWorld(ARDA, Physics(), 3)
     with serving(world, realtime_factor=PACE) as (port, _):
         yield port
 

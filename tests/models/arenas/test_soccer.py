@@ -2,7 +2,6 @@
 
 import math
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def kick(rig, at, velocity):
 
 def test_start_poses_are_told_as_the_manual_has_them():
     """Manual 5.3.3; it gives BlueGoal some pitch and roll, which no start pose has here."""
-    client = Client(DynamicWorld(ARENAS.get("soccer"), Physics(), jax.random.key(0), max_robots=1), "peer")
+    client = Client(DynamicWorld(ARENAS.get("soccer"), Physics(), 0, max_robots=1), "peer")
     client.session.data_to_send()
     (command,) = client.session.receive_data(b"GETSTARTPOSES\r\n")
     client.handle(command)

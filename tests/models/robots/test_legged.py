@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -319,7 +318,7 @@ def test_ers_feels_its_paws_and_sees_a_wall_ahead():
     face = 1.0
     wall = Shape(kind="box", size=(0.05, 2.0, 0.5), at=(face + 0.05, 0.0, 0.5), surface="wall")
     arena = ArenaSpec(name="wall", starts=(), extent=((-2, 2), (-2, 2)), shapes=(wall,))
-    world = DynamicWorld(arena, Physics(), jax.random.key(0), max_robots=1)
+    world = DynamicWorld(arena, Physics(), 0, max_robots=1)
     robot = world.spawn(ROBOTS.get("ERS"), "It", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
 
     def read(**positions):

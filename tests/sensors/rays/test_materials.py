@@ -209,7 +209,7 @@ def test_materials_come_from_the_description_by_name():
 
 def test_a_served_robot_sees_through_glass_with_infrared_only():
     """Casts are shared by all sensors there: those that pass glass and the others are told apart."""
-    world = DynamicWorld(PANES, Physics(), jax.random.key(0))
+    world = DynamicWorld(PANES, Physics(), 0)
     two = replace(SEEING, name="SeeingTwice", sensors=SEEING.sensors[1:3])
     robot = world.spawn(two, "R", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0))
     world.observe([robot])

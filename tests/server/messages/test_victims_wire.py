@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 
@@ -63,7 +62,7 @@ def robots():
 
 @pytest.fixture(scope="module")
 def live():
-    world = DynamicWorld(ARENA, Physics(), jax.random.key(1), max_robots=2)
+    world = DynamicWorld(ARENA, Physics(), 1, max_robots=2)
     world.prepare(FINDER)
     return world
 

@@ -12,7 +12,7 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.server.pictures.views import client_view
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.protocol.viewports import ViewBindings
-from usarmjx.server.worlds.served_world import Robot
+from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import idle_command
 
 SIZE = (320, 240)

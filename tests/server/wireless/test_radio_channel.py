@@ -13,11 +13,9 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import pair_powers, pairs_of
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.wireless.radio_channel import PAIR_BATCH_SIZE, RadioChannel, antenna_position
+from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.worlds.batch_world import BatchWorld
-from usarmjx.server.worlds.served_world import Robot
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 
@@ -44,31 +42,30 @@ def yellow():
 
 @pytest.mark.oracle
 def test_all_pairs_in_the_yellow_arena_are_as_in_the_batch(yellow):
-    """Same walls, and the same power but for single precision; 66 pairs are more than one lot."""
+    """Same walls, and the same power but for single precision; 66 pairs."""
     radio, robots = RadioChannel(yellow, SETTINGS), list(yellow.robots.values())
     places = jax.numpy.stack(
         [antenna_positions(STATION, s.pos, s.quat, yellow.arena.floor) for s in map(yellow.state, robots)]
     )
     power, walls = pair_powers(SETTINGS, arena_solids(yellow.arena), places)
     pairs = [(robots[i].name, robots[j].name) for i, j in zip(*pairs_of(len(robots)), strict=True)]
-    assert len(pairs) > PAIR_BATCH_SIZE
-    radio.precompute(pairs)
     np.testing.assert_array_equal([radio.obstacles(*pair) for pair in pairs], walls)
     np.testing.assert_allclose([radio.signal_strength(*pair) for pair in pairs], power, atol=1e-3)
     np.testing.assert_allclose([radio.signal_strength(*pair[::-1]) for pair in pairs], power, atol=1e-3)
 
 
-def test_places_are_asked_for_once_per_control_step(yellow, monkeypatch):
+def test_links_and_places_are_asked_for_once_per_control_step(yellow, monkeypatch):
     radio, asked = RadioChannel(yellow, SETTINGS), []
-    state = yellow.state
+    state, links = yellow.state, yellow.links
     monkeypatch.setattr(yellow, "state", lambda robot: asked.append(robot.name) or state(robot))
+    monkeypatch.setattr(yellow, "links", lambda settings: asked.append("links") or links(settings))
     for _ in range(3):
         radio.signal_strength("Base0", "Base1")
         radio.present()
-    assert len(asked) == len(set(asked)) == 12
+    assert len(asked) == len(set(asked)) == 13
     yellow.step()
     radio.signal_strength("Base0", "Base1")
-    assert asked[12:] == ["Base0", "Base1"]
+    assert asked[13:] == ["links"]
 
 
 def test_robots_are_found_by_name_in_any_case_and_the_first_counts(yellow):
@@ -97,22 +94,6 @@ def test_obstacles_between_places_are_counted_without_robots(yellow):
     floor = yellow.arena.floor
     assert radio.obstacles_between((0.0, 0.0, 50.0), (10.0, 0.0, 50.0)) == 0
     assert radio.obstacles_between((4.5, -1.9, floor + 0.5), (4.5, -1.9, floor - 0.5)) == 1, "the floor"
-
-
-@pytest.mark.parametrize("robot", ["P2AT", "ComStation", "Zerg"])
-def test_the_antenna_is_where_the_batch_has_it(robot):
-    """For any attitude; single precision against double."""
-    spec, random = ROBOTS.get(robot), np.random.default_rng(5)
-    some = Robot.__new__(Robot)
-    some.suite = type("Suite", (), {"plan": type("Plan", (), {"robot": spec})})
-    for _ in range(20):
-        quat = random.normal(size=4).astype(np.float32)
-        quat /= np.linalg.norm(quat)
-        pos = random.uniform(-5, 5, 3).astype(np.float32)
-        zeros = np.zeros(3, np.float32)
-        state = RobotState(pos=pos, quat=quat, linear=zeros, angular=zeros, joint_pos=zeros, joint_vel=zeros)
-        expected = antenna_positions(spec, jax.numpy.asarray(pos), jax.numpy.asarray(quat), -1.0)
-        np.testing.assert_allclose(antenna_position(some, state, -1.0), expected, atol=2e-6)
 
 
 def test_a_batch_world_has_a_radio_too():

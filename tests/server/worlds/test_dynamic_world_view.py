@@ -3,23 +3,18 @@
 from dataclasses import replace
 
 import jax
-import mujoco
 import numpy as np
 
-from usarmjx.base.transforms import mat_from_angles
-from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.paint import SKY_LABEL
-from usarmjx.cameras.picture import camera_viewpoint, render_picture_jit
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import ray_primitives_of
+from usarmjx.cameras.picture import render_picture_jit
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
 from usarmjx.models.spec.shapes import Mesh, Shape
-from usarmjx.sensors.rays.targets import indices_by_key
-from usarmjx.server.worlds.dynamic_world_view import dynamic_render_scene
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.server.worlds.served_world import CameraRequest
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import build_scene
+from usarmjx.sim.control import CommandUpdate
+from usarmjx.sim.scene import build_scene, start_height
 
 CORNERS = np.array([(0, 0, 0), (0.4, 0, 0), (0, 0.4, 0), (0, 0, 0.6)], float)
 
@@ -52,46 +47,42 @@ POND = ArenaSpec(
 )
 
 
+def pond(arena=POND):
+    """The pond with two robots where a batch starts them, the second with its headlight on."""
+    world = DynamicWorld(arena)
+    for start, light in zip(arena.starts, (False, True), strict=True):
+        pos = (*start.at[:2], start_height(arena, start, P2DX))
+        robot = world.spawn(P2DX, start.tag, pos, (0.0, 0.0, start.yaw))
+        world.update_command(robot, CommandUpdate(light=light))
+    return world
+
+
+def seen_by(world, width=56, height=40):
+    return world.snapshot([CameraRequest(world.robots[0], 0, width, height)])()[0]
+
+
 def test_a_served_world_sees_what_a_batch_sees():
-    scene = build_scene(POND, [P2DX] * 2)
-    batch = Batch(scene, 1, engine="c")
+    batch = Batch(build_scene(POND, [P2DX] * 2), 1, engine="c")
     state = batch.reset()
     members = state.worlds.groups[0]
     lit = members.replace(command=members.command.replace(light=np.array([[False, True]])))
     state = batch.with_group(state, 0, lit)
     wanted = jax.tree.map(np.asarray, batch.render_robot(state, 0, 0, None, 56, 40))
-
-    model, data = scene.model, mujoco.MjData(scene.model)
-    physics = jax.tree.map(lambda x: np.asarray(x)[0], batch.physics(state))
-    data.qpos[:] = physics.qpos
-    mujoco.mj_kinematics(model, data)
-    pieces = ray_primitives_of(model, np.arange(model.ngeom), materials_of(model, POND))
-    places = indices_by_key(pieces.kind, pieces.material.tolist())
-    room = {sort: len(members) + 5 for sort, members in places.items()}
-    index = dict(enumerate(scene.groups[0].indices))
-    stage = dynamic_render_scene(POND, data, pieces, places, room, index, {1: P2DX})
-    body = list(index[0].body_ids)
-    bodies = BodyPoses(pos=data.xpos[body], mat=data.xmat[body].reshape(-1, 3, 3))
-    eye = camera_viewpoint(cameras_of(P2DX)[0], bodies, 0, 0.8727)
-    seen = jax.device_get(render_picture_jit(stage, eye, 56, 40))
-
+    world = pond()
+    seen = seen_by(world)
     # Another program rounds differently: at edges a ray may meet the other side.
     assert (seen.segmentation == wanted.segmentation).mean() > 0.99
     assert np.isclose(seen.depth, wanted.depth, atol=1e-4).mean() > 0.99
     assert (np.abs(seen.rgb.astype(int) - wanted.rgb) <= 1).mean() > 0.99
     assert len(np.unique(seen.segmentation)) >= 5
+
     before = render_picture_jit._cache_size()
-    other = eye.replace(pos=eye.pos + 0.1, mat=mat_from_angles(*map(np.array, (0.1, 0.2, 0.3))))
-    render_picture_jit(
-        stage,
-        other.replace(fov=1.2, default_fov=np.float32(1.0), slot=1, hidden_geoms=~eye.hidden_geoms),
-        56,
-        40,
-    )
-    assert render_picture_jit._cache_size() == before, "another camera costs no compilation"
-    dark = dynamic_render_scene(POND, data, pieces, places, room, index, {})
-    unlit = jax.device_get(render_picture_jit(dark, eye, 56, 40))
+    world.snapshot([CameraRequest(world.robots[1], 0, 56, 40)])()
+    world.spawn(P2DX, "third", (-1.5, 1.0, 0.0), (0.0, 0.0, 0.0))
+    world.update_command(world.robots[1], CommandUpdate(light=False))
+    unlit = seen_by(world)
+    assert render_picture_jit._cache_size() == before, "another camera or robot costs no compilation"
     assert (seen.rgb != unlit.rgb).any()
-    dry = dynamic_render_scene(replace(POND, waters=()), data, pieces, places, room, index, {})
-    without = jax.device_get(render_picture_jit(dry, eye, 56, 40))
-    assert (without.rgb != unlit.rgb).any(-1)[seen.segmentation != SKY_LABEL].any(), "water tints"
+    dry = pond(replace(POND, waters=()))
+    dry.update_command(dry.robots[1], CommandUpdate(light=False))
+    assert (seen_by(dry).rgb != unlit.rgb).any(-1)[seen.segmentation != SKY_LABEL].any(), "water tints"

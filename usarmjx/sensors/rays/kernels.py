@@ -9,10 +9,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import mujoco
+import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
 
 TINY = 1e-12
@@ -27,100 +28,100 @@ UNBOUNDED = 1e9
 
 GeomType = mujoco.mjtGeom
 
-XYZ = Sequence[Any] | jax.Array
+XYZ = Sequence[Any] | Array
 """Components along x, y and z."""
 
 
-def _nearest(*candidates: jax.Array) -> jax.Array:
+def _nearest(*candidates: Array) -> Array:
     """The smallest of the candidates that are not behind the origin."""
-    ahead = [jnp.where(t >= 0, t, jnp.inf) for t in candidates]
+    ahead = [xp.where(t >= 0, t, xp.inf) for t in candidates]
     out = ahead[0]
     for t in ahead[1:]:
-        out = jnp.minimum(out, t)
+        out = xp.minimum(out, t)
     return out
 
 
-def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a plane through the frame's origin with normal z; sizes 0 mean unbounded."""
-    t = jnp.where(direction[2] < -TINY, -origin[2] / jnp.where(direction[2] < -TINY, direction[2], -1), -1)
+    t = xp.where(direction[2] < -TINY, -origin[2] / xp.where(direction[2] < -TINY, direction[2], -1), -1)
     inside = t >= 0
     for axis in (0, 1):
-        inside &= (size[axis] <= 0) | (jnp.abs(origin[axis] + t * direction[axis]) <= size[axis])
-    return jnp.where(inside, t, jnp.inf)
+        inside &= (size[axis] <= 0) | (xp.abs(origin[axis] + t * direction[axis]) <= size[axis])
+    return xp.where(inside, t, xp.inf)
 
 
-def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a box with half lengths `size`: the slab method."""
     near: Any = -math.inf
     far: Any = math.inf
     for axis in range(3):
-        share = 1.0 / jnp.where(jnp.abs(direction[axis]) < TINY, TINY, direction[axis])
-        middle, half = origin[axis] * share, size[axis] * jnp.abs(share)
-        near, far = jnp.maximum(near, -middle - half), jnp.minimum(far, half - middle)
-    return jnp.where(near <= far, _nearest(near, far), jnp.inf)
+        share = 1.0 / xp.where(xp.abs(direction[axis]) < TINY, TINY, direction[axis])
+        middle, half = origin[axis] * share, size[axis] * xp.abs(share)
+        near, far = xp.maximum(near, -middle - half), xp.minimum(far, half - middle)
+    return xp.where(near <= far, _nearest(near, far), xp.inf)
 
 
-def _dot(a: XYZ, b: XYZ) -> jax.Array:
+def _dot(a: XYZ, b: XYZ) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _ball(origin: XYZ, direction: XYZ, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _ball(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
     """Both crossings of a sphere, NaN-free: infinite when the ray misses."""
     middle = -_dot(origin, direction)
     # The squared distance of the centre from the ray, by the foot point: |o|^2 - m^2 would cancel.
     foot = [o + middle * d for o, d in zip(origin, direction, strict=True)]
     under = radius**2 - _dot(foot, foot)
-    root = jnp.sqrt(jnp.maximum(under, 0.0))
+    root = xp.sqrt(xp.maximum(under, 0.0))
     hit = under >= 0
-    return jnp.where(hit, middle - root, jnp.inf), jnp.where(hit, middle + root, jnp.inf)
+    return xp.where(hit, middle - root, xp.inf), xp.where(hit, middle + root, xp.inf)
 
 
-def ray_sphere(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_sphere(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a sphere of radius `size[0]`."""
     return _nearest(*_ball(origin, direction, size[0]))
 
 
-def _tube(origin: XYZ, direction: XYZ, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _tube(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
     """Both crossings of an unbounded tube about z."""
     flat = direction[0] ** 2 + direction[1] ** 2
-    safe = jnp.maximum(flat, TINY)
+    safe = xp.maximum(flat, TINY)
     middle = -(origin[0] * direction[0] + origin[1] * direction[1]) / safe
     x, y = origin[0] + middle * direction[0], origin[1] + middle * direction[1]
     under = radius**2 - x * x - y * y
-    half = jnp.sqrt(jnp.maximum(under, 0.0) / safe)
+    half = xp.sqrt(xp.maximum(under, 0.0) / safe)
     hit = (under >= 0) & (flat > TINY)
-    return jnp.where(hit, middle - half, jnp.inf), jnp.where(hit, middle + half, jnp.inf)
+    return xp.where(hit, middle - half, xp.inf), xp.where(hit, middle + half, xp.inf)
 
 
-def _within(t: jax.Array, z: jax.Array, low: jax.Array | float, high: jax.Array | float) -> jax.Array:
-    return jnp.where((z >= low) & (z <= high), t, jnp.inf)
+def _within(t: Array, z: Array, low: Array | float, high: Array | float) -> Array:
+    return xp.where((z >= low) & (z <= high), t, xp.inf)
 
 
-def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
-    step = jnp.where(jnp.abs(direction[2]) < TINY, TINY, direction[2])
-    caps: list[jax.Array] = []
+    step = xp.where(xp.abs(direction[2]) < TINY, TINY, direction[2])
+    caps: list[Array] = []
     for end in (-half, half):
         t = (end - origin[2]) / step
         x, y = origin[0] + t * direction[0], origin[1] + t * direction[1]
-        caps.append(jnp.where(x * x + y * y <= radius**2, t, jnp.inf))
+        caps.append(xp.where(x * x + y * y <= radius**2, t, xp.inf))
     return _nearest(*sides, *caps)
 
 
-def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a capsule about z with radius `size[0]` and half length `size[1]` of its tube."""
     radius, half = size[0], size[1]
     hits = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
-    for end, low, high in ((half, half, jnp.inf), (-half, -jnp.inf, -half)):
+    for end, low, high in ((half, half, xp.inf), (-half, -xp.inf, -half)):
         shifted = (origin[0], origin[1], origin[2] - end)
         for t in _ball(shifted, direction, radius):
             hits.append(_within(t, origin[2] + t * direction[2], low, high))
     return _nearest(*hits)
 
 
-def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to an ellipsoid with radii `size`: a unit ball where every axis is measured in its radius."""
     start = [o / s for o, s in zip(origin, size, strict=True)]
     along = [d / s for d, s in zip(direction, size, strict=True)]
@@ -128,53 +129,53 @@ def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
     middle = -_dot(start, along) / stretch
     foot = [s + middle * a for s, a in zip(start, along, strict=True)]  # as in `_ball`
     under = 1.0 - _dot(foot, foot)
-    half = jnp.sqrt(jnp.maximum(under, 0.0) / stretch)
-    return jnp.where(under >= 0, _nearest(middle - half, middle + half), jnp.inf)
+    half = xp.sqrt(xp.maximum(under, 0.0) / stretch)
+    return xp.where(under >= 0, _nearest(middle - half, middle + half), xp.inf)
 
 
-def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a triangle in the plane z = 0, seen from both sides; see `pieces.TRIANGLE_KIND`."""
     length, x3, y3 = size[0], size[1], size[2]
-    t = -origin[2] / jnp.where(jnp.abs(direction[2]) < TINY, TINY, direction[2])
+    t = -origin[2] / xp.where(xp.abs(direction[2]) < TINY, TINY, direction[2])
     x, y = origin[0] + t * direction[0], origin[1] + t * direction[1]
     # Shares of the second and the third corner, times twice the area.
     second, third = x * y3 - y * x3, y * length
     area = length * y3
     slack = EDGE_MARGIN * area
     inside = (second >= -slack) & (third >= -slack) & (second + third <= area + slack) & (area > 0)
-    return jnp.where(inside & (t >= 0), t, jnp.inf)
+    return xp.where(inside & (t >= 0), t, xp.inf)
 
 
-def in_hole(point: XYZ, size: XYZ) -> jax.Array:
+def in_hole(point: XYZ, size: XYZ) -> Array:
     """Whether a point (3, ...) on the surface of a grid fender lies in one of its holes (...).
 
     Bars run along the axes of the box, one of them through the middle of each face. A face narrower than
     the distance of two bars has no holes.
     """
     free = [
-        (jnp.abs(point[i] - GRID_PITCH * jnp.floor(point[i] / GRID_PITCH + 0.5)) > BAR_WIDTH / 2)
+        (xp.abs(point[i] - GRID_PITCH * xp.floor(point[i] / GRID_PITCH + 0.5)) > BAR_WIDTH / 2)
         & (size[i] >= GRID_PITCH / 2)
         for i in range(3)
     ]
-    over = [jnp.abs(point[i]) - size[i] for i in range(3)]
+    over = [xp.abs(point[i]) - size[i] for i in range(3)]
     on_x = (over[0] >= over[1]) & (over[0] >= over[2])
     on_y = ~on_x & (over[1] >= over[2])
-    return jnp.where(on_x, free[1] & free[2], jnp.where(on_y, free[0] & free[2], free[0] & free[1]))
+    return xp.where(on_x, free[1] & free[2], xp.where(on_y, free[0] & free[2], free[0] & free[1]))
 
 
-def ray_fender(origin: XYZ, direction: XYZ, size: XYZ) -> jax.Array:
+def ray_fender(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Distance to a box that is a grid: where a ray meets it first decides whether it passes it whole.
 
     So does, for a ray from inside, where it leaves.
     """
     t = ray_box(origin, direction, size)
-    met = jnp.isfinite(t)
-    reach = jnp.where(met, t, 0.0)
+    met = xp.isfinite(t)
+    reach = xp.where(met, t, 0.0)
     point = [origin[i] + reach * direction[i] for i in range(3)]
-    return jnp.where(met & ~in_hole(point, size), t, jnp.inf)
+    return xp.where(met & ~in_hole(point, size), t, xp.inf)
 
 
-RAY_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], jax.Array]] = {
+RAY_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], Array]] = {
     int(GeomType.mjGEOM_PLANE): ray_plane,
     int(GeomType.mjGEOM_BOX): ray_box,
     int(GeomType.mjGEOM_SPHERE): ray_sphere,
@@ -190,7 +191,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
     """Middle (None: the frame's origin) and half lengths of the box about a geom, along the frame's axes."""
     zero, middle = 0.0 * size[0], None
     if kind == GeomType.mjGEOM_PLANE:
-        wide, long = (jnp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
+        wide, long = (xp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
         return middle, (wide, long, zero)
     if kind == GeomType.mjGEOM_SPHERE:
         return middle, (size[0], size[0], size[0])
@@ -199,42 +200,42 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
     if kind == GeomType.mjGEOM_CYLINDER:
         return middle, (size[0], size[0], size[1])
     if kind == TRIANGLE_KIND:
-        low, high = jnp.minimum(size[1], 0.0), jnp.maximum(size[0], size[1])
-        return ((low + high) / 2, size[2] / 2, zero), ((high - low) / 2, jnp.abs(size[2]) / 2, zero)
+        low, high = xp.minimum(size[1], 0.0), xp.maximum(size[0], size[1])
+        return ((low + high) / 2, size[2] / 2, zero), ((high - low) / 2, xp.abs(size[2]) / 2, zero)
     return middle, size
 
 
-def bounding_radius(kind: int, size: XYZ) -> jax.Array:
+def bounding_radius(kind: int, size: XYZ) -> Array:
     """Radius of the bounding sphere about a geom's position."""
     if kind == TRIANGLE_KIND:
-        return jnp.maximum(jnp.abs(size[0]), jnp.hypot(size[1], size[2]))
+        return xp.maximum(xp.abs(size[0]), xp.hypot(size[1], size[2]))
     _, half = bounding_box(kind, size)
-    return jnp.sqrt(_dot(half, half))
+    return xp.sqrt(_dot(half, half))
 
 
-def surface_normal(kind: int, point: jax.Array, size: jax.Array) -> jax.Array:
+def surface_normal(kind: int, point: Array, size: Array) -> Array:
     """Unit normal of the surface at a point on it; all in the geom's frame, (..., 3).
 
     Flat geoms, which have two sides, say z.
     """
-    up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), point.shape)
+    up = xp.broadcast_to(xp.array([0.0, 0.0, 1.0]), point.shape)
     if kind in (GeomType.mjGEOM_PLANE, TRIANGLE_KIND):
         return up
     if kind in (GeomType.mjGEOM_BOX, FENDER_KIND):
-        side = jax.nn.one_hot(jnp.argmax(jnp.abs(point) - size, -1), 3, dtype=point.dtype)
-        return side * jnp.sign(point)
+        side = (xp.argmax(xp.abs(point) - size, -1)[..., None] == np.arange(3)).astype(point.dtype)
+        return side * xp.sign(point)
     if kind == GeomType.mjGEOM_ELLIPSOID:
         return _unit(point / size**2)
     if kind == GeomType.mjGEOM_SPHERE:
         return _unit(point)
     half = size[..., 1]
-    along = jnp.clip(point[..., 2], -half, half)
+    along = xp.clip(point[..., 2], -half, half)
     normal = _unit(point - up * along[..., None])
     if kind == GeomType.mjGEOM_CYLINDER:
-        on_cap = half - jnp.abs(point[..., 2]) < size[..., 0] - jnp.hypot(point[..., 0], point[..., 1])
-        normal = jnp.where(on_cap[..., None], up * jnp.sign(point[..., 2:]), normal)
+        on_cap = half - xp.abs(point[..., 2]) < size[..., 0] - xp.hypot(point[..., 0], point[..., 1])
+        normal = xp.where(on_cap[..., None], up * xp.sign(point[..., 2:]), normal)
     return normal
 
 
-def _unit(vector: jax.Array) -> jax.Array:
-    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), TINY)
+def _unit(vector: Array) -> Array:
+    return vector / xp.maximum(xp.linalg.norm(vector, axis=-1, keepdims=True), TINY)

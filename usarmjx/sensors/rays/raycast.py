@@ -18,6 +18,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array, Bool, Float, Int
+from usarmjx.base.backend import xp
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import (
     Cone,
@@ -120,14 +121,14 @@ class IndexedBlock(NamedTuple):
     block: GeomBlock
 
 
-def distance_to(kind: int, geom: GeomBlock, origin: jax.Array, direction: jax.Array) -> jax.Array:
+def distance_to(kind: int, geom: GeomBlock, origin: Array, direction: Array) -> Array:
     """Distance of rays (..., 3) from geoms, whose axes go before those of the rays' components [m] (...)."""
     # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
     # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
     offset, mat = origin - geom.pos, geom.mat
     local = [sum(mat[..., j, i] * offset[..., j] for j in range(3)) for i in range(3)]
     along = [sum(mat[..., j, i] * direction[..., j] for j in range(3)) for i in range(3)]
-    return RAY_KERNELS[kind](local, along, jnp.moveaxis(geom.size, -1, 0))
+    return RAY_KERNELS[kind](local, along, xp.moveaxis(geom.size, -1, 0))
 
 
 def indexed_blocks(geoms: Geoms, transparent: frozenset[str] = frozenset()) -> list[IndexedBlock]:

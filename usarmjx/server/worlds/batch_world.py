@@ -6,62 +6,95 @@ it again. All worlds of the batch run on; only the served one listens to clients
 
 import logging
 from collections.abc import Callable, Sequence
-from functools import cache, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.cameras.picture import Picture
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
-from usarmjx.models.drives.state import RobotState
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links
+from usarmjx.engines import PhysicsState
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import SensorInput
-from usarmjx.sensors.suite import SensorMemory
-from usarmjx.server.worlds.served_world import CameraRequest, Robot, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.batch import Batch
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
+from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.control import RobotCommand, idle_command
+from usarmjx.sim.reset import new_group_state, started
 from usarmjx.sim.scene import PARKING_HEIGHT
-from usarmjx.sim.world import GroupState, robot_states, sense_self, time_of
+from usarmjx.sim.world import GroupState, World, time_of
 
 log = logging.getLogger(__name__)
 
-ROBOT_FIELDS = ("state", "bodies", "hits")
-"""What of a group's `SensorInput` has a leading axis over robots."""
+STARTED_FIELDS = ("active", "battery_start", "drowned", "command", "releases", "fov", "memory")
+"""What is as new of a robot that was parked and is in use now."""
+
+
+class SharedBatch:
+    """A batch that several served worlds are part of: whoever asks for the next step first makes it.
+
+    Args:
+        batch: The batch.
+
+    Attributes:
+        batch: The batch.
+        state: Its state now.
+        steps: Control steps made so far.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self.state = batch.reset()
+        self.steps = 0
+
+    def advance(self, steps: int) -> None:
+        """Have made so many steps since the beginning."""
+        while self.steps < steps:
+            self.state = self.batch.step(self.state)
+            self.steps += 1
 
 
 class BatchWorld(ServedWorld):
     """World `instance` of a batch.
 
     Args:
-        batch: The batch; its roster's parked robots can be claimed.
+        batch: The batch; its roster's parked robots can be claimed. Worlds of one batch share it.
         instance: Which world to serve.
 
     Raises:
         UsageError: The batch has no such world.
     """
 
-    def __init__(self, batch: Batch, instance: int) -> None:
-        if not 0 <= instance < batch.worlds:
-            raise UsageError(f"instance {instance} is not among worlds 0 to {batch.worlds - 1}")
-        self.period, self.robots = batch.scene.physics.period, {}
-        self._batch, self._instance = batch, instance
-        self._state = batch.reset()
-        self.arena = batch.arena_of(self._state, instance)
-        self._steps = 0
-        self._sense_self = [
-            jax.jit(partial(sense_self, batch.scene, group=group)) for group in batch.scene.groups
-        ]
+    def __init__(self, batch: Batch | SharedBatch, instance: int) -> None:
+        self._shared = batch if isinstance(batch, SharedBatch) else SharedBatch(batch)
+        self._batch, self._instance = self._shared.batch, instance
+        if not 0 <= instance < self._batch.worlds:
+            raise UsageError(f"instance {instance} is not among worlds 0 to {self._batch.worlds - 1}")
+        self.scene, self.robots = self._batch.scene, {}
+        self.period = self.scene.physics.period
+        self.arena = self._batch.arena_of(self._state, instance)
+        self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
+        self._steps, self._episode = 0, int(self._state.worlds.episode[instance])
         self._advance()
+
+    @property
+    def _state(self) -> BatchState:
+        return self._shared.state
+
+    @_state.setter
+    def _state(self, state: BatchState) -> None:
+        self._shared.state = state
 
     def warm_up(self) -> None:
         """Let one robot of each class come, be read and take a command, and forget it all."""
         before = self._state
-        for group in self._batch.scene.groups:
+        for group in self.scene.groups:
             pos = (0.0, 0.0, self.arena.floor + group.plan.clearance + PARKING_HEIGHT)
             robot = self._activate(int(group.slots[0]), group.robot, "nobody", pos, (0.0, 0.0, 0.0))
             self.observe([robot])
@@ -78,18 +111,18 @@ class BatchWorld(ServedWorld):
         """Simulated time since the world began [s]; it goes on when a world that went bad is reset."""
         return self._steps * self.period
 
-    def _sensor_input(self, robot: Robot) -> SensorInput:
-        group, member = self._batch.scene.group_of(robot.slot)
-        world, physics = jax.tree.map(
-            lambda x: x[self._instance], (self._state.worlds, self._batch.physics(self._state))
-        )
-        inputs = self._sense_self[group](world, physics)
-        own = {name: getattr(inputs, name) for name in ROBOT_FIELDS}
-        return inputs.replace(**jax.tree.map(lambda x: x[member], own))
+    def one_world(self) -> tuple[World, PhysicsState]:
+        """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
+        if self._fetched is None or self._fetched[0] is not self._state:
+            worlds, physics = self._state.worlds, self._batch.physics(self._state)
+            keyed = worlds.replace(key=jax.random.key_data(worlds.key))
+            mine = jax.tree.map(lambda x: np.asarray(x[self._instance]), (keyed, physics))
+            self._fetched = self._state, mine
+        return self._fetched[1]
 
-    def _edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
-        """Replace fields of one robot's part of its group's state."""
-        group, member = self._batch.scene.group_of(robot.slot)
+    def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
+        """Replace fields of the robot's part of its group's state."""
+        group, member = self.scene.group_of(robot.slot)
         state: GroupState = self._state.worlds.groups[group]
         at = (self._instance, member)
         new = {
@@ -101,7 +134,7 @@ class BatchWorld(ServedWorld):
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Activate a parked robot of that class and put it there."""
         self.check_position(pos)
-        for group, state in zip(self._batch.scene.groups, self._state.worlds.groups, strict=True):
+        for group, state in zip(self.scene.groups, self._state.worlds.groups, strict=True):
             parked = np.flatnonzero(~np.asarray(state.active[self._instance]))
             if group.robot.name == robot.name and parked.size:
                 slot = int(group.slots[parked[0]])
@@ -111,31 +144,23 @@ class BatchWorld(ServedWorld):
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         lifted = self.floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
         self._set_pose(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
-        number, _ = self._batch.scene.group_of(slot)
-        group = self._batch.scene.groups[number]
-        command = jax.tree.map(np.array, idle_command(robot))
+        number, member = self.scene.group_of(slot)
+        group = self.scene.groups[number].part(np.array([member]))
+        world, physics = self.one_world()
+        with numpy_backend():
+            since = np.full(1, time_of(self.scene, world), np.float32)
+            state = started(
+                self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
+            )
+        command = jax.tree.map(lambda x: x[0], state.command)
         new = Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
-        world_time = time_of(self._batch.scene, jax.tree.map(lambda x: x[self._instance], self._state.worlds))
-        stock = np.array(group.releases, np.int32)
-        fov = np.array(new.fovs, np.float32)
-        self._edit(
-            new,
-            active=True,
-            battery_start=world_time,
-            drowned=False,
-            command=command,
-            releases=stock,
-            fov=fov,
-        )
-        key = jax.random.fold_in(
-            jax.random.fold_in(self._state.worlds.key[self._instance], self._steps), slot
-        )
-        self._edit(new, memory=group.suite.init_memory(self._sensor_input(new), key))
+        fields = {name: getattr(state, name) for name in STARTED_FIELDS}
+        self.edit(new, **jax.tree.map(lambda x: x[0], fields))
         self.robots[slot] = new
         return new
 
     def _set_pose(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
-        scene = self._batch.scene
+        scene = self.scene
         group, member = scene.group_of(slot)
         index = scene.groups[group].indices[member]
         shape = (self._batch.worlds, scene.model.nq)
@@ -153,14 +178,14 @@ class BatchWorld(ServedWorld):
         """Park the robot again."""
         if self.robots.get(robot.slot) is robot:  # its slot may be another's by now
             del self.robots[robot.slot]
-            self._edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
+            self.edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
         # The world's own time begins at 0 again when it is reset, that of its clients goes on.
         shift = jnp.asarray(self._world_time() - self.time)
         robot.command = command
-        self._edit(robot, command=command.replace(flip_until=command.flip_until + shift))
+        self.edit(robot, command=command.replace(flip_until=command.flip_until + shift))
 
     def _world_time(self) -> float:
         return float(self._state.worlds.step[self._instance]) * self.period
@@ -170,10 +195,11 @@ class BatchWorld(ServedWorld):
         self._advance()
 
     def _advance(self) -> None:
-        before = int(self._state.worlds.episode[self._instance])
-        self._state = self._batch.step(self._state)
         self._steps += 1
-        if int(self._state.worlds.episode[self._instance]) != before:
+        self._shared.advance(self._steps)
+        episode = int(self._state.worlds.episode[self._instance])
+        before, self._episode = self._episode, episode
+        if episode != before:
             log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
             self.robots.clear()
 
@@ -182,7 +208,7 @@ class BatchWorld(ServedWorld):
         del due  # one compiled function reads everybody
         self._state, readings = self._batch.observe(self._state)
         for robot in self.robots.values():
-            group, member = self._batch.scene.group_of(robot.slot)
+            group, member = self.scene.group_of(robot.slot)
             at = (self._instance, member)
             robot.drowned = bool(self._state.worlds.groups[group].drowned[at])
             mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[group]))
@@ -190,31 +216,12 @@ class BatchWorld(ServedWorld):
                 if reading.fresh:
                     robot.pending[sensor] = reading.value
 
-    def state(self, robot: Robot) -> RobotState:
-        """Return where the robot is and how it moves."""
-        group, member = self._batch.scene.group_of(robot.slot)
-        physics = jax.tree.map(lambda x: x[self._instance], self._batch.physics(self._state))
-        states = robot_states(self._batch.scene.groups[group], physics)
-        return jax.tree.map(lambda x: np.asarray(x[member]), states)
-
-    def bodies(self, robot: Robot) -> BodyPoses:
-        """Return where the robot's bodies are."""
-        return jax.device_get(_poses(robot.plan)(self.state(robot)))
-
-    def memory(self, robot: Robot) -> SensorMemory:
-        """Return what the robot's sensors remember."""
-        group, member = self._batch.scene.group_of(robot.slot)
-        return jax.tree.map(lambda x: x[self._instance, member], self._state.worlds.groups[group].memory)
-
-    def door_angles(self) -> np.ndarray:
-        """Return how far the arena's doors are open now [rad] (doors,)."""
-        return np.asarray(self._batch.physics(self._state).qpos[self._instance, self._batch.scene.door_qpos])
-
-    def zoom(self, robot: Robot, camera: int, fov: float) -> bool:
-        """Set a camera's field of view, in the batch too."""
-        done = super().zoom(robot, camera, fov)
-        self._edit(robot, fov=np.array(robot.fovs, np.float32))
-        return done
+    def links(self, radio: RadioSettings) -> Links:
+        """Return the radio links as they are now, by slot; those of the batch, if it has a radio."""
+        if self.scene.radio is None:
+            return super().links(radio)
+        self._state, links = self._batch.links(self._state)
+        return jax.tree.map(lambda x: np.asarray(x[self._instance]), links)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Take a snapshot of what pictures show; return a function that renders them."""
@@ -229,16 +236,9 @@ class BatchWorld(ServedWorld):
 
         return lambda: [render(asked) for asked in requests]
 
-    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
-        """Carry out a SET command on a sensor."""
-        memory = robot.suite.handle_set(sensor, opcode, params, self._sensor_input(robot), self.memory(robot))
-        if memory is not None:
-            self._edit(robot, memory=memory)
-        return memory is not None
-
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter, as the batch does it."""
-        group, member = self._batch.scene.group_of(robot.slot)
+        group, member = self.scene.group_of(robot.slot)
         at = (self._instance, member)
         where = np.zeros(self._state.worlds.groups[group].active.shape, bool)
         where[at] = True
@@ -248,8 +248,3 @@ class BatchWorld(ServedWorld):
         command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[group].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
-
-
-@cache
-def _poses(plan: KinematicTree) -> Callable[[RobotState], BodyPoses]:
-    return jax.jit(partial(forward_kinematics, plan))

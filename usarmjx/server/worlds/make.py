@@ -8,11 +8,10 @@ import jax
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
-from usarmjx.models.build.compose import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.instances import check_instances
-from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
@@ -71,17 +70,11 @@ def make_worlds(
     enable_compilation_cache()
     check_instances(instances, worlds)
     if choose_engine(engine, "serve") == "c":
-        key = jax.random.key(seed)
-        batch = [
-            DynamicWorld(find_arena(arena), Physics(), jax.random.fold_in(key, number), max_robots)
-            for number in range(worlds)
-        ]
-        served = [batch[instance] for instance in instances]
-        served[0].other_worlds = tuple(world for world in batch if world not in served)
-        return [*served]
+        spec = find_arena(arena)
+        return [DynamicWorld(spec, seed=seed, number=i, max_robots=max_robots) for i in instances]
     entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
     if not entries:
         raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
     scene = build_scene(arena, entries)
-    shared = Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed)
+    shared = SharedBatch(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed))
     return [BatchWorld(shared, instance) for instance in instances]

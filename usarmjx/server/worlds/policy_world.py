@@ -19,7 +19,7 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld
-from usarmjx.server.worlds.served_world import Robot
+from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.control import idle_command
@@ -132,7 +132,7 @@ class PolicyWorld(BatchWorld):
     def _store_readings(self, readings: Readings) -> None:
         """Keep what clients will want of the served world's readings."""
         for robot in self.robots.values():
-            group, member = self._batch.scene.group_of(robot.slot)
+            group, member = self.scene.group_of(robot.slot)
             for sensor, reading in enumerate(readings[group]):
                 if reading.fresh[member]:
                     robot.pending[sensor] = np.asarray(reading.value[member])
@@ -197,15 +197,15 @@ class PolicyWorld(BatchWorld):
         return new
 
     def _put_first(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        for group in self._batch.scene.groups:
+        for group in self.scene.groups:
             free = [int(slot) for slot in group.slots if int(slot) not in self.robots]
             if group.robot.name == robot.name and free:
                 return self._activate(free[0], robot, name, pos, angles)
         raise UsageError(f"no {robot.name} left to take over; the robots here: {', '.join(self.agents())}")
 
     def _take_over(self, slot: int, robot: RobotSpec, name: str) -> Robot:
-        number, _ = self._batch.scene.group_of(slot)
-        group = self._batch.scene.groups[number]
+        number, _ = self.scene.group_of(slot)
+        group = self.scene.groups[number]
         if group.robot.name != robot.name or slot in self.robots:
             what = "taken" if slot in self.robots else f"a {group.robot.name}, not a {robot.name}"
             raise UsageError(f"{name} is {what}")
@@ -232,5 +232,5 @@ class PolicyWorld(BatchWorld):
     def observe(self, due: list[Robot]) -> None:
         """See whose battery has drowned; what was measured is pending since the policy acted."""
         for robot in due:
-            group, member = self._batch.scene.group_of(robot.slot)
+            group, member = self.scene.group_of(robot.slot)
             robot.drowned = bool(self._state.worlds.groups[group].drowned[self._instance, member])

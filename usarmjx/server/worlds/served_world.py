@@ -1,108 +1,57 @@
 """One served world as the adapter sees it: robots come and go, take commands and report.
 
-Three worlds implement it: `dynamic_world.DynamicWorld` (C MuJoCo, any class at any time),
-`batch_world.BatchWorld` (one world of a running batch, where robots wait parked) and
-`policy_world.PolicyWorld` (the same with a policy driving the robots that nobody has claimed).
+Three worlds implement it: `dynamic_world.DynamicWorld` (a `sim.single_world.SingleWorld`: any class at any
+time), `batch_world.BatchWorld` (one world of a running `sim.batch.Batch`, where robots wait parked) and
+`policy_world.PolicyWorld` (the same with a policy driving the robots that nobody has claimed). What is here
+calls the simulator's pure functions on NumPy, of whichever world.
 """
 
 import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
-from usarmjx.cameras.mounts import Camera, cameras_of
+from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links, no_links
+from usarmjx.comms.walls import count_walls
+from usarmjx.engines import PhysicsState
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics, robot_state
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.effecters import Effecter, Opcode, effecters_of
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.effecters import Opcode, effecters_of
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.sensors.suite import SensorMemory, Suite, suite_of
+from usarmjx.sensors.suite import SensorMemory, suite_of
 from usarmjx.server.messages.victims import initial_tag_texts
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
-from usarmjx.server.protocol.viewports import ViewBindings, Viewports
+from usarmjx.server.protocol.viewports import ViewBindings
+from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.traces import Traces
-from usarmjx.sim.control import RobotCommand
+from usarmjx.sim.control import CommandUpdate, RobotCommand, update_command
 from usarmjx.sim.operate import NO_NUMBER, OperationResult
+from usarmjx.sim.radio import radio_obstacles, update_links
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.world import World, sense_self
 
 log = logging.getLogger(__name__)
 
+ROBOT_FIELDS = ("state", "bodies", "hits")
+"""What of a group's `SensorInput` has a leading axis over robots."""
 MAX_COORDINATE = 1000.0
 """Nobody spawns further from the origin than this [m]: single precision gets coarse there."""
-
-
-@dataclass(eq=False)
-class Robot:
-    """A robot in a served world.
-
-    Attributes:
-        slot: Its index in the world, which it keeps.
-        name: Its name on the wire.
-        suite: Its class's sensors.
-        command: Its command; numpy arrays.
-        spawn_time: World time at which it appeared [s].
-        drowned: Whether water has killed its battery.
-        pending: Readings that have not been reported yet, by index in the suite.
-        tile: Its tile of the MultiView, -1 without one.
-    """
-
-    slot: int
-    name: str
-    suite: Suite
-    command: RobotCommand
-    spawn_time: float
-    drowned: bool = False
-    pending: dict[int, np.ndarray] = field(default_factory=dict)
-    tile: int = -1
-
-    def __post_init__(self) -> None:
-        """Give it what its cameras start with."""
-        self.fovs = [camera.default_fov for camera in self.cameras]
-        """Field of view in force of each camera [rad]."""
-        self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])
-
-    @property
-    def plan(self) -> KinematicTree:
-        """Its body plan."""
-        return self.suite.plan
-
-    @property
-    def spec(self) -> RobotSpec:
-        """Its class."""
-        return self.plan.robot
-
-    @property
-    def effecters(self) -> tuple[Effecter, ...]:
-        """Its class's effecters."""
-        return effecters_of(self.spec)
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """Its class's cameras."""
-        return cameras_of(self.spec)
-
-    def camera_index(self, name: str) -> int | None:
-        """Return the index of the first camera of that name, case ignored; None without one."""
-        for index, camera in enumerate(self.cameras):
-            if camera.mount.name.lower() == name.lower():
-                return index
-        return None
-
-    def effecter_index(self, kind: str, name: str) -> int | None:
-        """Return the index of the first effecter of that type and name, case ignored; None without one."""
-        for index, effecter in enumerate(self.effecters):
-            if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
-                return index
-        return None
 
 
 @dataclass(frozen=True)
@@ -147,19 +96,21 @@ def status_of(outcome: OperationResult) -> str:
 class ServedWorld(ABC):
     """A world that clients share. Positions and angles are in our axes.
 
-    A subclass sets `arena`, `period` and `robots` in its constructor and implements what is abstract here:
-    robots that come and go (`spawn`, `remove`: both keep `robots`), the step, sensors that are read into
-    `Robot.pending`, the present state as numpy arrays, commands and operations, and pictures. What takes long
-    before it can be done the first time goes into `warm_up`, if it needs no robot class, and into `prepare`.
+    A subclass sets the attributes in its constructor and implements what is abstract here: robots that come
+    and go (`spawn`, `remove`: both keep `robots`), the step, sensors that are read into `Robot.pending`, the
+    present state, changes of a robot's state, operations, and pictures. What takes long before it can be done
+    the first time goes into `warm_up`, if it needs no robot class, and into `prepare`.
     All is called by one thread, the server's loop, except `prepare` and what `snapshot` returns.
 
     Attributes:
+        scene: The scene; one of C MuJoCo is another whenever a robot joins or leaves.
         arena: Where it is.
         period: Length of a control step [s].
         robots: The clients' robots, by slot.
         multi_view: How all robots' cameras share a picture, if they do.
     """
 
+    scene: Scene
     arena: ArenaSpec
     period: float
     robots: dict[int, Robot]
@@ -189,8 +140,12 @@ class ServedWorld(ABC):
         """Compile what the first client would else wait for, before any comes; the world stays as it is."""
 
     def prepare(self, robot: RobotSpec) -> None:
-        """Do what takes long before the first robot of a class can appear; may run in a thread."""
-        suite_of(robot)
+        """Do what takes long before the first robot of a class can appear; may run in a thread.
+
+        Raises:
+            UsageError: No robot can be built of that class.
+        """
+        suite_of(robot), cameras_of(robot), effecters_of(robot)
 
     @abstractmethod
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
@@ -200,13 +155,34 @@ class ServedWorld(ABC):
             UsageError: There is no room for it, or the position is out of reach.
         """
 
+    def free_start(self, robot: RobotSpec) -> StartPose:
+        """Return the arena's first start pose that no robot stands near; the first where all are taken.
+
+        Near is half of both robots' lengths or widths, whichever are longer.
+        """
+        places = [(self.state(other).pos, max(other.spec.dimensions[:2])) for other in self.robots.values()]
+
+        def is_free(start: StartPose) -> bool:
+            return all(
+                math.dist(start.at[:2], (float(pos[0]), float(pos[1])))
+                > (long + max(robot.dimensions[:2])) / 2
+                for pos, long in places
+            )
+
+        return next(filter(is_free, self.arena.starts), self.arena.starts[0])
+
     @abstractmethod
     def remove(self, robot: Robot) -> None:
         """Take the robot out of the world."""
 
     def battery(self, robot: Robot) -> float:
         """Return for how long the robot's battery lasts yet [s]; 0 when water has killed it."""
-        return 0.0 if robot.drowned else max(0.0, robot.spec.battery_life - (self.time - robot.spawn_time))
+        if robot.drowned:
+            return 0.0
+        group, member = self.scene.group_of(robot.slot)
+        world, _ = self.one_world()
+        age = int(world.step) * self.period - float(world.groups[group].battery_start[member])
+        return max(0.0, robot.spec.battery_life - age)
 
     def free_tile(self, robot: RobotSpec) -> int:
         """Return the tile of the MultiView that a new robot of a class gets; -1 when there is none."""
@@ -227,6 +203,7 @@ class ServedWorld(ABC):
             Whether it has become what was asked for; 0 and what is beyond the limits is not (KRobot.uc).
         """
         robot.fovs[camera] = float(robot.cameras[camera].clamp(np.array(fov)))
+        self.edit(robot, fov=np.array(robot.fovs, np.float32))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
     def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
@@ -245,9 +222,19 @@ class ServedWorld(ABC):
         The first half is quick. The function may run in another thread, while the world goes on.
         """
 
-    @abstractmethod
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
+        robot.command = command
+        self.edit(robot, command=command)
+
+    def update_command(self, robot: Robot, update: CommandUpdate) -> None:
+        """Tell the robot something new.
+
+        Raises:
+            UnknownNameError: A key of DRIVE or a joint that it does not have; lists those it has.
+        """
+        with numpy_backend():
+            self.set_command(robot, update_command(robot.plan, robot.command, update))
 
     @abstractmethod
     def step(self) -> None:
@@ -258,16 +245,72 @@ class ServedWorld(ABC):
         """Read the sensors of the robots that are about to report; put fresh readings into `pending`."""
 
     @abstractmethod
+    def one_world(self) -> tuple[World, PhysicsState]:
+        """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
+
+    @abstractmethod
+    def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
+        """Replace fields of the robot's part of its `GroupState`."""
+
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves; numpy arrays."""
+        group, member = self.scene.group_of(robot.slot)
+        _, physics = self.one_world()
+        return robot_state(self.scene.groups[group].indices[member], physics.qpos, physics.qvel)
 
-    @abstractmethod
     def bodies(self, robot: Robot) -> BodyPoses:
         """Return where the robot's bodies are; numpy arrays."""
+        with numpy_backend():
+            return forward_kinematics(robot.plan, self.state(robot))
 
-    @abstractmethod
     def memory(self, robot: Robot) -> SensorMemory:
-        """Return what the robot's sensors remember."""
+        """Return what the robot's sensors remember; numpy arrays."""
+        group, member = self.scene.group_of(robot.slot)
+        world, _ = self.one_world()
+        return jax.tree.map(lambda x: x[member], world.groups[group].memory)
+
+    def sensor_input(self, robot: Robot) -> SensorInput:
+        """Return what the robot senses of itself, no rays cast; numpy arrays."""
+        group, member = self.scene.group_of(robot.slot)
+        world, physics = self.one_world()
+        with numpy_backend():
+            alone = self.scene.groups[group].part(np.array([member]))
+            inputs = sense_self(self.scene, world, physics, alone)
+        own = {name: getattr(inputs, name) for name in ROBOT_FIELDS}
+        return inputs.replace(**jax.tree.map(lambda x: x[0], own))
+
+    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
+        """Carry out a SET command on a sensor; return whether it was valid."""
+        inputs, memory = self.sensor_input(robot), self.memory(robot)
+        with numpy_backend():
+            after = robot.suite.handle_set(sensor, opcode, params, inputs, memory)
+        if after is not None:
+            self.edit(robot, memory=after)
+        return after is not None
+
+    def door_angles(self) -> np.ndarray:
+        """Return how far the arena's doors are open now [rad] (doors,)."""
+        return np.asarray(self.one_world()[1].qpos[self.scene.door_qpos])
+
+    def links(self, radio: RadioSettings) -> Links:
+        """Return the radio links as they are now, by slot; numpy arrays.
+
+        Args:
+            radio: The constants, in a world whose scene has none of its own.
+        """
+        world, physics = self.one_world()
+        scene = self.scene if self.scene.radio is not None else replace(self.scene, radio=radio)
+        with numpy_backend():
+            before = no_links(scene.num_robots) if world.links is None else world.links
+            return update_links(scene, world.replace(links=before), physics)
+
+    def solids_between(self, start: Vec3, end: Vec3) -> int:
+        """Return how many solids that weaken radio are between two positions [m]."""
+        world, physics = self.one_world()
+        with numpy_backend():
+            solids = radio_obstacles(self.scene, world, physics)
+            ends = (np.array([point], np.float32) for point in (start, end))
+            return int(count_walls(solids, *ends)[0])
 
     def sketches(self) -> list[OverlayLines]:
         """Return what the robots' sensors draw into pictures; numpy arrays."""
@@ -277,14 +320,6 @@ class ServedWorld(ABC):
             own = self.memory(robot).own if drawn else ()
             overlays += [robot.suite.sensors[index].overlay(own[index]) for index in drawn]
         return jax.device_get(overlays)
-
-    @abstractmethod
-    def door_angles(self) -> np.ndarray:
-        """Return how far the arena's doors are open now [rad] (doors,)."""
-
-    @abstractmethod
-    def operate_sensor(self, robot: Robot, sensor: int, opcode: str, params: tuple[float, ...]) -> bool:
-        """Carry out a SET command on a sensor; return whether it was valid."""
 
     @abstractmethod
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:

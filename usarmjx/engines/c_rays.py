@@ -1,0 +1,140 @@
+"""Rays cast by C MuJoCo in one world, as the sensors ask for them: nothing is compiled.
+
+What `sensors.rays.raycast` promises holds here too (materials, the robot's own geoms, reach, incidence). Grid
+fenders, which C MuJoCo does not know, are cast by their kernel.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.models.build.layout import RobotIndex
+from usarmjx.models.build.pieces import FENDER_KIND
+from usarmjx.models.spec.shapes import FENDER, MATERIALS
+from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.rays.kernels import surface_normal
+from usarmjx.sensors.rays.raycast import DEFAULT_QUERY, Hits, RayQuery, distance_to
+from usarmjx.sensors.rays.targets import GeomBlock
+
+OWN_GROUP = len(MATERIALS)
+"""The geom group of the robot that looks; the groups before are the materials."""
+
+
+class CRayCaster:
+    """Casts rays in a world of C MuJoCo, whose kinematics must be current.
+
+    Args:
+        model: The model; its geom groups are set to the geoms' materials.
+        data: Its state.
+        materials: What each geom is made of (ngeom,); see `models.build.materials.materials_of`.
+        robots: Where each robot is in the model, by slot.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        materials: Sequence[str],
+        robots: Mapping[int, RobotIndex],
+    ) -> None:
+        self._model, self._data = model, data
+        model.geom_group[:] = [MATERIALS.index(material) for material in materials]
+        self._own = {
+            slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
+        }
+        self._fenders = np.flatnonzero(model.geom_group == MATERIALS.index(FENDER))
+
+    def __call__(
+        self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
+    ) -> Hits:
+        """Return the first surface that each ray meets, as `cast_rays` does; float32."""
+        del fans  # the rays are all there
+        count = len(origin)
+        if query.wanted is not None and not query.wanted:
+            return Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
+        start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+        with self._without(int(query.exclude_owner)):
+            distance, normal, geom = self._cast(start, along, query)
+            # Where the first that a ray meets is a fender, it may pass it whole.
+            caged = np.isin(geom, self._fenders) if len(self._fenders) else np.zeros(0, bool)
+            if caged.any():
+                rays = start[caged], along[caged]
+                open_query = query.replace(transparent=query.transparent | {FENDER})
+                behind, its_normal, _ = self._cast(*rays, open_query)
+                distance[caged], normal[caged] = self._with_fenders(*rays, behind, its_normal)
+        met = distance <= query.max_distance
+        cosine = np.abs((normal * along).sum(-1)) if query.incidence else np.zeros(count)
+        return Hits(
+            distance=np.where(met, distance, np.inf).astype(np.float32),
+            cosine=np.where(met, cosine, 0.0).astype(np.float32),
+        )
+
+    @contextmanager
+    def _without(self, slot: int) -> Iterator[None]:
+        """Put a robot's geoms into a group of their own; nothing for what is no robot's slot."""
+        own, groups = self._own.get(slot), self._model.geom_group
+        if own is None:
+            yield
+            return
+        before = groups[own]
+        groups[own] = OWN_GROUP
+        try:
+            yield
+        finally:
+            groups[own] = before
+
+    def _cast(
+        self, start: np.ndarray, along: np.ndarray, query: RayQuery
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,)."""
+        count = len(start)
+        groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        groups[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
+        distance, normal = np.empty(count), np.zeros((count, 3))
+        geom = np.empty(count, np.int32)
+        bounds = [0, *(np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1), count]
+        for first, end in pairwise(bounds):  # rays from one point at a time
+            rays = slice(first, end)
+            if end > first:
+                mujoco.mj_multiRay(
+                    self._model,
+                    self._data,
+                    start[first],
+                    along[rays].reshape(-1),
+                    groups,
+                    1,
+                    -1,
+                    geom[rays],
+                    distance[rays],
+                    normal[rays].reshape(-1) if query.incidence else None,
+                    end - first,
+                    mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
+                )
+        return np.where(geom >= 0, distance, np.inf), normal, geom
+
+    def _with_fenders(
+        self, start: np.ndarray, along: np.ndarray, distance: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances and normals where fenders are looked at too."""
+        ids, count = self._fenders, len(self._fenders)
+        pos, mat = self._data.geom_xpos[ids], self._data.geom_xmat[ids].reshape(-1, 3, 3)
+        block = GeomBlock(pos=pos, mat=mat, size=self._model.geom_size[ids], owner=np.full(count, -1))
+        with numpy_backend():
+            rows = [
+                GeomBlock(**{name: getattr(block, name)[i] for name in vars(block)}) for i in range(count)
+            ]
+            reach = np.stack([distance_to(FENDER_KIND, row, start, along) for row in rows])
+            nearest = reach.argmin(0)
+            closest = reach.min(0)
+            here = np.where(np.isfinite(closest), closest, 0.0)
+            offset = start + here[:, None] * along - pos[nearest]
+            point = (mat[nearest] * offset[:, :, None]).sum(1)
+            local = surface_normal(FENDER_KIND, point, block.size[nearest])
+        turned = (mat[nearest] * np.asarray(local)[:, None]).sum(2)
+        closer = closest < distance
+        return np.where(closer, closest, distance), np.where(closer[:, None], turned, normal)

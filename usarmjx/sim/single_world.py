@@ -1,0 +1,328 @@
+"""One world on C MuJoCo and NumPy, without a compiler, with robots that come and go.
+
+It does what a `Batch` does to many worlds, by the same pure functions (`world`, `operate`, `radio`, `views`)
+and with the same random numbers: a robot at a pose reads what it would read in world `number` of a batch of
+that seed.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import cached_property, wraps
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import mujoco
+import numpy as np
+
+from usarmjx.base import random
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Vec3
+from usarmjx.cameras.shading import RenderScene
+from usarmjx.comms.links import Links, no_links
+from usarmjx.engines.base import GeomPoses, PhysicsState
+from usarmjx.engines.c_rays import CRayCaster
+from usarmjx.engines.c_world import CWorld
+from usarmjx.engines.faults import PutBack
+from usarmjx.engines.placement import REACH, free_pose
+from usarmjx.models.build.compose import add_robot, new_spec, remove_robot
+from usarmjx.models.build.layout import RobotIndex
+from usarmjx.models.build.materials import materials_of
+from usarmjx.models.effecters import Opcode, no_dropped_tags
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sensors.base import Reading, SensorInput
+from usarmjx.sim.control import idle_command
+from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
+from usarmjx.sim.radio import update_links
+from usarmjx.sim.reset import new_group_state, started
+from usarmjx.sim.scene import RobotGroup, RosterEntry, Scene, parking_position, prefix_of, robot_groups
+from usarmjx.sim.site import moved_geom_poses
+from usarmjx.sim.views import build_render_scene
+from usarmjx.sim.world import (
+    FaultCounts,
+    GroupState,
+    World,
+    compute_inputs,
+    finish_step,
+    observe,
+    runaway_limit,
+    sense_self,
+    time_of,
+)
+
+EMPTY_SEAT = RosterEntry(robot="", parked=True)
+"""Stands in a roster where there is no robot."""
+Rows = Mapping[int, GroupState]
+"""States of single robots by slot, without an axis over robots."""
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def on_numpy(method: Callable[P, T]) -> Callable[P, T]:
+    """Let a method run its pure functions on NumPy."""
+
+    @wraps(method)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        with numpy_backend():
+            return method(*args, **kwargs)
+
+    return run
+
+
+class SingleWorld:
+    """One world.
+
+    Args:
+        scene: Its scene, without robots.
+        seed: Of the random numbers, as a batch's.
+        number: Which world of a batch of that seed it is.
+        seats: Most robots at once.
+
+    Attributes:
+        scene: The scene as it is now: another one whenever a robot joins or leaves.
+        world: Everything but the physics; NumPy's arrays.
+        engine: The physics.
+    """
+
+    def __init__(self, scene: Scene, seed: int = 0, number: int = 0, seats: int = 16) -> None:
+        self.scene, self._seats = scene, seats
+        self.engine = CWorld(scene.spec, scene.arena, scene.physics.substeps, scene.moved_geoms)
+        with numpy_backend():
+            zero = np.zeros((), np.int32)
+            self.world = World(
+                key=random.fold_in(random.key(seed), number),
+                number=np.asarray(number, np.int32),
+                arena_state=None,
+                episode=zero,
+                step=zero,
+                groups=(),
+                tags=no_dropped_tags(),
+                faults=FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero),
+                links=None if scene.radio is None else no_links(seats),
+            )
+        self._homes: dict[int, np.ndarray] = {}
+        self._regroup({}, {})
+
+    @property
+    def physics(self) -> PhysicsState:
+        """Positions, velocities and activations in single precision."""
+        return self.engine.state()
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the world began [s]."""
+        return int(self.world.step) * self.scene.physics.period
+
+    @property
+    def roster(self) -> dict[int, RosterEntry]:
+        """The robots by slot."""
+        return {slot: entry for slot, entry in enumerate(self.scene.roster) if entry is not EMPTY_SEAT}
+
+    # Robots come and go
+
+    def add(self, robot: RobotSpec, name: str, pos: Vec3, quat: Array) -> int:
+        """Add a robot and return its slot; the states of the others are kept to the bit.
+
+        Args:
+            robot: Its class.
+            name: Its name.
+            pos: Where its chassis' origin shall be [m]; the nearest free place within 1 m is taken.
+            quat: Its orientation (4,).
+
+        Raises:
+            UsageError: No seat is free, or no place; nothing has changed then.
+        """
+        roster, rows = self.roster, self._rows()
+        free = [slot for slot in range(self._seats) if slot not in roster]
+        if not free:
+            raise UsageError(f"no seat left for another robot: {self._seats} are taken")
+        slot, prefix = free[0], prefix_of(free[0])
+
+        def remove(spec: mujoco.MjSpec) -> None:
+            remove_robot(spec, prefix)
+
+        self.engine.edit(
+            lambda spec: add_robot(spec, robot, prefix, parking_position(self.scene.arena, slot)), remove
+        )
+        try:
+            (group,) = robot_groups(self.engine.model, {slot: robot})
+            self._place(group, pos, quat)
+            state = self._started(group)
+            self._regroup(roster | {slot: RosterEntry(robot=robot, name=name)}, rows | {slot: _row(state, 0)})
+        except Exception:
+            self.engine.edit(remove, remove)
+            self._regroup(roster, rows)
+            raise
+        return slot
+
+    def _place(self, group: RobotGroup, pos: Vec3, quat: Array) -> None:
+        """Put the one robot of a group where there is room for it."""
+        model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
+        found = free_pose(model, data, group.indices[0], np.array(pos), quat, floor)
+        if found is None:
+            where = ",".join(f"{value:.2f}" for value in pos)
+            raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
+        self.engine.place(group.indices[0], *found)
+        self._homes[int(group.slots[0])] = self.engine.pose(group.indices[0])
+
+    @on_numpy
+    def _started(self, group: RobotGroup) -> GroupState:
+        """Return the state of the one robot of a group whose sensors start now, as they do at a reset."""
+        since = np.full(1, time_of(self.scene, self.world), np.float32)
+        scene = self.scene.with_robots(self.engine.model, self.scene.roster, (group,))
+        return started(scene, self.world, self.physics, group, new_group_state(scene, group, True, since))
+
+    def remove(self, slot: int) -> None:
+        """Take a robot out of the world; the states of the others are kept to the bit."""
+        roster, rows = self.roster, self._rows()
+        self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
+        del roster[slot], rows[slot], self._homes[slot]
+        self._regroup(roster, rows)
+
+    def _rows(self) -> dict[int, GroupState]:
+        return {
+            int(slot): _row(state, i)
+            for group, state in zip(self.scene.groups, self.world.groups, strict=True)
+            for i, slot in enumerate(group.slots)
+        }
+
+    def _regroup(self, roster: Mapping[int, RosterEntry], rows: Rows) -> None:
+        """Resolve the present model, with the robots by slot and their states."""
+        groups = robot_groups(self.engine.model, {slot: entry.spec for slot, entry in roster.items()})
+        seats = tuple(roster.get(slot, EMPTY_SEAT) for slot in range(self._seats))
+        self.scene = self.scene.with_robots(self.engine.model, seats, groups)
+        states = [
+            jax.tree.map(lambda *x: np.stack(x), *(rows[int(s)] for s in group.slots)) for group in groups
+        ]
+        self.world = self.world.replace(groups=tuple(states))
+
+    # What happens in a tick
+
+    @on_numpy
+    def step(self) -> PutBack:
+        """Advance by one control step under the commands in force.
+
+        Returns:
+            What was put back because its physics had gone bad: robots where they appeared, or near there. It
+            is counted in `world.faults`, and what they were told is forgotten.
+        """
+        self.world, inputs = compute_inputs(self.scene, self.world, self.physics)
+        self.engine.apply(inputs)
+        limits = {s: runaway_limit(entry.spec) for s, entry in self.roster.items()}
+        lost, put_back = self.engine.advance(self._indices(), limits, self._homes)
+        self.world, _ = finish_step(self.scene, self.world, self.physics, np.asarray(lost, np.int32))
+        if put_back:
+            faults = self.world.faults
+            self.world = self.world.replace(faults=faults.replace(not_finite=faults.not_finite + 1))
+        for slot in put_back.robots:
+            self.edit(slot, command=idle_command(self.roster[slot].spec))
+        return put_back
+
+    @on_numpy
+    def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
+        """Read the sensors that are due of some robots; by slot and sensor."""
+        scene, members = self._part(frozenset(slots))
+        states = self.world.groups
+        world = self.world.replace(groups=tuple(_row(states[i], some) for i, some in members))
+        world, readings = observe(scene, world, self.physics, self._caster())
+        for (i, some), state in zip(members, world.groups, strict=True):
+            self._replace(i, some, state)
+        return {
+            int(slot): tuple(jax.tree.map(lambda x, row=row: x[row], values))
+            for group, values in zip(scene.groups, readings, strict=True)
+            for row, slot in enumerate(group.slots)
+        }
+
+    def _part(self, slots: frozenset[int]) -> tuple[Scene, list[tuple[int, np.ndarray]]]:
+        """Return a scene with some of the robots, and of each of its groups the index and the members."""
+        found: list[tuple[int, np.ndarray]] = []
+        for i, group in enumerate(self.scene.groups):
+            some = np.flatnonzero(np.isin(group.slots, list(slots)))
+            if some.size:
+                found.append((i, some))
+        groups = tuple(self.scene.groups[i].part(some) for i, some in found)
+        return self.scene.with_robots(self.scene.model, self.scene.roster, groups), found
+
+    def _replace(self, group: int, members: Any, new: GroupState) -> None:  # noqa: ANN401 - what indexes
+        """Replace the states of some robots of a group."""
+
+        def rows(old: Array, part: Array) -> np.ndarray:
+            copy = np.array(old)
+            copy[members] = part
+            return copy
+
+        state = jax.tree.map(rows, self.world.groups[group], new)
+        self.world = self.world.with_group(group, state)
+
+    def _moved(self) -> GeomPoses | None:
+        return moved_geom_poses(self.scene, None, time_of(self.scene, self.world))
+
+    def _caster(self) -> CRayCaster:
+        return self.engine.caster(self._indices(), self._moved())
+
+    def _indices(self) -> dict[int, RobotIndex]:
+        return {int(s): i for g in self.scene.groups for s, i in zip(g.slots, g.indices, strict=True)}
+
+    # One robot
+
+    def state_of(self, slot: int) -> GroupState:
+        """Return a robot's state, without an axis over robots."""
+        group, member = self.scene.group_of(slot)
+        return _row(self.world.groups[group], member)
+
+    def edit(self, slot: int, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
+        """Replace fields of a robot's state."""
+        group, member = self.scene.group_of(slot)
+        self._replace(group, member, self.state_of(slot).replace(**fields))
+
+    @on_numpy
+    def sensor_input(self, slot: int) -> SensorInput:
+        """Return what a robot senses of itself, no rays cast."""
+        scene, _ = self._part(frozenset([slot]))
+        inputs = sense_self(scene, self.world, self.physics, scene.groups[0])
+        own = {name: _row(getattr(inputs, name), 0) for name in ("state", "bodies", "hits")}
+        return inputs.replace(**own)
+
+    @on_numpy
+    def operate(self, slot: int, effecter: int, opcode: Opcode, value: float) -> OperationResult:
+        """Let a robot operate one of its effecters, by index."""
+        group, member = self.scene.group_of(slot)
+        where = np.arange(len(self.scene.groups[group].slots)) == member
+        values = np.full(len(where), value, np.float32)
+        order = EffecterOrder(group=group, effecter=effecter, opcode=opcode, value=values, where=where)
+        self.world, result = operate(self.scene, self.world, self.physics, order, self._ground)
+        return _row(result, member)
+
+    @cached_property
+    def _ground(self) -> CRayCaster:
+        """Casts rays at what dropped things fall on: floor and arena, without what is loose, and doors."""
+        arena = replace(self.scene.arena, loose=(), doors=())
+        model = new_spec(arena, self.scene.physics).compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return CRayCaster(model, data, materials_of(model, arena), {})
+
+    # All of it
+
+    @on_numpy
+    def links(self) -> Links:
+        """Return the radio links, evaluated at most once in a control step, or radio `period`.
+
+        Raises:
+            UsageError: The scene has no radio.
+        """
+        links = update_links(self.scene, self.world, self.physics)
+        self.world = self.world.replace(links=links)
+        return links
+
+    @on_numpy
+    def render_scene(self) -> RenderScene:
+        """Return all that cameras see; NumPy's arrays."""
+        return build_render_scene(self.scene, self.world, self.physics)[0]
+
+
+def _row(tree: Any, index: Any) -> Any:  # noqa: ANN401 - a PyTree and what indexes its leading axes
+    return jax.tree.map(lambda x: x[index], tree)
