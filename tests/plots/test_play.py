@@ -91,16 +91,17 @@ def test_other_endings_are_refused(shown, tmp_path):
 def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     """What clients meet in it is tested with `DrivenWorld`."""
     served = []
-    monkeypatch.setattr("usarmjx.server.net.serve", lambda *given: served.append(given))
+    monkeypatch.setattr("usarmjx.server.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
     how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
-    ((world, settings, (page,)),) = served
+    (((server,), factor, _),) = served
+    (page,) = server.services
     assert isinstance(page, SpectatorServer)
-    assert isinstance(world, PolicyWorld)
-    assert (settings.host, settings.port, settings.realtime_factor) == ("127.0.0.1", 3001, 2.0)
+    assert isinstance(server.world, PolicyWorld)
+    assert (server.settings.host, server.settings.port, factor) == ("127.0.0.1", 3001, 2.0)
 
 
 def test_play_runs_a_packaged_policy_by_the_name_of_its_task(tmp_path, monkeypatch):

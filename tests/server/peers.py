@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 
+from usarmjx.server.loop import ServerLoop
 from usarmjx.server.net import BotServer, BotServerSettings
 
 PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
@@ -76,15 +77,22 @@ class Peer:
 
 
 @contextlib.contextmanager
-def serving(world, services=(), **settings):
-    """A running server's (port, Server)."""
+def serving(world, services=(), realtime_factor=1.0, **settings):
+    """A running server's (port, BotServer)."""
+    server = BotServer(world, BotServerSettings(port=0, **settings), services)
+    with looping([server], realtime_factor):
+        yield server.port, server
+
+
+@contextlib.contextmanager
+def looping(servers, realtime_factor=1.0):
+    """Run servers in a thread."""
     started, box = threading.Event(), {}
 
     async def main():
-        box["loop"] = asyncio.get_running_loop()
-        box["server"] = BotServer(world, BotServerSettings(port=0, **settings), services)
-        task = asyncio.create_task(box["server"].run())
-        while not box["server"].port and not task.done():
+        box["loop"], box["all"] = asyncio.get_running_loop(), ServerLoop(servers, realtime_factor)
+        task = asyncio.create_task(box["all"].run())
+        while not box["all"].listening and not task.done():
             await asyncio.sleep(0.01)
         started.set()
         await task
@@ -93,8 +101,8 @@ def serving(world, services=(), **settings):
     thread.start()
     assert started.wait(PATIENCE)
     try:
-        yield box["server"].port, box["server"]
+        yield
     finally:
-        box["loop"].call_soon_threadsafe(box["server"].stop)
+        box["loop"].call_soon_threadsafe(box["all"].stop)
         thread.join(PATIENCE)
         assert not thread.is_alive()

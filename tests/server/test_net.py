@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 
-import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -26,13 +25,16 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.net import GC_THRESHOLD, SWITCH_INTERVAL, BotServerSettings, low_latency, serve
+from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
+from usarmjx.server.net import BotServer
+from usarmjx.server.signals import StopSignals
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 
 @pytest.fixture(scope="module")
 def world():
-    world = DynamicWorld(FLAT, Physics(), jax.random.key(1), max_robots=16)
+    world = DynamicWorld(FLAT, Physics(), 1, max_robots=16)
     world.prepare(ROBOTS.get("P2AT"))
     return world
 
@@ -246,7 +248,7 @@ def test_serving_leaves_the_process_as_it_was(world):
     assert (sys.getswitchinterval(), gc.get_threshold()) == before
     assert gc.get_freeze_count() < frozen
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(UsageError):
-        serve(world, BotServerSettings(port=taken.getsockname()[1]))
+        serve([BotServer(world, BotServerSettings(port=taken.getsockname()[1]))], 1.0, StopSignals())
     assert (sys.getswitchinterval(), gc.get_threshold()) == before
 
 
@@ -255,25 +257,25 @@ def asked(world, monkeypatch):
     """What settings `usarmjx serve` with some options would serve with."""
     found = []
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
-    monkeypatch.setattr("usarmjx.server.net.serve", lambda world, settings, services: found.append(settings))
+    monkeypatch.setattr("usarmjx.server.loop.serve", lambda servers, *_: found.extend(servers))
 
     def ask(*options):
         found.clear()
         result = CliRunner().invoke(app, ["serve", "--no-wireless", "--no-images", *options])
-        return found[0] if found else result.stderr
+        return found[0].settings if found else result.stderr
 
     return ask
 
 
 def test_port_3000_and_16_connections_unless_the_ini_or_an_option_says_otherwise(asked, tmp_path):
     """Manual 9.1: the defaults, and BotAPI.ini."""
-    assert asked() == BotServerSettings(host="127.0.0.1", port=3000, max_connections=16, realtime_factor=1.0)
+    assert asked() == BotServerSettings(host="127.0.0.1", port=3000, max_connections=16, init_timeout=60.0)
     ini = tmp_path / "BotAPI.ini"
     ini.write_text("[BotAPI.BotServer]\nListenPort=4711\nMaxConnections=2\n")
     told = asked("--ini", str(ini))
     assert (told.port, told.max_connections) == (4711, 2)
-    told = asked("--ini", str(ini), "--port", "0")
-    assert (told.port, told.max_connections) == (0, 2)
+    told = asked("--ini", str(ini), "--port", "4712", "--init-timeout", "5")
+    assert (told.port, told.max_connections, told.init_timeout) == (4712, 2, 5.0)
     for line, problem in (
         ("ListenPort=70000", "ListenPort is 70000; expected a whole number from 0 to 65535"),
         ("MaxConnections=0", "MaxConnections is 0; expected a whole number from 1 to 4096"),

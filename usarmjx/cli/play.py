@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.serve_run import PageChoice, make_server
+from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption, announce
+from usarmjx.server.ports import BOT_PORT, bound_ports, count_up
+from usarmjx.server.signals import StopSignals
 
 if TYPE_CHECKING:
+    from usarmjx.server.worlds.policy_world import PolicyWorld
     from usarmjx.train.policies.sources import PolicySource
 
 app = typer.Typer()
@@ -116,7 +120,8 @@ def play(
         bool, typer.Option("--serve", help="Serve the running world to protocol clients instead.")
     ] = False,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = 3000,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = BOT_PORT,
+    port_offset: PortOffsetOption = 0,
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
     ] = 1.0,
@@ -127,6 +132,18 @@ def play(
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, or serve it."""
     with ErrorExit():
+        if serve:
+            pages = [] if spectator_port is None else [PageChoice(spectator_port)]
+            first = {"--port": port} | {key: n for page in pages for key, n in page.ports.items()}
+            with StopSignals() as signals, bound_ports(host, count_up(first, 1, port_offset)) as (bound,):
+                announce("building the world that the policy drives ...")
+                made = _policy_world(_source(policy, baseline, task, checkpoint), settings, engine, seed)
+                from usarmjx.server.bot_server import BotServerSettings
+                from usarmjx.server.loop import serve as run
+
+                makers = [page.prepare(host) for page in pages]
+                run([make_server(made, BotServerSettings(host), makers, bound)], realtime_factor, signals)
+            return
         from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
         check_suffix(out)
@@ -134,19 +151,20 @@ def play(
             settings or (), engine=engine, seed=seed
         )
         _echo_notes(notes)
-        if serve:
-            from usarmjx.server.net import BotServerSettings
-            from usarmjx.server.net import serve as run
-            from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-            from usarmjx.server.worlds.policy_world import PolicyWorld
-
-            world = PolicyWorld(env, driver, seed=seed)
-            typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
-            page = None if spectator_port is None else SpectatorSettings(host, spectator_port)
-            services = () if page is None else (SpectatorServer(world, page),)
-            run(world, BotServerSettings(host=host, port=port, realtime_factor=realtime_factor), services)
-            return
         shown = record_episode(env, driver, math.inf if seconds is None else seconds, seed)
         save_recording(shown, out)
         last = f"{shown.times[-1]:.1f} s, score {shown.scores[-1]:.2f}"
         typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")
+
+
+def _policy_world(
+    source: "PolicySource", settings: list[str] | None, engine: str, seed: int
+) -> "PolicyWorld":
+    """Return a world that a policy drives, and tell which robots clients may take over."""
+    from usarmjx.server.worlds.policy_world import PolicyWorld
+
+    env, driver, notes = source.env(settings or (), engine=engine, seed=seed)
+    _echo_notes(notes)
+    world = PolicyWorld(env, driver, seed=seed)
+    typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
+    return world

@@ -1,4 +1,4 @@
-"""`usarmjx serve`: one world of a batch over the Gamebots protocol."""
+"""`usarmjx serve`: worlds of a batch over the Gamebots protocol."""
 
 import logging
 from pathlib import Path
@@ -6,32 +6,64 @@ from typing import Annotated
 
 import typer
 
+from usarmjx.cli.serve_run import (
+    ImageChoice,
+    PageChoice,
+    RadioChoice,
+    ServiceChoice,
+    bot_settings,
+    instances_of,
+    make_server,
+)
 from usarmjx.cli.tools import (
     ArenaOption,
     EngineOption,
     ErrorExit,
     IniOption,
+    PortOffsetOption,
     SeedOption,
     UnitOption,
+    announce,
     configure_from,
 )
+from usarmjx.server.ports import IMAGE_PORT, POSITION_PORT, WSS2_PORT, bound_ports, count_up
+from usarmjx.server.signals import StopSignals
 
 
 def serve(
     arena: ArenaOption = "yellow",
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 1,
-    instance: Annotated[int, typer.Option(min=0, help="Which of them to serve.")] = 0,
+    instance: Annotated[
+        int | None, typer.Option(min=0, help="Which of them to serve, if only one; else the first.")
+    ] = None,
+    instances: Annotated[
+        str | None, typer.Option(help="Which of them to serve, if several: all, or numbers as 0,2-5.")
+    ] = None,
     roster: Annotated[
         str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c needs none.")
     ] = "P2AT:4,P2DX:4",
+    seats: Annotated[
+        int | None, typer.Option(min=1, help="Most robots in one world; else as many as connections.")
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[
         int | None,
         typer.Option(min=0, max=65535, help="TCP port (0: a free one); else ListenPort of --ini, or 3000."),
     ] = None,
+    port_offset: PortOffsetOption = 0,
     max_connections: Annotated[
-        int | None, typer.Option(min=1, help="Most clients at once; else MaxConnections of --ini, or 16.")
+        int | None,
+        typer.Option(
+            min=1, help="Most clients of one world; else MaxConnections of --ini, or 16; or --seats."
+        ),
     ] = None,
+    init_timeout: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            help="Seconds after which a client goes that has no robot and asks for nothing; 0: never.",
+        ),
+    ] = 60.0,
     engine: EngineOption = "auto",
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
@@ -46,10 +78,10 @@ def serve(
     ] = None,
     wss2_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Stand-alone wireless server (INIT, DNS).")
-    ] = 50000,
+    ] = WSS2_PORT,
     position_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Positions for a wireless server elsewhere (GETPOS).")
-    ] = 7435,
+    ] = POSITION_PORT,
     radio_ini: Annotated[
         Path | None, typer.Option(help="USARComServer.ini with the radio's constants.")
     ] = None,
@@ -60,7 +92,7 @@ def serve(
     images: Annotated[bool, typer.Option(help="Serve the robots' cameras too.")] = True,
     image_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Image server (pictures, and OK for the next).")
-    ] = 5003,
+    ] = IMAGE_PORT,
     image_size: Annotated[
         str | None,
         typer.Option(help="Width and height of pictures; else 320x240, or what a MultiView needs."),
@@ -83,48 +115,47 @@ def serve(
     ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve one world of a batch over the Gamebots protocol, its radio and its cameras."""
+    """Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.
+
+    Several worlds have ports of their own: the first those of the options, the others count up from there.
+    So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.
+    """
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
-    with ErrorExit():
-        from usarmjx.comms.attenuation import RadioSettings, radio_settings
-        from usarmjx.server.bot_server import read_bot_server
-        from usarmjx.server.net import BotServerSettings, Service
-        from usarmjx.server.net import serve as run
-        from usarmjx.server.pictures.image_server import SIZE, ImageServer, ImageSettings
-        from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-        from usarmjx.server.protocol.images import format_number, parse_size
-        from usarmjx.server.protocol.multi_view import read_multi_view
-        from usarmjx.server.wireless.net import WirelessSettings, check_addresses, make_wireless
-        from usarmjx.server.worlds.make import make_worlds
-
-        radio = radio_settings(radio_ini) if radio_ini else RadioSettings()
-        air = WirelessSettings(
-            host=host,
-            wss_port=radio.listen_port if wss_port is None else wss_port,
-            wss2_port=wss2_port,
-            position_port=position_port,
-            allow=check_addresses(wireless_allow or ()),
+    with ErrorExit(), StopSignals() as signals:
+        numbers = instances_of(instances, instance, worlds)
+        settings = bot_settings(
+            ini, seats, host=host, port=port, max_connections=max_connections, init_timeout=init_timeout
         )
-        shared = read_multi_view(ini or ()) if multi_view else None
-        size = parse_size(image_size) if image_size else shared.size if shared else SIZE
-        number = format_number(image_format)
-        pictures = ImageSettings(host, image_port, size, image_fps, number, multi_view=shared)
-        given = {"port": port, "max_connections": max_connections}
-        fields = read_bot_server(ini or ()) | {name: n for name, n in given.items() if n is not None}
-        settings = BotServerSettings(host=host, realtime_factor=realtime_factor, **fields)
-        configure_from(ini, uu_per_metre)
-        (world,) = make_worlds(
-            arena,
-            engine=engine,
-            worlds=worlds,
-            instances=(instance,),
-            roster=roster,
-            max_robots=settings.max_connections,
-            seed=seed,
-        )
-        services: list[Service] = [make_wireless(world, radio, air)] if wireless else []
-        services += [ImageServer(world, pictures)] if images else []
+        choices: list[ServiceChoice] = []
+        if wireless:
+            ports = {"--wss-port": wss_port, "--wss2-port": wss2_port, "--position-port": position_port}
+            choices.append(RadioChoice(ports, radio_ini, wireless_allow or ()))
+        if images:
+            shared = (ini or ()) if multi_view else None
+            choices.append(ImageChoice(image_port, image_size, image_fps, image_format, shared))
         if spectator_port is not None:
-            services.append(SpectatorServer(world, SpectatorSettings(host, spectator_port)))
-        run(world, settings, services)
+            choices.append(PageChoice(spectator_port))
+        first = {"--port": settings.port} | {key: n for choice in choices for key, n in choice.ports.items()}
+        with bound_ports(host, count_up(first, len(numbers), port_offset)) as bound:
+            announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
+            makers = [choice.prepare(host) for choice in choices]
+            configure_from(ini, uu_per_metre)
+            from usarmjx.server.loop import serve as run
+            from usarmjx.server.worlds.make import make_worlds
+
+            served = make_worlds(
+                arena,
+                engine=engine,
+                worlds=worlds,
+                instances=numbers,
+                roster=roster,
+                max_robots=seats or settings.max_connections,
+                seed=seed,
+            )
+            titles = [f"world {number}" for number in numbers] if len(numbers) > 1 else [""]
+            servers = [
+                make_server(world, settings, makers, sockets, title)
+                for world, sockets, title in zip(served, bound, titles, strict=True)
+            ]
+            run(servers, realtime_factor, signals)

@@ -1,18 +1,37 @@
-"""BotAPI.ini: where the Gamebots server listens, and how many may come (manual 9.1)."""
+"""How the Gamebots server is set up: where it listens, and how many may come (manual 9.1)."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.read import as_whole, fail
+from usarmjx.server.ports import BOT_PORT
 
 SECTION = "BotAPI.BotServer"
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
-"""What each key sets of `net.BotServerSettings`, its least and its largest value; port 0 picks a free one."""
+"""What each key sets of `BotServerSettings`, its least and its largest value; port 0 picks a free one."""
+
+
+@dataclass(frozen=True)
+class BotServerSettings:
+    """How to serve.
+
+    Attributes:
+        host: Address to bind; loopback by default.
+        port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
+        max_connections: Most clients at once (BotAPI.ini: MaxConnections).
+        init_timeout: Who has no robot and asks for nothing for so long makes room; 0: nobody has to [s].
+    """
+
+    host: str = "127.0.0.1"
+    port: int = BOT_PORT
+    max_connections: int = 16
+    init_timeout: float = 60.0
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return `[BotAPI.BotServer]` of ini files by fields of `net.BotServerSettings`; later files override.
+    """Return `[BotAPI.BotServer]` of ini files by fields of `BotServerSettings`; later files override.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.

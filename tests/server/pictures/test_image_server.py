@@ -411,7 +411,9 @@ def served(monkeypatch, *words):
     """The services and the result of a command line that is not carried out."""
     box = {"services": []}
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace()])
-    monkeypatch.setattr("usarmjx.server.net.serve", lambda *args: box.update(services=args[2]))
+    monkeypatch.setattr(
+        "usarmjx.server.loop.serve", lambda servers, *_: box.update(services=servers[0].services)
+    )
     result = CliRunner().invoke(app, ["serve", "--no-wireless", *words])
     return box["services"], result
 
@@ -422,10 +424,10 @@ def test_options_of_the_command_line(monkeypatch, tmp_path):
     usual = service._settings
     assert (usual.host, usual.port, usual.size, usual.fps) == ("127.0.0.1", 5003, (320, 240), 10.0)
     assert (usual.format, usual.multi_view) == (3, None)
-    words = ["--image-port", "0", "--image-size", "64x48", "--image-fps", "2.5", "--image-format", "raw"]
+    words = ["--image-port", "5403", "--image-size", "64x48", "--image-fps", "2.5", "--image-format", "raw"]
     (service,), _ = served(monkeypatch, *words, "--host", "0.0.0.0")
     mine = service._settings
-    assert (mine.host, mine.port, mine.size, mine.fps, mine.format) == ("0.0.0.0", 0, (64, 48), 2.5, 0)
+    assert (mine.host, mine.port, mine.size, mine.fps, mine.format) == ("0.0.0.0", 5403, (64, 48), 2.5, 0)
     ini = tmp_path / "USARBot.ini"
     ini.write_text("[USARBot.MultiView]\nCameraNum=2\nWideMode=2\nCameraXres=100\nCameraYres=75\n")
     (service,), _ = served(monkeypatch, "--multi-view", "--ini", str(ini))

@@ -21,7 +21,8 @@ from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_
 from usarmjx.cli.app import app
 from usarmjx.comms.antenna import antenna_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.wireless.sockets import bound_socket, log
+from usarmjx.server.ports import bound_socket
+from usarmjx.server.wireless.sockets import log
 
 LINES = (
     r"usarmjx: listening on 127\.0\.0\.1:\d+\n"
@@ -83,7 +84,9 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     """Manual 3.2.4.2."""
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     seen = {}
-    monkeypatch.setattr("usarmjx.server.net.serve", lambda *args: seen.update(services=args[2]))
+    monkeypatch.setattr(
+        "usarmjx.server.loop.serve", lambda servers, *_: seen.update(services=servers[0].services)
+    )
     ini = tmp_path / "USARComServer.ini"
     ini.write_text("[USARBotAPI.ComServer]\nListenPort=4567\n[USARBotAPI.ComConnection]\neCutoff=-70\n")
     words = ["serve", "--no-images", "--radio-ini", str(ini)]
@@ -91,8 +94,8 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     (service,) = seen["services"]
     assert service._settings.wss_port == 4567
     assert service._radio.cutoff == -70.0
-    assert CliRunner().invoke(app, [*words, "--wss-port", "9"]).exit_code == 0
-    assert seen["services"][0]._settings.wss_port == 9
+    assert CliRunner().invoke(app, [*words, "--wss-port", "4568"]).exit_code == 0
+    assert seen["services"][0]._settings.wss_port == 4568
     assert CliRunner().invoke(app, ["serve", "--no-wireless", "--no-images"]).exit_code == 0
     assert seen["services"] == []
 

@@ -5,6 +5,7 @@ Pictures are rendered only for clients that wait for one, and that and their enc
 
 import asyncio
 import logging
+import socket
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from functools import partial
 
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
+from usarmjx.server.ports import IMAGE_PORT
 from usarmjx.server.protocol.images import ImageSession, Region, encode_frame
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.wireless.sockets import (
@@ -46,7 +48,7 @@ class ImageSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 5003
+    port: int = IMAGE_PORT
     size: tuple[int, int] = SIZE
     fps: float = 10.0
     format: int = 3
@@ -86,13 +88,16 @@ class ImageServer:
     Args:
         world: The served world.
         settings: How to serve.
+        bound: A socket that is bound to the port already.
 
     Attributes:
         port: The port in use, once started.
     """
 
-    def __init__(self, world: ServedWorld, settings: ImageSettings) -> None:
-        self._world, self._settings = world, settings
+    def __init__(
+        self, world: ServedWorld, settings: ImageSettings, bound: socket.socket | None = None
+    ) -> None:
+        self._world, self._settings, self._bound = world, settings, bound
         self._clients: list[ImageClient] = []
         self._listener: asyncio.Server | None = None
         self._stepped = asyncio.Event()
@@ -106,8 +111,9 @@ class ImageServer:
         Raises:
             UsageError: The port is taken or the address is not ours.
         """
-        self._listener, self.port = await listen(self._settings.host, self._settings.port, self._accept)
-        return [f"pictures on {self._settings.host}:{self.port}"]
+        host, port = self._settings.host, self._settings.port
+        self._listener, self.port = await listen(host, port, self._accept, self._bound)
+        return [f"pictures on {host}:{self.port}"]
 
     def tick(self) -> None:
         """The world has made a control step."""

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import socket
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator
 from usarmjx.server.pictures.views import CompositeView
+from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -74,13 +76,16 @@ class SpectatorServer:
     Args:
         world: The served world.
         settings: How to show it.
+        bound: A socket that is bound to the port already.
 
     Attributes:
         port: The port in use, once started.
     """
 
-    def __init__(self, world: ServedWorld, settings: SpectatorSettings) -> None:
-        self._world, self._settings = world, settings
+    def __init__(
+        self, world: ServedWorld, settings: SpectatorSettings, bound: socket.socket | None = None
+    ) -> None:
+        self._world, self._settings, self._bound = world, settings, bound
         self._pages: list[Page] = []
         self._render_thread = RenderThread(world)
         self._stepped = asyncio.Event()
@@ -93,19 +98,20 @@ class SpectatorServer:
         Raises:
             UsageError: The port is taken or the address is not ours.
         """
-        host, port = self._settings.host, self._settings.port
+        host = self._settings.host
+        bound = self._bound or bound_socket(host, self._settings.port)
+        self.port = bound.getsockname()[1]
         try:
             self._server = await serve(
                 self._accept,
-                host,
-                port,
+                sock=bound,
                 process_request=_answer,
                 max_size=MAX_MESSAGE_SIZE,
                 compression=None,
             )
         except OSError as error:
-            raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
-        self.port = next(iter(self._server.sockets)).getsockname()[1]
+            bound.close()
+            raise UsageError(f"cannot listen on {host}:{self.port}: {error}") from error
         return [f"watch at http://{host}:{self.port}/"]
 
     def tick(self) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from usarmjx.base.errors import PeerError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.wireless.channel import RadioAccess, reaches
 
 MAX_REGISTRATIONS = 256
@@ -105,6 +105,18 @@ def normalize_address(text: str) -> str:
         raise Refusal(INCORRECT) from error
     mapped = getattr(address, "ipv4_mapped", None)
     return str(mapped or address)
+
+
+def check_addresses(addresses: Collection[str]) -> tuple[str, ...]:
+    """Return IP addresses in their usual form.
+
+    Raises:
+        UsageError: One is none.
+    """
+    try:
+        return tuple(normalize_address(address) for address in addresses)
+    except Refusal as error:
+        raise UsageError(f"{', '.join(addresses)}: an IP address is expected") from error
 
 
 @dataclass(frozen=True, slots=True)

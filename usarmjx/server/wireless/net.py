@@ -7,14 +7,15 @@ robots that have left lose their links, and when dialect B breaks and restores i
 
 import asyncio
 import logging
+import socket
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.errors import PeerError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.server.wireless.comserver import Refusal, normalize_address
+from usarmjx.server.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
 from usarmjx.server.wireless.net_a import DataLinkServer
 from usarmjx.server.wireless.net_b import ProxyServer
 from usarmjx.server.wireless.positions import PositionSession
@@ -50,9 +51,9 @@ class WirelessSettings:
     """
 
     host: str = "127.0.0.1"
-    wss_port: int = 5874
-    wss2_port: int = 50000
-    position_port: int = 7435
+    wss_port: int = WSS_PORT
+    wss2_port: int = WSS2_PORT
+    position_port: int = POSITION_PORT
     allow: tuple[str, ...] = ()
     max_connections: int = 64
     idle_timeout: float = 60.0
@@ -118,13 +119,20 @@ class WirelessService:
         radio: The radio of the served world.
         clock: The world's time [s].
         settings: How to serve.
+        bound: Sockets that are bound to the ports already, by "wss", "wss2" and "position".
 
     Attributes:
-        ports: The ports in use, by "wss", "wss2" and "position", once started.
+        ports: The ports in use, by the same names, once started.
     """
 
-    def __init__(self, radio: RadioChannel, clock: Callable[[], float], settings: WirelessSettings) -> None:
-        self._radio, self._clock, self._settings = radio, clock, settings
+    def __init__(
+        self,
+        radio: RadioChannel,
+        clock: Callable[[], float],
+        settings: WirelessSettings,
+        bound: Mapping[str, socket.socket] | None = None,
+    ) -> None:
+        self._radio, self._clock, self._settings, self._bound = radio, clock, settings, bound or {}
         self._throttle = Throttle()
         self._links = DataLinkServer(radio, settings.allow, self._throttle)
         self._proxies = ProxyServer(radio, settings.host, self._throttle)
@@ -148,7 +156,7 @@ class WirelessService:
         lines = []
         for name, title, port, make_handler in servers:
             server, self.ports[name] = await listen(
-                self._settings.host, port, self._connection_callback(make_handler)
+                self._settings.host, port, self._connection_callback(make_handler), self._bound.get(name)
             )
             self._listeners.append(server)
             lines.append(f"{title} on {self._settings.host}:{self.ports[name]}")
@@ -176,7 +184,6 @@ class WirelessService:
 
     async def _poll(self) -> None:
         async with self._throttle:
-            self._radio.precompute([*self._links.pairs(), *self._proxies.pairs()])
             self._links.poll()
             changes = self._proxies.poll()
         await self._proxies.apply_changes(changes)
@@ -241,24 +248,23 @@ def _report(task: asyncio.Task[None]) -> None:
         log.error("the wireless server could not look at the world", exc_info=error)
 
 
-def make_wireless(world: ServedWorld, radio: RadioSettings, settings: WirelessSettings) -> WirelessService:
+def make_wireless(
+    world: ServedWorld,
+    radio: RadioSettings,
+    settings: WirelessSettings,
+    bound: Mapping[str, socket.socket] | None = None,
+) -> WirelessService:
     """Return the wireless servers of a world; `radio.debug` makes them log what they do.
+
+    Args:
+        world: The world.
+        radio: The radio's constants.
+        settings: How to serve.
+        bound: As of `WirelessService`.
 
     Raises:
         UnsupportedGeomError: The arena has a solid of a type whose walls cannot be counted.
     """
     if radio.debug:
         log.setLevel(logging.INFO)
-    return WirelessService(RadioChannel(world, radio), lambda: world.time, settings)
-
-
-def check_addresses(addresses: Collection[str]) -> tuple[str, ...]:
-    """Return IP addresses in their usual form.
-
-    Raises:
-        UsageError: One is none.
-    """
-    try:
-        return tuple(normalize_address(address) for address in addresses)
-    except Refusal as error:
-        raise UsageError(f"{', '.join(addresses)}: an IP address is expected") from error
+    return WirelessService(RadioChannel(world, radio), lambda: world.time, settings, bound)

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.server.ports import bound_socket
 
 log = logging.getLogger("usarmjx.server.wireless")
 """One logger for all of it: USARComServer.ini's bDebug turns it on."""
@@ -79,41 +80,28 @@ class Throttle:
         self._lock.release()
 
 
-def bound_socket(host: str, port: int) -> socket.socket:
-    """Return a socket bound to an address, not listening yet; port 0 picks a free one.
-
-    While it only is bound, connections are refused and nobody else gets the port.
-
-    Raises:
-        UsageError: The port is taken or the address is not ours.
-    """
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        bound = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as error:
-        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
-    try:
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bound.bind((host, port))
-    except OSError as error:
-        bound.close()
-        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
-    return bound
-
-
-async def listen(host: str, port: int, handler: Handler) -> tuple[asyncio.Server, int]:
+async def listen(
+    host: str, port: int, handler: Handler, bound: socket.socket | None = None
+) -> tuple[asyncio.Server, int]:
     """Return a listening server and its port.
 
+    Args:
+        host: Address to listen on.
+        port: Its port; 0 picks a free one.
+        handler: Is called with every connection.
+        bound: A socket that is bound to them already.
+
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
-    bound = bound_socket(host, port)
+    bound = bound or bound_socket(host, port)
+    port = bound.getsockname()[1]
     try:
         server = await asyncio.start_server(handler, sock=bound)
     except OSError as error:
         bound.close()
         raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
-    return server, bound.getsockname()[1]
+    return server, port
 
 
 class ReservedPort:

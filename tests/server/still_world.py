@@ -1,0 +1,64 @@
+"""A served world in which nothing moves: for tests of the server, not of the simulator."""
+
+import numpy as np
+
+from tests.arenas import FLAT
+from usarmjx.base.errors import UsageError
+from usarmjx.models.drives.state import RobotState
+from usarmjx.sensors.suite import suite_of
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.control import idle_command
+
+CLASS = "ComStation"  # the class with the least to it
+
+
+class StillWorld(ServedWorld):
+    """Robots come and go and report; whatever else a served world can, nobody asks of it here."""
+
+    def __init__(self, arena=FLAT, max_robots=16):
+        self.arena, self.period, self.robots = arena, 0.02, {}
+        self._max_robots, self._steps = max_robots, 0
+        self.on_step = lambda: None
+        """Is called in every control step."""
+
+    @property
+    def time(self):
+        return self._steps * self.period
+
+    def spawn(self, robot, name, pos, angles):
+        self.check_position(pos)
+        slot = min(set(range(self._max_robots)) - set(self.robots), default=None)
+        if slot is None:
+            raise UsageError(f"there is room for {self._max_robots} robots")
+        suite = suite_of(robot)
+        self.robots[slot] = Robot(slot, name, suite, idle_command(robot), self.time)
+        return self.robots[slot]
+
+    def remove(self, robot):
+        del self.robots[robot.slot]
+
+    def step(self):
+        self._steps += 1
+        self.on_step()
+
+    def observe(self, due):
+        pass
+
+    def battery(self, robot):
+        return robot.spec.battery_life
+
+    def state(self, robot):
+        zero, joints = np.zeros(3), np.zeros(len(robot.plan.parts) - 1)
+        return RobotState(
+            pos=zero, quat=np.eye(4)[0], linear=zero, angular=zero, joint_pos=joints, joint_vel=joints
+        )
+
+
+StillWorld.__abstractmethods__ = frozenset()
+
+
+def init(name="R1", **more):
+    """The line that asks for a robot."""
+    fields = {"ClassName": f"USARBot.{CLASS}", "Name": name, "Start": "S0"} | more
+    return "INIT " + " ".join(f"{{{key} {value}}}" for key, value in fields.items())

@@ -1,0 +1,125 @@
+"""SIGINT and SIGTERM end a process soon, whatever it is doing: processes of their own."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+import dev
+from tests.server.peers import PATIENCE, Peer
+from usarmjx.server.signals import StopSignals
+
+LIMIT = 6.0  # s: 2 s on an idle machine; what is stuck here would take ten minutes
+STOPPED = re.compile(r"usarmjx: stopped after [\d.]+ simulated s; .*\n")
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+
+SERVING = """
+import hashlib, sys, time
+from concurrent.futures import ThreadPoolExecutor
+from tests.server.still_world import StillWorld
+from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.loop import serve
+from usarmjx.server.net import BotServer
+from usarmjx.server.signals import StopSignals
+
+world = StillWorld()
+{before}
+with StopSignals() as signals:
+    {within}
+    serve([BotServer(world, BotServerSettings(port=0))], 1.0, signals)
+"""
+COMPILE = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
+"""Takes minutes, hears no signal, and lets other threads run: as when XLA compiles."""
+
+
+def start(before="", within=""):
+    """A process that serves a world, once it has said its first word."""
+    code = SERVING.format(before=before, within=within)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=dev.ROOT,
+        env={**os.environ, "PYTHONPATH": str(dev.ROOT), "JAX_PLATFORMS": "cpu", "PYTHONUNBUFFERED": ""},
+    )
+    return process, process.stdout.readline()
+
+
+def end(process, number):
+    """Send a signal; return standard output, standard error, and how long the end took [s]."""
+    began = time.monotonic()
+    process.send_signal(number)
+    rescue = threading.Timer(PATIENCE, process.kill)
+    rescue.start()
+    with process:  # `communicate` would forget what `readline` has read ahead
+        out, err = process.stdout.read(), process.stderr.read()
+        process.wait()
+    rescue.cancel()
+    return out, err, time.monotonic() - began
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_thread_that_compiles_is_not_waited_for(number):
+    before = f"ThreadPoolExecutor(1).submit(lambda: {COMPILE})"
+    process, line = start(before)
+    peer = Peer(int(re.search(r":(\d+)$", line)[1]))
+    assert peer.line().startswith(b"NFO")
+    out, err, took = end(process, number)
+    assert (process.returncode, err) == (0, "")
+    assert STOPPED.fullmatch(out)
+    assert peer.line() == b"", "its connection was closed"
+    assert took < LIMIT
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_loop_that_is_stuck_is_left_and_what_was_said_is_written(number):
+    first = "print('stuck soon', flush=True); sys.stdout.write('last words')"
+    process, line = start(within=f"{first}; world.on_step = lambda: {COMPILE}")
+    assert line == "stuck soon\n"
+    assert re.fullmatch(r"last wordsusarmjx: listening on .*\n", process.stdout.readline())
+    time.sleep(0.5)  # the first step has begun
+    out, err, took = end(process, number)
+    assert (process.returncode, out, err) == (0, "", "")
+    assert took < LIMIT
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("work", [COMPILE, "time.sleep(600)"])
+def test_before_it_serves_it_ends_as_shells_expect(number, work):
+    process, line = start(within=f"print('building', flush=True); sys.stdout.write('last words'); {work}")
+    assert line == "building\n"
+    time.sleep(0.5)  # the work has begun
+    out, err, took = end(process, number)
+    assert (process.returncode, out, err) == (128 + number, "last words", "")
+    assert took < LIMIT
+
+
+def test_a_reader_who_has_gone_to_sleep_holds_up_nobody():
+    """What is printed into a full pipe waits for ever."""
+    chatter = "print('here', flush=True); print('x' * 2**20, flush=True)"
+    process, line = start(within=chatter)
+    assert line == "here\n"
+    time.sleep(0.5)  # the pipe is full
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    try:
+        assert process.wait(PATIENCE) == 128 + signal.SIGTERM
+    finally:
+        process.kill()
+        process.communicate()
+    assert time.monotonic() - began < LIMIT
+
+
+def test_afterwards_signals_mean_what_they_did():
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with StopSignals() as signals:
+        assert signals.number == 0
+        assert all(signal.getsignal(number) == signals._interrupt for number in SIGNALS)
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+    assert signal.set_wakeup_fd(-1) == -1

@@ -1,0 +1,128 @@
+"""TCP ports: which ones the servers of every world get, and how they are taken before anything is built."""
+
+import contextlib
+import errno
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+
+from usarmjx.base.errors import UsageError
+
+BOT_PORT = 3000
+"""Of the Gamebots server (BotAPI.ini: ListenPort; manual 9.1)."""
+WSS_PORT, WSS2_PORT, POSITION_PORT = 5874, 50000, 7435
+"""Of the wireless server (USARComServer.ini: ListenPort), the stand-alone one, and the position service."""
+IMAGE_PORT = 5003
+"""Of the image server (manual 3.2.5)."""
+LAST_PORT = 65535
+WRONG_PORT = (errno.EADDRINUSE, errno.EACCES)
+"""What says that another port may do where this one does not."""
+
+
+def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dict[str, int]]:
+    """Return the ports of every world that is served, by the options that set them.
+
+    The first world has those of the options, moved by the offset. Each further one has, of every kind, the
+    next port after that of the world before it which no other server here has: with pictures from 5003 on
+    and pages from 5005 on, three worlds have pictures at 5003, 5004, 5007 and pages at 5005, 5006, 5008.
+
+    Args:
+        first: The first world's ports by their options; 0, in all worlds, lets the system pick a free one.
+        worlds: How many worlds are served.
+        offset: What is added to all ports but 0.
+
+    Raises:
+        UsageError: Two options name one port, or there is no such port.
+    """
+    latest = {option: port + offset if port else 0 for option, port in first.items()}
+    ports, owners = [latest], dict[int, str]()
+    for option, port in latest.items():
+        _claim(owners, option, port)
+    for _ in range(worlds - 1):
+        latest = dict(latest)
+        for option, port in latest.items():
+            while port in owners:
+                port += 1
+            _claim(owners, option, port)
+            latest[option] = port
+        ports.append(latest)
+    return ports
+
+
+def _claim(owners: dict[int, str], option: str, port: int) -> None:
+    """Note which option a port belongs to.
+
+    Raises:
+        UsageError: It belongs to another one, or there is no such port.
+    """
+    if port > LAST_PORT:
+        raise UsageError(f"{option} leads to port {port}; the last one is {LAST_PORT}")
+    if port in owners:
+        raise UsageError(f"{owners[port]} and {option} both lead to port {port}")
+    if port:
+        owners[port] = option
+
+
+@contextlib.contextmanager
+def bound_ports(host: str, ports: Sequence[Mapping[str, int]]) -> Iterator[list[dict[str, socket.socket]]]:
+    """Take ports; within the context connections are refused until somebody listens.
+
+    Args:
+        host: Address to listen on.
+        ports: Of every world by the options that set them, as `count_up` returns them.
+
+    Yields:
+        The bound sockets in the same order; they are closed in the end.
+
+    Raises:
+        UsageError: A port is taken or the address is not ours; names the option.
+    """
+    bound: list[dict[str, socket.socket]] = [{} for _ in ports]
+    # Those that have a number come first, else one of them might be picked as a free one.
+    wanted = sorted(
+        ((world, option, port) for world, own in enumerate(ports) for option, port in own.items()),
+        key=lambda item: item[2] == 0,
+    )
+    with contextlib.ExitStack() as stack:
+        for world, option, port in wanted:
+            bound[world][option] = stack.enter_context(bound_socket(host, port, option))
+        yield bound
+
+
+def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
+    """Return a socket bound to an address, not listening yet; port 0 picks a free one.
+
+    While it only is bound, connections are refused. A host with addresses of both kinds, as localhost,
+    means the IPv4 one: USARSim's clients know no other.
+
+    Args:
+        host: Address or name.
+        port: Its port.
+        option: What sets the port, for the message.
+
+    Raises:
+        UsageError: The port is taken or the address is not ours.
+    """
+    try:
+        families = [found[0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        family = socket.AF_INET if socket.AF_INET in families else families[0]
+        bound = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as error:
+        raise _refusal(host, port, option, error) from error
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
+    except OSError as error:
+        bound.close()
+        raise _refusal(host, port, option, error) from error
+    return bound
+
+
+def _refusal(host: str, port: int, option: str, error: OSError) -> UsageError:
+    """Return what to tell the user, with the option that would help."""
+    if not option:
+        hint = ""
+    elif error.errno in WRONG_PORT:
+        hint = f" ({option} sets it, --port-offset moves all ports)"
+    else:
+        hint = " (--host sets the address)"
+    return UsageError(f"cannot listen on {host}:{port}: {error}{hint}")

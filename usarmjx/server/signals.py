@@ -1,0 +1,95 @@
+"""SIGINT and SIGTERM end the process within a second, whatever it is doing."""
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+END_TIME = 1.0
+"""So long after a signal the process ends without having finished [s]."""
+FLUSH_TIME = 0.2
+"""What is buffered may take so long to be written then [s]: perhaps nobody reads it."""
+
+
+class StopSignals:
+    """Ends the process on a signal: politely, if that is done within `END_TIME`, or else all the same.
+
+    A thread in which JAX compiles a picture cannot be stopped, and Python would wait for it for minutes; nor
+    does a signal's handler run while the main thread compiles. So a thread of its own watches for signals.
+
+    A context for the main thread; in others it does nothing. Before `on_stop` is called a signal raises
+    SystemExit in the main thread, with the exit code that shells give for it.
+
+    Attributes:
+        number: The signal that came, 0 before.
+    """
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._stop: Callable[[], None] | None = None
+        self._undo = contextlib.ExitStack()
+
+    def on_stop(self, stop: Callable[[], None]) -> None:
+        """Name what a signal shall call from now on, in a thread; the exit code is 0 then."""
+        self._stop = stop
+        if self.number:
+            stop()
+
+    def __enter__(self) -> "StopSignals":
+        """Watch for signals from now on."""
+        if threading.current_thread() is threading.main_thread():
+            heard, wakeup = socket.socketpair()
+            wakeup.setblocking(False)
+            before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
+            self._undo.callback(wakeup.close)  # which ends the thread
+            self._undo.callback(signal.set_wakeup_fd, before)
+            for number in STOP_SIGNALS:
+                self._undo.callback(signal.signal, number, signal.signal(number, self._interrupt))
+            threading.Thread(target=self._watch, args=(heard,), name="signals", daemon=True).start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Leave signals to what handled them before; but a process that was told to end will end."""
+        self._undo.close()
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        if self._stop is None:
+            raise SystemExit(128 + number)
+
+    def _watch(self, heard: socket.socket) -> None:
+        """Wait for a signal, whose number Python writes into the socket; then see to it that all ends."""
+        with heard:
+            while self.number not in STOP_SIGNALS:
+                data = heard.recv(1)
+                if not data:
+                    return
+                self.number = data[0]
+        stop = self._stop
+        if stop is not None:
+            stop()
+        time.sleep(END_TIME)
+        exit_now(128 + self.number if stop is None else 0)
+
+
+def exit_now(code: int) -> None:
+    """End the process without waiting for its threads; what is buffered is written if it can be."""
+    flush = threading.Thread(target=_flush, daemon=True)
+    with contextlib.suppress(RuntimeError):  # the interpreter is at its end, and starts no more threads
+        flush.start()
+        flush.join(FLUSH_TIME)
+    os._exit(code)
+
+
+def _flush() -> None:
+    logging.shutdown()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
