@@ -222,8 +222,12 @@ def test_more_noise_is_as_much_more_on_numpy():
     shaken = course._replace(noise=np.full(len(TIMES), 1.7, np.float32))
     ours, plain = numpy_results(suite, shaken), numpy_results(suite, course)
     assert_same(ours, jax_results(suite, shaken))
-    for sensor, mine, other in zip(suite.sensors, ours[1][3], plain[1][3], strict=True):
-        assert (mine.value != other.value).any(), sensor.kind
+    same = [
+        sensor.mounts[0].name
+        for sensor, mine, other in zip(suite.sensors, ours[1][3], plain[1][3], strict=True)
+        if (mine.value == other.value).all()
+    ]
+    assert same == ["INS1"], "the one without any"
 
 
 def test_the_course_shows_the_sensors_something():
