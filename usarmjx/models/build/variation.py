@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import vmap, xp
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.spec.robot import RobotSpec
@@ -156,7 +156,7 @@ class RandomizedValues(struct.PyTreeNode, kw_only=True):
     radio_atten_fac: Array | None = None
 
 
-def sample_values(vary: DomainRandomization, varies: np.ndarray, key: jax.Array) -> RandomizedValues:
+def sample_values(vary: DomainRandomization, varies: np.ndarray, key: Array) -> RandomizedValues:
     """Return the numbers of a world for an episode.
 
     A number depends on the key, the quantity and the robot's slot alone: neither on the other quantities nor
@@ -172,21 +172,20 @@ def sample_values(vary: DomainRandomization, varies: np.ndarray, key: jax.Array)
         span = vary.range_of(name)
         if span is None:
             continue
-        own = jax.random.fold_in(key, place)
+        own = random.fold_in(key, place)
         if not rule.robots:
             drawn[name] = _number(rule, span, own)
             continue
-        keys = jax.vmap(partial(jax.random.fold_in, own))(jnp.arange(len(varies)))
-        numbers = jax.vmap(partial(_number, rule, span))(keys)
-        drawn[name] = jnp.where(varies, numbers, jnp.asarray(rule.neutral, numbers.dtype))
+        numbers = vmap(partial(_number, rule, span))(random.fold_in(own, np.arange(len(varies))))
+        drawn[name] = xp.where(varies, numbers, xp.asarray(rule.neutral, numbers.dtype))
     return RandomizedValues(**drawn)
 
 
-def _number(rule: QuantityRule, span: Range, key: jax.Array) -> jax.Array:
+def _number(rule: QuantityRule, span: Range, key: Array) -> Array:
     low, high = span
     if rule.whole:
-        return jax.random.randint(key, (), int(low), int(high) + 1)
-    return jax.random.uniform(key, (), minval=low, maxval=high)
+        return random.randint(key, int(low), int(high) + 1)
+    return random.uniform(key, (), low, high)
 
 
 @dataclass(frozen=True, eq=False)
