@@ -214,3 +214,19 @@ def test_the_first_word_comes_at_once_and_says_what_is_built():
         assert time.monotonic() - began < WORD_LIMIT
         assert process.stderr.read().startswith("usarmjx: unknown arena 'nowhere'")
         assert process.stdout.read() == "True\n"
+
+
+def test_serving_waits_for_no_library_that_it_does_not_need():
+    """SciPy and Pallas alone would take a quarter of the time until it listens."""
+    code = "import sys, usarmjx.server.loop, usarmjx.server.worlds.make, usarmjx.server.wireless.net\n"
+    code += "import usarmjx.server.pictures.image_server\n"
+    code += "print(sorted({name.partition('.')[0] for name in sys.modules}))\n"
+    code += "print('jax.experimental.pallas' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=dev.ROOT, check=True
+    )
+    packages, pallas = done.stdout.splitlines()
+    assert "'usarmjx'" in packages
+    for name in ("scipy", "matplotlib", "trimesh", "websockets", "optax", "warp"):
+        assert f"'{name}'" not in packages
+    assert pallas == "False"

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.shapes import SKY, SURFACES, Shape
@@ -104,6 +103,8 @@ def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
 
 
 def _hull(shape: Shape, grid: Grid) -> SpanRows:
+    from scipy.spatial import ConvexHull  # as long as half of JAX, and of use for meshes only
+
     assert shape.mesh is not None
     corners = shape.mesh.vertices @ mat_from_angles(*np.array(shape.rotation)).T + shape.at
     faces = ConvexHull(corners).equations

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from usarmjx.models.build.raster import Grid, SpanTable
 
@@ -151,6 +149,9 @@ def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) ->
 
 def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.ndarray:
     """Number the areas that hang together by the squares' sides; -1 elsewhere (layers, i, j)."""
+    from scipy.sparse import coo_array  # a fifth of a second, of which serving a world has no need
+    from scipy.sparse.csgraph import connected_components
+
     count = np.count_nonzero(which)
     number = np.full(which.shape, -1, np.int32)
     number[which] = np.arange(count, dtype=np.int32)

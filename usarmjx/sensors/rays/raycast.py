@@ -29,8 +29,7 @@ from usarmjx.sensors.rays.bundles import (
     cone_sphere_distance,
 )
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius, surface_normal
-from usarmjx.sensors.rays.raycast_gpu import GeomBlockInfo, nearest_of_bundles, pack
-from usarmjx.sensors.rays.targets import GeomBlock, Geoms
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.wanted import cast_if_wanted
 
 DEFAULT_BUNDLE_SIZE = 32
@@ -286,6 +285,8 @@ def gpu_hits(
     interpret: bool = False,
 ) -> GeomHits:
     """As `nearest_hits`: see `raycast_gpu`."""
+    from usarmjx.sensors.rays.raycast_gpu import nearest_of_bundles, pack  # Pallas is of use on GPUs only
+
     packed = [(part.info, pack(part.info.kind, part.block)) for part in seen]
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
     found = nearest_of_bundles(

@@ -26,6 +26,7 @@ from usarmjx.sensors.rays.bundles import (
     cone_sphere_distance,
 )
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, TINY, bounding_radius
+from usarmjx.sensors.rays.targets import GeomBlockInfo
 
 LANES = 64
 """Geoms that a program looks at together; more take more registers, and then fewer programs run at a time."""
@@ -37,15 +38,6 @@ OWNER_ROW, RADIUS_ROW, GEOM_ROWS = 15, 16, 17
 """Of a geom's numbers, which are position (3), orientation by rows (9), size (3), owner, bounding radius."""
 UNLIMITED_DISTANCE = 3e38
 """Stands for an unlimited reach, as what is missed is infinitely far."""
-
-
-class GeomBlockInfo(NamedTuple):
-    """What is known of geoms while compiling: kind, how many, index of the first, and if they are compact."""
-
-    kind: int
-    num_geoms: int
-    first_index: int
-    compact: bool
 
 
 def pack(kind: int, block: Any) -> jax.Array:  # noqa: ANN401 - a raycast.Block

@@ -1,7 +1,7 @@
 """What there is to hit: geoms by kind and material, as arrays."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,6 +22,15 @@ GeomType = mujoco.mjtGeom
 
 BlockKey = tuple[int, str]
 """Kind and material of geoms: those of one sort make a block."""
+
+
+class GeomBlockInfo(NamedTuple):
+    """What is known of geoms while compiling: kind, how many, index of the first, and if they are compact."""
+
+    kind: int
+    num_geoms: int
+    first_index: int
+    compact: bool
 
 
 class GeomBlock(struct.PyTreeNode, kw_only=True):
