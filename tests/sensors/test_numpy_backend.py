@@ -27,12 +27,11 @@ from usarmjx.sensors.rays.raycast import Hits, RayQuery
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.sensors.surroundings import surroundings_at
 
-# XLA fuses products and sums, its logarithm and angles differ in the last places: a few units of single
-# precision of what is measured, as a share ...
+# XLA fuses products and sums, and its logarithms and angles differ in the last places: some units of single
+# precision, as a share of what is measured ...
 SHARE = 1e-5
-# ... and of positions, about 10 m, and way that the INS adds up over four measurements [m, rad]. The normal
-# numbers of a GPS, cut off at three sigma, are as exact as the error function there: 1e-4 of 0.8 m.
-NEAR = 1e-4
+# ... and of positions about 10 m from the origin, which the INS adds up over four measurements [m, rad].
+NEAR = 2e-5
 SEED = 11
 TIMES = np.float32([0.0, 0.2, 0.4, 0.6])  # s
 CURVE = ((0.0, 0.0), (1.0, 1.5), (6.0, 5.0))
