@@ -51,7 +51,7 @@ def posed(name):
     data.qpos[scene.model.jnt_qposadr[joints]] = TURNED
     mujoco.mj_kinematics(scene.model, data)
     single = SingleWorld(build_scene(STUDIO, ()))
-    slot = single.add(ROBOTS.get(name), name, (0.0, 0.0, 2.0), np.array([1.0, 0, 0, 0]))
+    slot = single.add(ROBOTS.get(name), name, [((0.0, 0.0, 2.0), np.array([1.0, 0, 0, 0]))])
     single.engine.data.qpos[:] = data.qpos
     return scene, data, single.render_scene(), single.sensor_input(slot).bodies
 

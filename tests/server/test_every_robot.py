@@ -17,8 +17,8 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-PACE = 10.0
-"""Times real time: faster than that would only take cores from what compiles."""
+PACE = 5.0
+"""Times real time: the faster it is, the later in the world's time a command arrives."""
 F4 = r"-?\d+\.\d{4}"
 HEADLIGHT = r"{LightToggle False} {LightIntensity 0} {Battery \d+} {View -1}"
 STEER = rf"{{FrontSteer {F4}}} {{RearSteer {F4}}} "

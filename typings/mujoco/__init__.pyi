@@ -88,6 +88,7 @@ class MjModel:
     geom_pos: np.ndarray
     geom_quat: np.ndarray
     geom_rbound: np.ndarray
+    geom_group: np.ndarray
     geom_rgba: np.ndarray
     geom_sameframe: np.ndarray
     geom_size: np.ndarray
@@ -446,11 +447,26 @@ class mjtWarning(_Enum):
     mjWARN_CNSTRFULL: ClassVar[mjtWarning]
 
 mjMAXVAL: float
+mjNGROUP: int
 
 def mj_collision(m: MjModel, d: MjData) -> None: ...
 def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_getState(m: MjModel, d: MjData, state: np.ndarray, sig: int) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
+def mj_multiRay(
+    m: MjModel,
+    d: MjData,
+    pnt: np.ndarray,
+    vec: np.ndarray,
+    geomgroup: np.ndarray | None,
+    flg_static: bool | int,
+    bodyexclude: int,
+    geomid: np.ndarray,
+    dist: np.ndarray,
+    normal: np.ndarray | None,
+    nray: int,
+    cutoff: float,
+) -> None: ...
 def mj_ray(
     m: MjModel,
     d: MjData,

@@ -20,8 +20,8 @@ from usarmjx.base import numpy_arrays
 from usarmjx.base.arrays import Array
 
 T = TypeVar("T")
-P = ParamSpec("P")
-P = ParamSpec("P")
+Params = ParamSpec("Params")
+Params = ParamSpec("Params")
 _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
 
@@ -78,9 +78,9 @@ class _NamedScope(AbstractContextManager[None]):
         if self._scope is not None:
             self._scope.__exit__(*error)
 
-    def __call__(self, function: Callable[P, T]) -> Callable[P, T]:
+    def __call__(self, function: Callable[Params, T]) -> Callable[Params, T]:
         @wraps(function)
-        def named(*args: P.args, **kwargs: P.kwargs) -> T:
+        def named(*args: Params.args, **kwargs: Params.kwargs) -> T:
             if _on_numpy.get():
                 return function(*args, **kwargs)
             with jax.named_scope(self._name):
@@ -113,12 +113,12 @@ def fori_loop(count: int, body: Callable[[Any, T], T], start: T) -> T:
     return value
 
 
-def jit(function: Callable[P, T], static_argnames: tuple[str, ...] = ()) -> Callable[P, T]:
+def jit(function: Callable[Params, T], static_argnames: tuple[str, ...] = ()) -> Callable[Params, T]:
     """Compile a function as `jax.jit` does; on NumPy it runs as it is."""
     compiled = jax.jit(function, static_argnames=static_argnames)
 
     @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+    def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
         return function(*args, **kwargs) if _on_numpy.get() else compiled(*args, **kwargs)
 
     return run

@@ -121,7 +121,7 @@ def brute_force(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:
             first = jnp.minimum(first, reach.min())
         return first
 
-    return jax.vmap(one)(*fans.rays())
+    return jax.vmap(one)(*map(jnp.asarray, fans.rays()))
 
 
 def _bounding_volume_cast(geoms: Geoms, fans: Fans, viewer: jax.Array) -> jax.Array:

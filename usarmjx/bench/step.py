@@ -118,7 +118,7 @@ def _physics_only(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[
             ctrl = (
                 ctrl.at[:, group.actuator_ids].set(speeds[..., here]).at[:, group.hold_actuator_ids].set(1.0)
             )
-            act = act.at[:, group.actadr].set(now.qpos[:, group.qposadr[:, here]])
+            act = jnp.asarray(act).at[:, group.actadr].set(now.qpos[:, group.qposadr[:, here]])
         return batch.engine.advance(physics, _bare_inputs(batch, ctrl).replace(act=act, geom_poses=standing))
 
     return body

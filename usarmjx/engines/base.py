@@ -29,9 +29,9 @@ class PhysicsState(struct.PyTreeNode, kw_only=True):
         act: Actuator activations (worlds, na).
     """
 
-    qpos: jax.Array
-    qvel: jax.Array
-    act: jax.Array
+    qpos: Array
+    qvel: Array
+    act: Array
 
 
 class GeomPoses(struct.PyTreeNode, kw_only=True):

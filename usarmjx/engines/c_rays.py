@@ -4,7 +4,7 @@ What `sensors.rays.raycast` promises holds here too (materials, the robot's own 
 fenders, which C MuJoCo does not know, are cast by their kernel.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -75,7 +75,7 @@ class CRayCaster:
         )
 
     @contextmanager
-    def _without(self, slot: int) -> Iterator[None]:
+    def _without(self, slot: int) -> Generator[None]:
         """Put a robot's geoms into a group of their own; nothing for what is no robot's slot."""
         own, groups = self._own.get(slot), self._model.geom_group
         if own is None:
@@ -112,7 +112,7 @@ class CRayCaster:
                     geom[rays],
                     distance[rays],
                     normal[rays].reshape(-1) if query.incidence else None,
-                    end - first,
+                    int(end - first),
                     mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
                 )
         return np.where(geom >= 0, distance, np.inf), normal, geom

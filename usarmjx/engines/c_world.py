@@ -71,10 +71,12 @@ class CWorld:
 
     def state(self) -> PhysicsState:
         """Return positions, velocities and activations in single precision, without an axis over worlds."""
-        numbers: dict[str, Array] = {
-            name: getattr(self.data, name).astype(np.float32) for name in ("qpos", "qvel", "act")
-        }
-        return PhysicsState(**numbers)  # type: ignore[arg-type] - NumPy's arrays: nothing here is traced
+        data = self.data
+        return PhysicsState(
+            qpos=data.qpos.astype(np.float32),
+            qvel=data.qvel.astype(np.float32),
+            act=data.act.astype(np.float32),
+        )
 
     def apply(self, inputs: Inputs) -> None:
         """Take the inputs of a control step (no axis over worlds); nobody is ever parked here."""

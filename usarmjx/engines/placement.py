@@ -50,7 +50,7 @@ def free_pose(
         pos: Where its chassis' origin shall be [m] (3,).
         quat: Its orientation (4,).
         floor: No part of the robot may be lower than this [m].
-        reach: How far from there it may be put [m].
+        reach: How far from there it may be put [m]; 0: there or not at all.
 
     Returns:
         Position [m] (3,) and orientation (4,); None: nothing is free within reach.
@@ -68,6 +68,8 @@ def free_pose(
 @cache
 def _offsets(reach: float) -> list[tuple[float, float, float]]:
     """Return by how much a pose is moved, the least first: rings on the plane, each raised step by step."""
+    if not reach:
+        return [(0.0, 0.0, 0.0)]
     spacing = reach / RINGS
     flat: dict[tuple[float, float], None] = {(0.0, 0.0): None}  # in order, each once
     for ring in range(1, RINGS + 1):

@@ -154,7 +154,7 @@ def ins_paths(runs: int, seed: int = 0, **settings: object) -> np.ndarray:
 
         def step(memory: object, i: jax.Array) -> tuple[object, jax.Array]:
             memory, value = sensor.read(at(i), memory, jax.random.fold_in(key, i))
-            return memory, value[:2]
+            return memory, jnp.asarray(value)[:2]
 
         # The first reading is the truth, and its noise nothing: the robot has not moved yet.
         return jax.lax.scan(step, sensor.init_memory(at(jnp.int32(0)), key), jnp.arange(len(times)))[1]

@@ -100,9 +100,9 @@ class Client:
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
         try:
-            pos, angles = self._start_pose(init, spec)
+            poses = self._start_poses_for(init, spec)
             tile = self._world.free_tile(spec)
-            robot = self._world.spawn(spec, init.name or self._free_name(spec), pos, angles)
+            robot = self._world.spawn_at(spec, init.name or self._free_name(spec), poses)
         except UsageError as error:
             log.warning("%s: INIT refused: %s", self._peer, error)
             return False
@@ -111,20 +111,24 @@ class Client:
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
 
-    def _start_pose(self, init: wire.Init, spec: RobotSpec) -> tuple[Vec3, Vec3]:
-        starts = {start.tag.lower(): start for start in self._world.arena.starts}
-        if init.start and init.start.lower() not in starts:
+    def _start_poses_for(self, init: wire.Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:
+        """Return where an INIT lets the robot appear, the best first: where it says, or at any start pose."""
+        arena = self._world.arena
+        tags = {start.tag.lower(): start for start in arena.starts}
+        if init.start and init.start.lower() not in tags:
             raise UsageError(
-                f"no start pose {init.start!r}; known: {', '.join(s.tag for s in starts.values())}"
+                f"no start pose {init.start!r}; known: {', '.join(s.tag for s in tags.values())}"
             )
-        angles = flip_wire_angles(init.rotation) if init.rotation else (0.0, 0.0, 0.0)
+        angles = flip_wire_angles(init.rotation) if init.rotation else None
         if init.location is not None and not init.start:
-            return flip_wire_vector(init.location), angles
-        if not starts:
-            raise UsageError(f"arena {self._world.arena.name} has no start poses: give a Location")
-        start = starts[init.start.lower()] if init.start else self._world.free_start(spec)
-        pos = (*start.at[:2], start_height(self._world.arena, start, spec))
-        return pos, angles if init.rotation else (0.0, 0.0, start.yaw)
+            return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
+        if not tags:
+            raise UsageError(f"arena {arena.name} has no start poses: give a Location")
+        starts = [tags[init.start.lower()]] if init.start else self._world.starts_for(spec)
+        return [
+            ((*start.at[:2], start_height(arena, start, spec)), angles or (0.0, 0.0, start.yaw))
+            for start in starts
+        ]
 
     def _free_name(self, spec: RobotSpec) -> str:
         taken = {robot.name.lower() for robot in self._world.robots.values()}

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import set_at
 from usarmjx.base.errors import EngineError, UsageError
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.comms.links import Links
@@ -145,7 +146,7 @@ class Batch:
 
     def _reset_worlds_where(
         self, worlds: World, arenas: ArenaState | None, mask: jax.Array
-    ) -> tuple[World, jax.Array]:
+    ) -> tuple[World, Array]:
         fresh, qpos = self._fresh(worlds, arenas)
         return jax.tree.map(partial(select_worlds, mask), fresh, worlds), qpos
 
@@ -378,7 +379,7 @@ class Batch:
         """
         members, (_, lens, index) = state.worlds.groups[group], find_camera(self.scene, group, camera)
         told = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
-        return self.with_group(state, group, members.replace(fov=members.fov.at[..., index].set(told)))
+        return self.with_group(state, group, members.replace(fov=set_at(members.fov, (..., index), told)))
 
     @staticmethod
     def with_group(state: BatchState, group: int, group_state: GroupState) -> BatchState:

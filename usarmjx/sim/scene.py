@@ -113,7 +113,9 @@ class RobotGroup:
 
     def part(self, members: np.ndarray) -> "RobotGroup":
         """Return a group of some of its robots (members,)."""
-        return replace(self, slots=self.slots[members], indices=tuple(self.indices[i] for i in members))
+        return replace(
+            self, slots=self.slots[members], indices=tuple(self.indices[int(i)] for i in members.tolist())
+        )
 
     @property
     def effecters(self) -> tuple[Effecter, ...]:

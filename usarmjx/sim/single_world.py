@@ -5,7 +5,7 @@ and with the same random numbers: a robot at a pose reads what it would read in 
 that seed.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, wraps
 from typing import Any, ParamSpec, TypeVar
@@ -53,19 +53,21 @@ from usarmjx.sim.world import (
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
+Pose = tuple[Vec3, Array]
+"""A position [m] and an orientation (4,)."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
 
-P = ParamSpec("P")
+Params = ParamSpec("Params")
 T = TypeVar("T")
 
 
-def on_numpy(method: Callable[P, T]) -> Callable[P, T]:
+def on_numpy(method: Callable[Params, T]) -> Callable[Params, T]:
     """Let a method run its pure functions on NumPy."""
 
     @wraps(method)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+    def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
         with numpy_backend():
             return method(*args, **kwargs)
 
@@ -123,14 +125,14 @@ class SingleWorld:
 
     # Robots come and go
 
-    def add(self, robot: RobotSpec, name: str, pos: Vec3, quat: Array) -> int:
+    def add(self, robot: RobotSpec, name: str, poses: Sequence[Pose]) -> int:
         """Add a robot and return its slot; the states of the others are kept to the bit.
 
         Args:
             robot: Its class.
             name: Its name.
-            pos: Where its chassis' origin shall be [m]; the nearest free place within 1 m is taken.
-            quat: Its orientation (4,).
+            poses: Where its chassis' origin shall be: the first at which there is room, else what is
+                within 1 m of the first.
 
         Raises:
             UsageError: No seat is free, or no place; nothing has changed then.
@@ -149,7 +151,7 @@ class SingleWorld:
         )
         try:
             (group,) = robot_groups(self.engine.model, {slot: robot})
-            self._place(group, pos, quat)
+            self._place(group, poses)
             state = self._started(group)
             self._regroup(roster | {slot: RosterEntry(robot=robot, name=name)}, rows | {slot: _row(state, 0)})
         except Exception:
@@ -158,15 +160,18 @@ class SingleWorld:
             raise
         return slot
 
-    def _place(self, group: RobotGroup, pos: Vec3, quat: Array) -> None:
+    def _place(self, group: RobotGroup, poses: Sequence[Pose]) -> None:
         """Put the one robot of a group where there is room for it."""
         model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
-        found = free_pose(model, data, group.indices[0], np.array(pos), quat, floor)
-        if found is None:
-            where = ",".join(f"{value:.2f}" for value in pos)
-            raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
-        self.engine.place(group.indices[0], *found)
-        self._homes[int(group.slots[0])] = self.engine.pose(group.indices[0])
+        (index,) = group.indices
+        for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], REACH)):
+            found = free_pose(model, data, index, np.array(pos), quat, floor, reach)
+            if found is not None:
+                self.engine.place(index, *found)
+                self._homes[int(group.slots[0])] = self.engine.pose(index)
+                return
+        where = ",".join(f"{value:.2f}" for value in poses[0][0])
+        raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
 
     @on_numpy
     def _started(self, group: RobotGroup) -> GroupState:

@@ -82,7 +82,7 @@ def _approach(info: GeomBlockInfo, fields: Any, at: Any, bundle: _Bundle) -> jax
         return cone_sphere_distance(away, axis, fields[RADIUS_ROW, at], thick, slope)
     mat, size = [fields[i, at] for i in range(3, 12)], tuple(fields[i, at] for i in range(12, 15))
     return cone_box_distance(
-        info.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, axis), thick, slope
+        info.kind, size, _local(mat, tuple(-x for x in away)), _local(mat, tuple(axis)), thick, slope
     )
 
 
@@ -91,7 +91,7 @@ def _test(info: GeomBlockInfo, fields: Any, index: Any, bundle: _Bundle) -> jax.
     geom = [fields[i, index] for i in range(15)]
     away = tuple(bundle.origin[i] - geom[i] for i in range(3))
     mat, size = geom[3:12], tuple(geom[12:15])
-    return RAY_KERNELS[info.kind](_local(mat, away), _local(mat, bundle.direction), size)
+    return jnp.asarray(RAY_KERNELS[info.kind](_local(mat, away), _local(mat, bundle.direction), size))
 
 
 Best = tuple[jax.Array, jax.Array]

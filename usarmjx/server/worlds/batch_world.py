@@ -131,8 +131,9 @@ class BatchWorld(ServedWorld):
         }
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
-    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        """Activate a parked robot of that class and put it there."""
+    def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
+        """Activate a parked robot of that class and put it at the first pose."""
+        pos, angles = poses[0]
         self.check_position(pos)
         for group, state in zip(self.scene.groups, self._state.worlds.groups, strict=True):
             parked = np.flatnonzero(~np.asarray(state.active[self._instance]))

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.cameras.padding import with_spare_capacity
@@ -69,18 +70,19 @@ class DynamicWorld(ServedWorld):
         """Replace fields of the robot's state."""
         self._single.edit(robot.slot, **fields)
 
-    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+    def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
         """Add a robot to the running world; the states of the others are kept bit for bit."""
-        self.check_position(pos)
+        for pos, _ in poses:
+            self.check_position(pos)
         self.prepare(robot)
-        slot = self._single.add(robot, name, pos, quat_from_angles(*angles))
+        slot = self._single.add(robot, name, [(pos, quat_from_angles(*angles)) for pos, angles in poses])
         with numpy_backend():
             command = idle_command(robot)
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         self.robots[slot] = new
         place = self.state(new).pos
-        if not np.allclose(place, pos, atol=1e-3):
-            log.info("%s: no room at %s: it stands at %s", name, _text(pos), _text(place))
+        if not any(np.allclose(place, pos, atol=1e-3) for pos, _ in poses):
+            log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(place))
         return new
 
     def remove(self, robot: Robot) -> None:
@@ -105,7 +107,7 @@ class DynamicWorld(ServedWorld):
             robot.drowned = bool(self._single.state_of(robot.slot).drowned)
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
-                    robot.pending[sensor] = reading.value
+                    robot.pending[sensor] = np.asarray(reading.value)
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
@@ -120,5 +122,5 @@ class DynamicWorld(ServedWorld):
         return lambda: [jax.device_get(render_picture_jit(render_scene, *view)) for view in views]
 
 
-def _text(pos: Vec3 | np.ndarray) -> str:
+def _text(pos: Vec3 | Array) -> str:
     return ",".join(f"{value:.2f}" for value in pos)

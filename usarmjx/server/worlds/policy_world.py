@@ -4,6 +4,7 @@ All worlds of the batch do the policy's task. It reads sensors once for each act
 clients get the same readings, so nothing changes for the policy when somebody looks on.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -185,8 +186,9 @@ class PolicyWorld(BatchWorld):
         named = enumerate(self._env.scene.roster)
         return {entry.name or f"{entry.spec.name}{slot}": slot for slot, entry in named}
 
-    def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
+    def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
         """Take over the robot of that name where it is, or put the first free one of its class there."""
+        pos, angles = poses[0]
         self.check_position(pos)
         slots = {agent.lower(): slot for agent, slot in self.agents().items()}
         slot = slots.get(name.lower())

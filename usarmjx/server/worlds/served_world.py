@@ -147,29 +147,39 @@ class ServedWorld(ABC):
         """
         suite_of(robot), cameras_of(robot), effecters_of(robot)
 
-    @abstractmethod
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        """Put a robot of that class there.
+        """Put a robot of that class there; see `spawn_at`."""
+        return self.spawn_at(robot, name, [(pos, angles)])
+
+    @abstractmethod
+    def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
+        """Put a robot of that class where there is room for it.
+
+        Args:
+            robot: Its class.
+            name: Its name.
+            poses: Positions [m] and angles (roll, pitch, yaw) [rad] to choose from, the best first; where
+                robots are only put where they are told to be, the first is taken.
 
         Raises:
             UsageError: There is no room for it, or the position is out of reach.
         """
 
-    def free_start(self, robot: RobotSpec) -> StartPose:
-        """Return the arena's first start pose that no robot stands near; the first where all are taken.
+    def starts_for(self, robot: RobotSpec) -> list[StartPose]:
+        """Return the arena's start poses, those that another robot stands near last.
 
         Near is half of both robots' lengths or widths, whichever are longer.
         """
-        places = [(self.state(other).pos, max(other.spec.dimensions[:2])) for other in self.robots.values()]
+        own = max(robot.dimensions[:2])
+        places = [
+            (self.state(other).pos[:2].tolist(), (max(other.spec.dimensions[:2]) + own) / 2)
+            for other in self.robots.values()
+        ]
 
-        def is_free(start: StartPose) -> bool:
-            return all(
-                math.dist(start.at[:2], (float(pos[0]), float(pos[1])))
-                > (long + max(robot.dimensions[:2])) / 2
-                for pos, long in places
-            )
+        def is_taken(start: StartPose) -> bool:
+            return any(math.dist(start.at[:2], place) <= apart for place, apart in places)
 
-        return next(filter(is_free, self.arena.starts), self.arena.starts[0])
+        return sorted(self.arena.starts, key=is_taken)
 
     @abstractmethod
     def remove(self, robot: Robot) -> None:

@@ -42,7 +42,7 @@ def start_episode(
 ) -> tuple[World, EpisodeStart]:
     """Begin an episode."""
     world, view = make_view(scene, world, physics)
-    memory = task.start(view, episode_key(world, Stream.TASK_START))
+    memory = task.start(view, jnp.asarray(episode_key(world, Stream.TASK_START)))
     obs, privileged = _observe(task, view, memory)
     zero = jnp.zeros((), jnp.int32)
     return world, EpisodeStart(

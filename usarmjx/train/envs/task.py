@@ -53,7 +53,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
     @property
     def time(self) -> jax.Array:
         """Simulated time since the episode began [s] ()."""
-        return time_of(self.scene, self.world)
+        return jnp.asarray(time_of(self.scene, self.world))
 
     @property
     def key(self) -> jax.Array:
@@ -66,11 +66,11 @@ class TaskView(struct.PyTreeNode, kw_only=True):
         Raises:
             UnknownNameError: The robots have none, or the task does not ask for it; lists those there are.
         """
-        return self.readings[group][self.scene.groups[group].suite.index(kind)].value
+        return jnp.asarray(self.readings[group][self.scene.groups[group].suite.index(kind)].value)
 
     def is_fresh(self, group: int, kind: str) -> jax.Array:
         """Return whether that was measured now, not at an earlier scan (robots,)."""
-        return self.readings[group][self.scene.groups[group].suite.index(kind)].fresh
+        return jnp.asarray(self.readings[group][self.scene.groups[group].suite.index(kind)].fresh)
 
     def robots(self, group: int) -> RobotState:
         """Return where a group's robots truly are; leading axis over them. Not for `observe`."""
@@ -99,7 +99,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
     @property
     def starts(self) -> jax.Array:
         """Start poses of the world's arena: x, y, z [m] above its floor, yaw [rad] (starts, 4)."""
-        return start_poses(self.scene, self.world.arena_state)
+        return jnp.asarray(start_poses(self.scene, self.world.arena_state))
 
     @property
     def victims(self) -> VictimTable:

@@ -235,7 +235,7 @@ class Soccer(Task):
 
     def true_positions(self, view: TaskView) -> tuple[jax.Array, jax.Array]:
         """Return where the ball (2,) and the robots (robots, 2) truly are [m]."""
-        ball = view.physics.qpos[view.scene.loose_geoms.root_qposadr[0, :2]]
+        ball = jnp.asarray(view.physics.qpos)[view.scene.loose_geoms.root_qposadr[0, :2]]
         groups = range(len(view.scene.groups))
         return ball, jnp.concatenate([view.robots(g).pos[:, :2] for g in groups])
 

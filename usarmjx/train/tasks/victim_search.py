@@ -246,9 +246,9 @@ class VictimSearch(TeamTask):
         gap = jnp.linalg.norm(grid.centres[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
         right = gap <= self.near
         # Nobody takes marks away, so those that are wrong stay so.
-        linked = (
-            reachable(jnp.asarray(view.links.in_range), base) if self.radio is not None else before.linked
-        )
+        linked = before.linked
+        if self.radio is not None:
+            linked = jnp.asarray(reachable(jnp.asarray(view.links.in_range), base))
         return VictimSearchState(
             reported=before.reported | (right & marked[:, :, None]).any((0, 1)),
             wrong=(marked & ~right.any(-1)).sum().astype(jnp.float32),
