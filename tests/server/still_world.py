@@ -26,8 +26,8 @@ class StillWorld(ServedWorld):
     def time(self):
         return self._steps * self.period
 
-    def spawn(self, robot, name, pos, angles):
-        self.check_position(pos)
+    def spawn_at(self, robot, name, poses):
+        self.check_position(poses[0][0])
         slot = min(set(range(self._max_robots)) - set(self.robots), default=None)
         if slot is None:
             raise UsageError(f"there is room for {self._max_robots} robots")
