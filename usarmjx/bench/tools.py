@@ -24,11 +24,10 @@ def versions() -> dict[str, str]:
     return found
 
 
-def commit() -> str:
-    """Return the commit of the code, if it is a checkout."""
-    here = Path(__file__).parent
+def commit(folder: Path = Path(__file__).parent) -> str:
+    """Return the commit of the code in a folder, this one by default, if it is a checkout."""
     try:
-        asked = ["git", "-C", str(here), "rev-parse", "--short", "HEAD"]
+        asked = ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"]
         return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return "unknown"

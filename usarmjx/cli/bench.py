@@ -1,7 +1,8 @@
 """`usarmjx bench`: how fast things go on this machine."""
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -81,6 +82,53 @@ def bench_camera(
             peer=peer,
         )
         typer.echo(measure_camera(case, json))
+
+
+@app.command("serve")
+def bench_serve(
+    checkout: Annotated[
+        list[Path] | None,
+        typer.Option(help="Source tree whose server is measured too, in turn with ours; may be repeated."),
+    ] = None,
+    part: Annotated[
+        list[str] | None,
+        typer.Option(help="Only start, init, gaps, load or pictures; may be repeated. Else all."),
+    ] = None,
+    arena: Annotated[str, typer.Option(help="Arena name, or a file.")] = "yellow",
+    robot: Annotated[
+        list[str] | None, typer.Option(help="Class whose INIT is timed; may be repeated. Else five.")
+    ] = None,
+    robots: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="Robots whose load is measured; may be repeated. Else 1, 4, 16, 64."),
+    ] = None,
+    joining: Annotated[int, typer.Option(min=1, help="How many join, leave and talk.")] = 15,
+    engine: EngineOption = "c",
+    seconds: Annotated[float, typer.Option(min=0.5, help="Length of one look at a load.")] = 5.0,
+    windows: Annotated[int, typer.Option(min=1, help="How many of them.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, help="Servers started for each other figure.")] = 3,
+    limit: Annotated[float, typer.Option(min=1.0, help="Seconds after which a wait is given up.")] = 120.0,
+    note: Annotated[str, typer.Option(help="What a reader of the record must know.")] = "",
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure what clients of `usarmjx serve` wait for, and what robots cost it, over TCP."""
+    with ErrorExit():
+        from usarmjx.bench.serve import ServeCase, measure_serve
+
+        chosen = {"parts": part, "classes": robot, "robots": robots}
+        given: dict[str, Any] = {name: tuple(values) for name, values in chosen.items() if values}
+        case = ServeCase(
+            arena=arena,
+            joining=joining,
+            engine=engine,
+            seconds=seconds,
+            windows=windows,
+            repeats=repeats,
+            limit=limit,
+            **given,
+        )
+        say = partial(typer.echo, err=True)
+        typer.echo(measure_serve(case, checkout or (), json, note, say))
 
 
 @app.command("train")
