@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 STUB = ast.parse((ROOT / "typings/mujoco/__init__.pyi").read_text())
 CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
 NAMES = {node.name for node in STUB.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+NAMES |= {node.target.id for node in STUB.body if isinstance(node, ast.AnnAssign)}
 OF_INSTANCES = {"_Enum", "_View", "_JointView", "_NumericView", "_Vector", "_MjContact"}
 """What has another name in MuJoCo, or one for each kind of element; an instance has it."""
 SCENE = """

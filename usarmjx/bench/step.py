@@ -28,7 +28,8 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.worlds.make import parse_roster
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.control import ControlMode, idle_command, set_drive
-from usarmjx.sim.scene import RobotGroup, Scene, build_scene, start_height
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene, build_scene, start_height
 from usarmjx.sim.site import moved_geom_poses
 
 RESET_SHARE = 0.01

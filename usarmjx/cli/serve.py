@@ -40,7 +40,7 @@ def serve(
         str | None, typer.Option(help="Which of them to serve, if several: all, or numbers as 0,2-5.")
     ] = None,
     roster: Annotated[
-        str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c needs none.")
+        str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c takes others too.")
     ] = "P2AT:4,P2DX:4",
     seats: Annotated[
         int | None, typer.Option(min=1, help="Most robots in one world; else as many as connections.")

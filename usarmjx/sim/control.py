@@ -19,6 +19,7 @@ from usarmjx.models.build.parts import joint_names, parts_of
 from usarmjx.models.build.servos import actuated_servos
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.torque import Joints, torque_inputs
 
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
@@ -64,6 +65,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         depth: How far its origin is below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
         speed: Factor on how fast they turn (); None: 1.
+        hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
     """
 
     time: Array
@@ -71,6 +73,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     depth: Array
     torque: Array | None = None
     speed: Array | None = None
+    hold: Array | None = None
 
 
 class ActuatorInputs(struct.PyTreeNode, kw_only=True):
@@ -78,7 +81,8 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
-        hold: Inputs of the holding actuators: 1, or 0 in torque mode (actuators,).
+        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the torque it was told
+            (actuators,).
         act: Activations of the pulling ones: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
         refused: How many commanded numbers were not finite ().
@@ -316,8 +320,7 @@ def _servo(
 ) -> tuple[Array, Array, Array]:
     """Return the inputs and activations of a robot's actuators (`ActuatorInputs`).
 
-    In torque mode nothing holds the joint and the pull is that torque; at the end of its range the
-    joint is held there for as long as the torque pushes outward.
+    At the end of its range a joint in torque mode is held there for as long as the torque pushes outward.
     """
     here, servos = actuated_servos(plan)
     q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
@@ -330,16 +333,24 @@ def _servo(
         speed, target = speed * share, xp.where(mode == ControlMode.VELOCITY, target * share, target)
     low, high = servos.low, servos.high
     even = q + servos.lead * v
-    act = xp.clip(act, even - windup_limit, even + windup_limit)
-    wanted = xp.where(mode == ControlMode.POSITION, (target - act) / period, target)
+    held = xp.ones_like(act, dtype=bool) if conditions.hold is None else conditions.hold > 0.0
+    # A joint that nothing held has no target to go on from: it begins where it is.
+    aim = xp.clip(xp.where(held, act, even), even - windup_limit, even + windup_limit)
+    wanted = xp.where(mode == ControlMode.POSITION, (target - aim) / period, target)
     rate = xp.clip(wanted, -speed, speed)
-    ctrl = xp.clip(rate, (low - act) / period, (high - act) / period)
-    outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
+    ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
     forced = mode == ControlMode.TORQUE
+    if on_numpy() and not forced.any():
+        return ctrl, hold, aim
+    outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
     free = forced & ~outward
-    pull = xp.clip(target, -torque, torque) / servos.stiffness
-    act = xp.where(forced, xp.where(outward, xp.clip(q, low, high), pull), act)
-    return xp.where(forced, 0.0, ctrl), xp.where(free, 0.0, 1.0), act
+    # Towards the end of its range it slows down, to get halfway there in every step.
+    way = xp.maximum(xp.where(target > 0.0, high - q, q - low), 0.0)
+    top, bounded = xp.minimum(speed, 0.5 * way / period), xp.clip(target, -torque, torque)
+    driven = torque_inputs(servos, bounded, top, Joints(q, v, act, held), period)
+    ctrl = xp.where(free, driven[0], xp.where(forced, 0.0, ctrl))
+    act = xp.where(free, driven[2], xp.where(forced, xp.clip(q, low, high), aim))
+    return ctrl, xp.where(free, driven[1], hold), act
 
 
 def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Array:

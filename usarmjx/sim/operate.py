@@ -22,7 +22,8 @@ from usarmjx.models.spec.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
-from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene
 from usarmjx.sim.visible import ray_geoms, visible_arena
 from usarmjx.sim.world import World, powered, robot_states, time_of
 

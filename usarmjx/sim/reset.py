@@ -14,7 +14,8 @@ from usarmjx.models.build.variation import max_wheel_radius, sample_values
 from usarmjx.models.effecters import no_dropped_tags
 from usarmjx.sensors.suite import NO_MEMORY
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.scene import RobotGroup, Scene, origin_height, parking_position
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene, origin_height, parking_position
 from usarmjx.sim.site import arena_state_at, start_poses
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import (
@@ -109,6 +110,7 @@ def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: A
         active=xp.broadcast_to(active, (n,)),
         battery_start=since,
         drowned=xp.zeros(n, bool),
+        hold=xp.ones((n, len(group.plan.actuated))),
         releases=xp.tile(xp.array(group.releases, xp.int32), (n, 1)),
         memory=NO_MEMORY,
         fov=xp.tile(xp.array([c.default_fov for c in cameras_of(group.robot)], xp.float32), (n, 1)),

@@ -1,6 +1,6 @@
 """A scene: an arena with a roster of robots, composed and resolved. Static; every world is a copy of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +14,9 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.build.arena_set import ArenaSet, arena_index_of, arena_set
-from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
-from usarmjx.models.build.layout import RobotIndex, index_robot
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.build.tags import TagTable, tag_table
@@ -28,13 +27,12 @@ from usarmjx.models.build.variation import (
     is_randomized,
 )
 from usarmjx.models.build.victims import VictimTable, victim_table
-from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.rays.targets import check_ray_kinds
-from usarmjx.sensors.suite import Suite, suite_of
+from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
 from usarmjx.sim.scene_geoms import (
     GeomTable,
     LooseGeoms,
@@ -88,84 +86,6 @@ class RosterEntry:
             UnknownNameError: No such class.
         """
         return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
-
-
-@dataclass(frozen=True, eq=False)
-class RobotGroup:
-    """The robots of one class in a scene; arrays have a leading axis over them.
-
-    Attributes:
-        plan: Body plan of the class.
-        suite: Its sensors.
-        slots: Roster slots of the robots (n,).
-        indices: Where each lies in the model.
-    """
-
-    plan: KinematicTree
-    suite: Suite
-    slots: np.ndarray
-    indices: tuple[RobotIndex, ...]
-
-    @property
-    def robot(self) -> RobotSpec:
-        """The robot class."""
-        return self.plan.robot
-
-    def part(self, members: np.ndarray) -> "RobotGroup":
-        """Return a group of some of its robots (members,)."""
-        return replace(
-            self, slots=self.slots[members], indices=tuple(self.indices[int(i)] for i in members.tolist())
-        )
-
-    @property
-    def effecters(self) -> tuple[Effecter, ...]:
-        """The effecters of the class."""
-        return effecters_of(self.robot)
-
-    @property
-    def releases(self) -> tuple[int, ...]:
-        """What each effecter carries to release."""
-        return tuple(effecter.initial_stock for effecter in self.effecters)
-
-    @cached_property
-    def root_qposadr(self) -> np.ndarray:
-        """Qpos addresses of the free joints (n, 7)."""
-        return np.array([index.root_qposadr + np.arange(7) for index in self.indices])
-
-    @cached_property
-    def root_dofadr(self) -> np.ndarray:
-        """Qvel addresses of the free joints (n, 6)."""
-        return np.array([index.root_dofadr + np.arange(6) for index in self.indices])
-
-    @cached_property
-    def qposadr(self) -> np.ndarray:
-        """Qpos addresses of the joints (n, joints)."""
-        return np.array([index.qposadr for index in self.indices], int)
-
-    @cached_property
-    def dofadr(self) -> np.ndarray:
-        """Qvel addresses of the joints (n, joints)."""
-        return np.array([index.dofadr for index in self.indices], int)
-
-    @cached_property
-    def actuator_ids(self) -> np.ndarray:
-        """Ids of the actuators that pull (n, actuators)."""
-        return np.array([index.actuator_ids for index in self.indices], int)
-
-    @cached_property
-    def actadr(self) -> np.ndarray:
-        """Addresses of the actuators' activations (n, actuators)."""
-        return np.array([index.actadr for index in self.indices], int)
-
-    @cached_property
-    def hold_actuator_ids(self) -> np.ndarray:
-        """Ids of the actuators that hold the joints (n, actuators)."""
-        return np.array([index.hold_actuator_ids for index in self.indices], int)
-
-    @cached_property
-    def chassis(self) -> np.ndarray:
-        """Body ids of the chassis (n,)."""
-        return np.array([index.body_ids[0] for index in self.indices])
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,11 +216,6 @@ class Scene:
         raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
 
 
-def prefix_of(slot: int) -> str:
-    """Return the prefix of the names of a slot's robot in the model."""
-    return f"r{slot}/"
-
-
 def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
     """Return where the robot of a slot waits while unused [m]."""
     row, column = divmod(slot, 8)
@@ -384,19 +299,3 @@ def build_scene(
 
 def _groups(model: mujoco.MjModel, entries: tuple[RosterEntry, ...]) -> tuple[RobotGroup, ...]:
     return robot_groups(model, {slot: entry.spec for slot, entry in enumerate(entries)})
-
-
-def robot_groups(model: mujoco.MjModel, robots: Mapping[int, RobotSpec]) -> tuple[RobotGroup, ...]:
-    """Return the robots of a model, by slot, as groups by class."""
-    slots: dict[RobotSpec, list[int]] = {}
-    for slot, robot in robots.items():
-        slots.setdefault(robot, []).append(slot)
-    return tuple(
-        RobotGroup(
-            plan=kinematic_tree_of(robot),
-            suite=suite_of(robot),
-            slots=np.array(members),
-            indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
-        )
-        for robot, members in slots.items()
-    )

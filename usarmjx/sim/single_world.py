@@ -36,7 +36,8 @@ from usarmjx.sim.control import idle_command
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import new_group_state, started
-from usarmjx.sim.scene import RobotGroup, RosterEntry, Scene, parking_position, prefix_of, robot_groups
+from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
+from usarmjx.sim.scene import RosterEntry, Scene, parking_position
 from usarmjx.sim.site import moved_geom_poses
 from usarmjx.sim.views import build_render_scene
 from usarmjx.sim.world import (
@@ -53,8 +54,6 @@ from usarmjx.sim.world import (
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
-Pose = tuple[Vec3, Array]
-"""A position [m] and an orientation (4,)."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
@@ -125,14 +124,14 @@ class SingleWorld:
 
     # Robots come and go
 
-    def add(self, robot: RobotSpec, name: str, poses: Sequence[Pose]) -> int:
+    def add(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Array]]) -> int:
         """Add a robot and return its slot; the states of the others are kept to the bit.
 
         Args:
             robot: Its class.
             name: Its name.
-            poses: Where its chassis' origin shall be: the first at which there is room, else what is
-                within 1 m of the first.
+            poses: Positions [m] of its chassis' origin and orientations (4,): the first with room is taken,
+                else what is free within 1 m of the first.
 
         Raises:
             UsageError: No seat is free, or no place; nothing has changed then.
@@ -160,7 +159,7 @@ class SingleWorld:
             raise
         return slot
 
-    def _place(self, group: RobotGroup, poses: Sequence[Pose]) -> None:
+    def _place(self, group: RobotGroup, poses: Sequence[tuple[Vec3, Array]]) -> None:
         """Put the one robot of a group where there is room for it."""
         model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
         (index,) = group.indices

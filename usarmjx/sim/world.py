@@ -29,7 +29,8 @@ from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
 from usarmjx.sensors.suite import SensorMemory
 from usarmjx.sim.control import DriveConditions, RobotCommand, compute_actuation
-from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene
 from usarmjx.sim.site import moved_geom_poses, surroundings
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.visible import ray_geoms, visible_arena, visible_doors, visible_loose, visible_robots
@@ -62,6 +63,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
         active: Whether the robot is in use; the others are parked (n,).
         battery_start: When its battery was full [s] (n,).
         drowned: Whether water has killed its battery (n,).
+        hold: Inputs that their holding actuators had in the last control step (n, actuators).
         releases: What each of their effecters has left to release (n, effecters).
         memory: What their sensors remember (n, ...).
         fov: Horizontal field of view of each of their cameras [rad] (n, cameras).
@@ -72,6 +74,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     active: Array
     battery_start: Array
     drowned: Array
+    hold: Array
     releases: Array
     memory: SensorMemory
     fov: Array
@@ -263,7 +266,9 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         awake = powered(scene, world, group, state)
         torque, speed = (_of_group(world, group, name) for name in ("torque", "speed"))
         clock = xp.broadcast_to(time, awake.shape)
-        now = DriveConditions(time=clock, powered=awake, depth=depth, torque=torque, speed=speed)
+        now = DriveConditions(
+            time=clock, powered=awake, depth=depth, torque=torque, speed=speed, hold=state.hold
+        )
         command, state = _delayed_command(world, group, state)
 
         driven = compute_actuation(
@@ -279,7 +284,7 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         for addresses in (group.root_dofadr, group.dofadr):
             pinned_dof = _set_mask(pinned_dof, addresses, parked)
         refused = refused + driven.refused.sum().astype(xp.int32)
-        groups.append(state)
+        groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
         ctrl=ctrl,
         act=act,

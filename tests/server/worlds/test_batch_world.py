@@ -7,12 +7,14 @@ from tests.arenas import FLAT
 from usarmjx.base.errors import UsageError
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.sensors.suite import suite_of
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import PARKING_HEIGHT, RosterEntry, build_scene
 
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
+P2AT_SUITE = suite_of(P2AT)
 STAND = 0.26  # m: a P2AT's origin above the floor (manual 5.3.6)
 SERVED, OTHERS = 1, [0, 2]
 LEVEL = (0.0, 0.0, 0.0)
@@ -232,3 +234,22 @@ def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
     assert world._state.worlds.groups[team].fov[SERVED, place, 0] == pytest.approx(
         again.cameras[0].default_fov
     )
+
+
+def test_two_worlds_of_a_batch_are_stepped_once_and_each_hears_its_own_robot(batch):
+    """A reading is fresh for one look only, whichever world asks for it."""
+    shared = SharedBatch(batch)
+    one, other = BatchWorld(shared, 0), BatchWorld(shared, 2)
+    robots = [world.spawn(P2AT, "R", (x, 0.0, STAND), LEVEL) for world, x in ((one, 0.0), (other, 1.5))]
+    before = shared.steps
+    for _ in range(10):
+        one.step()
+        other.step()
+    assert shared.steps == before + 10
+    one.observe([robots[0]])
+    other.observe([robots[1]])
+    truth = P2AT_SUITE.index("GroundTruth")
+    assert [robot.pending[truth][0] for robot in robots] == pytest.approx([0.0, 1.5], abs=0.01)
+    one.remove(robots[0])
+    assert not one.robots
+    assert other.robots

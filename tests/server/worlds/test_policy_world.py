@@ -11,7 +11,7 @@ from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.worlds.policy_world import PolicyWorld
+from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.task import StepResult, Task
@@ -55,7 +55,7 @@ def compiled():
         initial_carry=lambda worlds: jnp.zeros(worlds),
         act=lambda memory, obs, key: (memory + 1, (jnp.full((*obs[0].shape[:2], 2), SHARE),)),
     )
-    world = PolicyWorld(Env(task, 2, engine="c", seed=3), policy)
+    world = PolicyWorld(PolicyBatch(Env(task, 2, engine="c", seed=3), policy))
     world.warm_up()
     return world
 

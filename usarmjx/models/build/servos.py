@@ -19,6 +19,7 @@ class Servos:
         torque: Highest torque.
         stiffness: Gain on the position.
         damping: Gain on the velocity.
+        armature: Inertia of the motor.
         low: Lowest position.
         high: Highest position.
         lead: How far a servo's target is ahead of its joint per speed of that, without torque.
@@ -30,6 +31,7 @@ class Servos:
     torque: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
+    armature: np.ndarray
     low: np.ndarray
     high: np.ndarray
     lead: np.ndarray
@@ -40,7 +42,8 @@ class Servos:
 def servos_of(robot: RobotSpec) -> Servos:
     """Return the servo constants of a robot class."""
     parts = parts_of(robot)
-    motors = [part.motor or Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0) for part in parts]
+    no_motor = Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0, armature=1.0)
+    motors = [part.motor or no_motor for part in parts]
     limits = [part.limits or (-np.inf, np.inf) for part in parts]
 
     def row(values: list[float]) -> np.ndarray:
@@ -51,6 +54,7 @@ def servos_of(robot: RobotSpec) -> Servos:
         torque=row([m.torque for m in motors]),
         stiffness=row([m.stiffness for m in motors]),
         damping=row([m.damping for m in motors]),
+        armature=row([m.armature for m in motors]),
         low=row([low for low, _ in limits]),
         high=row([high for _, high in limits]),
         lead=row([m.damping / m.stiffness for m in motors]),

@@ -18,7 +18,8 @@ from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
-from usarmjx.server.worlds.served_world import Robot, ServedWorld, ViewpointRequest
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld, ViewpointRequest
 
 FOV = math.radians(75.0)
 """Field of view of the free view and of the chase camera [rad] (chosen)."""

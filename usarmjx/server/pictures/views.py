@@ -8,7 +8,8 @@ import numpy as np
 from usarmjx.cameras.picture import Picture, Viewpoint
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.server.pictures.dots import draw_sketch
-from usarmjx.server.worlds.served_world import CameraRequest, Robot, ServedWorld, ViewpointRequest
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch, BatchState, Readings
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.reset import new_group_state, started
 from usarmjx.sim.scene import PARKING_HEIGHT
@@ -46,18 +46,29 @@ class SharedBatch:
         batch: The batch.
         state: Its state now.
         steps: Control steps made so far.
+        served: The served worlds that are part of it.
     """
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self.state = batch.reset()
         self.steps = 0
+        self.served: list[BatchWorld] = []
 
     def advance(self, steps: int) -> None:
         """Have made so many steps since the beginning."""
         while self.steps < steps:
-            self.state = self.batch.step(self.state)
-            self.steps += 1
+            self._step()
+
+    def _step(self) -> None:
+        self.state = self.batch.step(self.state)
+        self.steps += 1
+
+    def observe(self) -> None:
+        """Read the sensors that are due, of all worlds: a reading is as new as it is for one time only."""
+        self.state, readings = self.batch.observe(self.state)
+        for world in self.served:
+            world.keep(readings)
 
 
 class BatchWorld(ServedWorld):
@@ -81,6 +92,7 @@ class BatchWorld(ServedWorld):
         self.arena = self._batch.arena_of(self._state, instance)
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
         self._steps, self._episode = 0, int(self._state.worlds.episode[instance])
+        self._shared.served.append(self)
         self._advance()
 
     @property
@@ -202,12 +214,20 @@ class BatchWorld(ServedWorld):
         before, self._episode = self._episode, episode
         if episode != before:
             log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
-            self.robots.clear()
+            for robot in list(self.robots.values()):
+                self._lose(robot)
+
+    def _lose(self, robot: Robot) -> None:
+        """Forget a robot that has gone without its client."""
+        del self.robots[robot.slot]
 
     def observe(self, due: list[Robot]) -> None:
-        """Read all sensors of the batch that are due; keep what the served world's clients will want."""
+        """Read all sensors of the batch that are due; keep what the clients of its worlds will want."""
         del due  # one compiled function reads everybody
-        self._state, readings = self._batch.observe(self._state)
+        self._shared.observe()
+
+    def keep(self, readings: Readings) -> None:
+        """Keep what clients will want of what has just been read in the batch."""
         for robot in self.robots.values():
             group, member = self.scene.group_of(robot.slot)
             at = (self._instance, member)

@@ -58,7 +58,8 @@ def make_worlds(
         engine: Name of an engine.
         worlds: Worlds in the batch.
         instances: Which of them to return, in this order.
-        roster: Robots that wait for clients, as P2AT:4,P2DX:2.
+        roster: Robots that wait for clients, as P2AT:4,P2DX:2; on engine `c`, where any class can come at any
+            time, those that are prepared before the first client.
         max_robots: Most robots of one world.
         seed: Of all random numbers; each world has its own.
 
@@ -70,8 +71,11 @@ def make_worlds(
     enable_compilation_cache()
     check_instances(instances, worlds)
     if choose_engine(engine, "serve") == "c":
-        spec = find_arena(arena)
-        return [DynamicWorld(spec, seed=seed, number=i, max_robots=max_robots) for i in instances]
+        spec, classes = find_arena(arena), dict.fromkeys(parse_roster(roster))
+        made = [DynamicWorld(spec, seed=seed, number=i, max_robots=max_robots) for i in instances]
+        for name in classes:
+            made[0].prepare(ROBOTS.get(name))
+        return [*made]
     entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
     if not entries:
         raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")

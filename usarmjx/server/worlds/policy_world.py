@@ -19,7 +19,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
-from usarmjx.server.worlds.batch_world import BatchWorld
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
@@ -51,29 +51,28 @@ class PolicyState(struct.PyTreeNode, kw_only=True):
     episode: jax.Array
 
 
-class PolicyWorld(BatchWorld):
-    """World `instance` of a task's batch, with a policy in it.
+class PolicyBatch(SharedBatch):
+    """A task's batch with a policy in it, of which some worlds are served.
 
-    INIT with the name of one of the task's robots takes that robot over where it is. Any other name gets the
-    first robot of its class that nobody has taken, where INIT says. Until its client leaves, the policy's
-    actions leave that robot out; then it drives it again.
-
-    When the task is over, by success or by time, it is reset with the robots where they are, so that no
-    client loses its robot; the arena stays.
+    All worlds of the batch do the policy's task; its actions leave out the robots that clients have. When the
+    task is over, by success or by time, it is reset with the robots where they are, so that no client loses
+    its robot; the arena stays.
 
     Args:
         env: The task.
         policy: The policy.
-        instance: Which world to serve.
         seed: Of the policy's random numbers and those of later episodes of the task.
 
-    Raises:
-        UsageError: The batch has no such world.
+    Attributes:
+        claimed: Which robots clients have (worlds, robots).
+        measured: The control step after which sensors were last read.
+        readings: What they said, as NumPy arrays, by group and sensor (worlds, robots of the group).
     """
 
-    def __init__(self, env: Env, policy: Policy, instance: int = 0, seed: int = 0) -> None:
-        super().__init__(env.batch, instance)
-        self._env, self._policy = env, policy
+    def __init__(self, env: Env, policy: Policy, seed: int = 0) -> None:
+        super().__init__(env.batch)
+        self.env, self._policy = env, policy
+        self.claimed = np.zeros((env.worlds, env.scene.num_robots), bool)
         self._key = jax.random.key(seed)
         sense, apply = jax.vmap(self._sense), jax.vmap(self._apply_actions)
         self._sense_all = jax.jit(jax.default_matmul_precision("highest")(sense))
@@ -82,21 +81,22 @@ class PolicyWorld(BatchWorld):
         self._observe_all = jax.jit(jax.vmap(env.task.observe))
         self._apply_actions_all = jax.jit(jax.default_matmul_precision("highest")(apply))
         self._act = jax.jit(policy.act)
+        self._episodes = np.asarray(self.state.worlds.episode)
+        super()._step()  # a client that comes at once finds a world that has begun
         views = self._views()
-        self._episodes = np.asarray(self._state.worlds.episode)
-        self._policy_state, self._policy_time = self._initial_policy_state(views), self.time
+        self._policy_state = self._initial_policy_state(views)
         self._act_on(views, jnp.ones(env.worlds, bool))
 
     # What follows up to `_apply_actions` is traced, of one world.
 
     def _sense(self, world: World, physics: PhysicsState) -> tuple[World, Readings]:
-        world, readings = observe(self._env.scene, world, physics)
-        if self._env.scene.radio is not None:
-            world = world.replace(links=update_links(self._env.scene, world, physics))
+        world, readings = observe(self.env.scene, world, physics)
+        if self.env.scene.radio is not None:
+            world = world.replace(links=update_links(self.env.scene, world, physics))
         return world, readings
 
     def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - the task's memory
-        return self._env.task.start(view, jax.random.fold_in(key, episode))
+        return self.env.task.start(view, jax.random.fold_in(key, episode))
 
     def _apply_actions(
         self,
@@ -106,40 +106,38 @@ class PolicyWorld(BatchWorld):
         claimed: Array,
     ) -> World:
         """Carry out actions of the robots that nobody has claimed (robots,)."""
-        task, scene = self._env.task, self._env.scene
+        task, scene = self.env.task, self.env.scene
         bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
         return apply_actions(scene, view.world, view.physics, task.act(view, memory, bounded), where=~claimed)
 
+    def _step(self) -> None:
+        """Advance by one control step; after as many as an action lasts, the policy acts."""
+        super()._step()
+        if self.steps % self.env.task.repeat == 0:
+            views = self._views()
+            self._policy_state, began = self._next_policy_state(views)
+            self._act_on(views, began)
+
     def _views(self) -> TaskView:
-        """Read the sensors of all worlds; return what the task sees of them, and keep what clients want."""
-        physics = self._batch.physics(self._state)
-        worlds, readings = self._sense_all(self._state.worlds, physics)
-        if self.robots:
-            self._store_readings(jax.device_get(jax.tree.map(lambda x: x[self._instance], readings)))
-        return TaskView(world=worlds, physics=physics, readings=readings, scene=self._env.scene)
+        """Read the sensors of all worlds; return what the task sees of them."""
+        physics = self.batch.physics(self.state)
+        worlds, readings = self._sense_all(self.state.worlds, physics)
+        self.measured, self.readings = self.steps, jax.device_get(readings)
+        return TaskView(world=worlds, physics=physics, readings=readings, scene=self.env.scene)
 
     def _act_on(self, views: TaskView, began: jax.Array) -> None:
         """Let the policy act, with a fresh memory where an episode began (worlds,)."""
         state = self._policy_state
         obs = self._observe_all(views, state.task)
-        initial = self._policy.initial_carry(self._env.worlds)
+        initial = self._policy.initial_carry(self.env.worlds)
         memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
-        memory, actions = self._act(memory, obs, jax.random.fold_in(self._key, self._steps))
-        worlds = self._apply_actions_all(views, state.task, actions, self._claims())
-        self._state = self._state.replace(worlds=worlds)
+        memory, actions = self._act(memory, obs, jax.random.fold_in(self._key, self.steps))
+        worlds = self._apply_actions_all(views, state.task, actions, self.claimed)
+        self.state = self.state.replace(worlds=worlds)
         self._policy_state = state.replace(policy=memory)
-        self._policy_time = self.time
-
-    def _store_readings(self, readings: Readings) -> None:
-        """Keep what clients will want of the served world's readings."""
-        for robot in self.robots.values():
-            group, member = self.scene.group_of(robot.slot)
-            for sensor, reading in enumerate(readings[group]):
-                if reading.fresh[member]:
-                    robot.pending[sensor] = np.asarray(reading.value[member])
 
     def _initial_policy_state(self, views: TaskView) -> PolicyState:
-        count = self._env.worlds
+        count = self.env.worlds
         zero = jnp.zeros(count, jnp.int32)
         return PolicyState(
             task=self._begin_all(views, self._task_keys(), zero),
@@ -151,9 +149,9 @@ class PolicyWorld(BatchWorld):
 
     def _next_policy_state(self, views: TaskView) -> tuple[PolicyState, jax.Array]:
         """Evaluate the last actions; return the state after them, and where an episode begins (worlds,)."""
-        before, episodes = self._policy_state, np.asarray(self._state.worlds.episode)
+        before, episodes = self._policy_state, np.asarray(self.state.worlds.episode)
         result = self._evaluate_all(views, before.task)
-        over = result.terminated | (before.length + 1 >= self._env.episode_steps)
+        over = result.terminated | (before.length + 1 >= self.env.episode_steps)
         began = over | jnp.asarray(episodes != self._episodes)
         self._episodes = episodes
         episode = before.episode + began
@@ -168,22 +166,48 @@ class PolicyWorld(BatchWorld):
         return after, began
 
     def _task_keys(self) -> jax.Array:
-        return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self._env.worlds)
+        return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self.env.worlds)
 
-    def _claims(self) -> np.ndarray:
-        """Return which robots clients have (worlds, robots)."""
-        claimed = np.zeros((self._env.worlds, self._env.scene.num_robots), bool)
-        claimed[self._instance, list(self.robots)] = True
-        return claimed
+    def score(self, world: int) -> float:
+        """Return the task's score of a world so far."""
+        return float(self._policy_state.score[world])
+
+
+class PolicyWorld(BatchWorld):
+    """World `instance` of a task's batch, with a policy in it.
+
+    INIT with the name of one of the task's robots takes that robot over where it is. Any other name gets the
+    first robot of its class that nobody has taken, where INIT says. Until its client leaves, the policy's
+    actions leave that robot out; then it drives it again.
+
+    Args:
+        shared: The batch and its policy; several worlds of it may be served.
+        instance: Which world to serve.
+
+    Raises:
+        UsageError: The batch has no such world.
+    """
+
+    def __init__(self, shared: PolicyBatch, instance: int = 0) -> None:
+        super().__init__(shared, instance)
+        self._policy_batch = shared
+
+    def _store_readings(self) -> None:
+        """Keep what clients will want of what has just been measured."""
+        for robot in self.robots.values():
+            group, member = self.scene.group_of(robot.slot)
+            for sensor, reading in enumerate(self._policy_batch.readings[group]):
+                if reading.fresh[self._instance, member]:
+                    robot.pending[sensor] = np.asarray(reading.value[self._instance, member])
 
     @property
     def score(self) -> float:
         """The task's score of the served world so far."""
-        return float(self._policy_state.score[self._instance])
+        return self._policy_batch.score(self._instance)
 
     def agents(self) -> dict[str, int]:
         """Return the names of the task's robots, and their slots."""
-        named = enumerate(self._env.scene.roster)
+        named = enumerate(self.scene.roster)
         return {entry.name or f"{entry.spec.name}{slot}": slot for slot, entry in named}
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
@@ -195,7 +219,9 @@ class PolicyWorld(BatchWorld):
         new = (
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
-        new.spawn_time = self._policy_time  # reports come when something has just been measured
+        self._policy_batch.claimed[self._instance, new.slot] = True
+        # Reports come when something has just been measured.
+        new.spawn_time = self._policy_batch.measured * self.period
         return new
 
     def _put_first(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
@@ -222,14 +248,17 @@ class PolicyWorld(BatchWorld):
         if self.robots.get(robot.slot) is robot:
             self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
             del self.robots[robot.slot]
+            self._policy_batch.claimed[self._instance, robot.slot] = False
+
+    def _lose(self, robot: Robot) -> None:
+        super()._lose(robot)
+        self._policy_batch.claimed[self._instance, robot.slot] = False
 
     def step(self) -> None:
         """Advance all worlds by one control step; after as many as an action lasts, the policy acts."""
         super().step()
-        if self._steps % self._env.task.repeat == 0:
-            views = self._views()
-            self._policy_state, began = self._next_policy_state(views)
-            self._act_on(views, began)
+        if self._policy_batch.measured == self._steps:
+            self._store_readings()
 
     def observe(self, due: list[Robot]) -> None:
         """See whose battery has drowned; what was measured is pending since the policy acted."""

@@ -145,7 +145,8 @@ class ServedWorld(ABC):
         Raises:
             UsageError: No robot can be built of that class.
         """
-        suite_of(robot), cameras_of(robot), effecters_of(robot)
+        for resolve in (suite_of, cameras_of, effecters_of):
+            resolve(robot)
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         """Put a robot of that class there; see `spawn_at`."""

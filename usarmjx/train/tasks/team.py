@@ -10,7 +10,8 @@ import numpy as np
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
 from usarmjx.sim.actions import Actions
-from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import Task, TaskView
 from usarmjx.train.mapping import planning

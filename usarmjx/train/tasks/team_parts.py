@@ -12,7 +12,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import STALE_AGE, Belief, GroupScan, other_slots
 from usarmjx.train.mapping.maps import MapGrid, classify_scan

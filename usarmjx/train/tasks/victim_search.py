@@ -13,7 +13,7 @@ from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.actions import Actions, JointAction
-from usarmjx.sim.scene import RobotGroup
+from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
