@@ -17,7 +17,7 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.comms.links import Links, no_links
@@ -134,7 +134,8 @@ class SingleWorld:
                 else what is free within 1 m of the first.
 
         Raises:
-            UsageError: No seat is free, or no place; nothing has changed then.
+            UsageError: No seat is free, or no place.
+            SpecError: MuJoCo cannot build the robot. Nothing has changed after this or any other exception.
         """
         roster, rows = self.roster, self._rows()
         free = [slot for slot in range(self._seats) if slot not in roster]
@@ -145,9 +146,11 @@ class SingleWorld:
         def remove(spec: mujoco.MjSpec) -> None:
             remove_robot(spec, prefix)
 
-        self.engine.edit(
-            lambda spec: add_robot(spec, robot, prefix, parking_position(self.scene.arena, slot)), remove
-        )
+        place = parking_position(self.scene.arena, slot)
+        try:
+            self.engine.edit(lambda spec: add_robot(spec, robot, prefix, place), remove)
+        except ValueError as error:  # of MuJoCo
+            raise SpecError(f"a {robot.name} cannot be built: {error}") from error
         try:
             (group,) = robot_groups(self.engine.model, {slot: robot})
             self._place(group, poses)
