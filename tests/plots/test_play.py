@@ -104,6 +104,21 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     assert (server.settings.host, server.settings.port, factor) == ("127.0.0.1", 3001, 2.0)
 
 
+def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
+    served = []
+    monkeypatch.setattr("usarmjx.server.loop.serve", lambda *given: served.append(given))
+    file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
+    how = ["--worlds", "2", "--instances", "all", "--port", "3101", "--set", "pose=GroundTruth"]
+    done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
+    assert done.exit_code == 0, done.output
+    ((servers, _, _),) = served
+    assert [server.settings.port for server in servers] == [3101, 3102]
+    assert servers[0].world._policy_batch is servers[1].world._policy_batch
+    done = CliRunner().invoke(app, ["play", str(file), "--serve", *how[:2], "--instances", "2"])
+    assert done.exit_code == 2
+    assert "instance 2 is not among worlds 0 to 1" in done.output
+
+
 def test_play_runs_a_packaged_policy_by_the_name_of_its_task(tmp_path, monkeypatch):
     policy_file(tmp_path / "drive-to-goal.npz", {"ranges": ""})
     monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))

@@ -2,13 +2,15 @@
 
 import json as json_format
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.serve_run import PageChoice, make_server
+from usarmjx.cli.serve_run import PageChoice, make_servers
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption, announce
+from usarmjx.server.instances import parse_instances
 from usarmjx.server.ports import BOT_PORT, bound_ports, count_up
 from usarmjx.server.signals import StopSignals
 
@@ -119,6 +121,10 @@ def play(
     serve: Annotated[
         bool, typer.Option("--serve", help="Serve the running world to protocol clients instead.")
     ] = False,
+    worlds: Annotated[int, typer.Option(min=1, help="With --serve: worlds in the batch.")] = 1,
+    instances: Annotated[
+        str, typer.Option(help="With --serve: which of them to serve, all or numbers as 0,2-5.")
+    ] = "0",
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = BOT_PORT,
     port_offset: PortOffsetOption = 0,
@@ -135,14 +141,20 @@ def play(
         if serve:
             pages = [] if spectator_port is None else [PageChoice(spectator_port)]
             first = {"--port": port} | {key: n for page in pages for key, n in page.ports.items()}
-            with StopSignals() as signals, bound_ports(host, count_up(first, 1, port_offset)) as (bound,):
+            numbers = parse_instances(instances, worlds)
+            with (
+                StopSignals() as signals,
+                bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
+            ):
                 announce("building the world that the policy drives ...")
-                made = _policy_world(_source(policy, baseline, task, checkpoint), settings, engine, seed)
+                source = _source(policy, baseline, task, checkpoint)
+                made = _policy_worlds(source, settings, engine, seed, worlds, numbers)
                 from usarmjx.server.bot_server import BotServerSettings
                 from usarmjx.server.loop import serve as run
 
                 makers = [page.prepare(host) for page in pages]
-                run([make_server(made, BotServerSettings(host), makers, bound)], realtime_factor, signals)
+                settings_of = BotServerSettings(host)
+                run(make_servers(made, settings_of, makers, bound, numbers, worlds), realtime_factor, signals)
             return
         from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
@@ -157,14 +169,20 @@ def play(
         typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")
 
 
-def _policy_world(
-    source: "PolicySource", settings: list[str] | None, engine: str, seed: int
-) -> "PolicyWorld":
-    """Return a world that a policy drives, and tell which robots clients may take over."""
-    from usarmjx.server.worlds.policy_world import PolicyWorld
+def _policy_worlds(
+    source: "PolicySource",
+    settings: list[str] | None,
+    engine: str,
+    seed: int,
+    worlds: int,
+    instances: Sequence[int],
+) -> "list[PolicyWorld]":
+    """Return worlds of a batch that a policy drives, and tell which robots clients may take over."""
+    from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 
-    env, driver, notes = source.env(settings or (), engine=engine, seed=seed)
+    env, driver, notes = source.env(settings or (), worlds=worlds, engine=engine, seed=seed)
     _echo_notes(notes)
-    world = PolicyWorld(env, driver, seed=seed)
-    typer.echo(f"robots to take over by INIT: {', '.join(world.agents())}")
-    return world
+    shared = PolicyBatch(env, driver, seed=seed)
+    made = [PolicyWorld(shared, instance) for instance in instances]
+    typer.echo(f"robots to take over by INIT: {', '.join(made[0].agents())}")
+    return made

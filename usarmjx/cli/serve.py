@@ -13,7 +13,7 @@ from usarmjx.cli.serve_run import (
     ServiceChoice,
     bot_settings,
     instances_of,
-    make_server,
+    make_servers,
 )
 from usarmjx.cli.tools import (
     ArenaOption,
@@ -153,9 +153,4 @@ def serve(
                 max_robots=seats or settings.max_connections,
                 seed=seed,
             )
-            titles = [f"world {number}" for number in numbers] if len(numbers) > 1 else [""]
-            servers = [
-                make_server(world, settings, makers, sockets, title)
-                for world, sockets, title in zip(served, bound, titles, strict=True)
-            ]
-            run(servers, realtime_factor, signals)
+            run(make_servers(served, settings, makers, bound, numbers, worlds), realtime_factor, signals)

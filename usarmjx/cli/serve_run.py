@@ -190,16 +190,28 @@ def bot_settings(
     )
 
 
-def make_server(
-    world: "ServedWorld",
+def make_servers(
+    worlds: "Sequence[ServedWorld]",
     settings: "BotServerSettings",
     makers: Sequence[Callable[["ServedWorld", Sockets], "Service"]],
-    sockets: Sockets,
-    title: str = "",
-) -> "BotServer":
-    """Return the server of one world with its services, at the ports that are bound for it."""
-    from usarmjx.server.net import BotServer
+    bound: Sequence[Sockets],
+    instances: Sequence[int],
+    batch_size: int,
+) -> "list[BotServer]":
+    """Return the servers of some worlds of a batch with their services, at the ports bound for each.
 
-    bound = sockets["--port"]
-    services = [make(world, sockets) for make in makers]
-    return BotServer(world, replace(settings, port=port_of(bound)), services, bound, title)
+    Where one is served of a batch of one roster, whoever runs it can choose another while it runs.
+    """
+    from usarmjx.server.net import BotServer
+    from usarmjx.server.switch import InstanceSwitch
+    from usarmjx.server.worlds.batch_world import BatchWorld
+
+    titles = [f"world {number}" for number in instances] if len(instances) > 1 else [""]
+    servers: list[BotServer] = []
+    for world, sockets, title in zip(worlds, bound, titles, strict=True):
+        services = [make(world, sockets) for make in makers]
+        if len(instances) == 1 and batch_size > 1 and isinstance(world, BatchWorld):
+            services.append(InstanceSwitch(world, batch_size))
+        own = sockets["--port"]
+        servers.append(BotServer(world, replace(settings, port=port_of(own)), services, own, title))
+    return servers

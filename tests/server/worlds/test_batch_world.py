@@ -11,6 +11,7 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
+from usarmjx.sim.control import CommandUpdate
 from usarmjx.sim.scene import PARKING_HEIGHT, RosterEntry, build_scene
 
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
@@ -253,3 +254,28 @@ def test_two_worlds_of_a_batch_are_stepped_once_and_each_hears_its_own_robot(bat
     one.remove(robots[0])
     assert not one.robots
     assert other.robots
+
+
+def test_another_world_is_served_and_the_robots_come_along(batch):
+    shared = SharedBatch(batch)
+    world, other = BatchWorld(shared, 0), BatchWorld(shared, 1)
+    robot = world.spawn(P2AT, "R", (0.5, 0.2, STAND), (0.0, 0.0, 1.0))
+    run(world, 20)
+    before = world.state(robot)
+    with pytest.raises(UsageError, match="world 1 is served on other ports"):
+        world.switch(1)
+    world.switch(2)
+    assert world.robots == {robot.slot: robot}
+    np.testing.assert_allclose(world.state(robot).pos, before.pos, atol=1e-6)
+    there = np.asarray(world._state.worlds.groups[0].active)
+    assert there[:, robot.slot].tolist() == [False, False, True]
+    world.update_command(robot, CommandUpdate(drive={"Left": 2.0, "Right": 2.0}))
+    run(world, 50)
+    assert np.linalg.norm(world.state(robot).pos - before.pos) > 0.1
+    (rival,) = [BatchWorld(shared, 0)]
+    rival.spawn(P2AT, "S", (0.0, 0.0, STAND), LEVEL)
+    shared.served.remove(rival)
+    with pytest.raises(UsageError, match="world 0 has no room for R"):
+        world.switch(0)
+    assert world._instance == 2
+    assert not other.robots

@@ -11,6 +11,7 @@ from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
+from usarmjx.server.switch import InstanceSwitch
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
@@ -104,6 +105,45 @@ def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):
     world.remove(robot)
     run(world, 0.6)
     np.testing.assert_allclose(went(world, 1.0)[0, 1], SPEED, rtol=0.05)
+
+
+def test_two_served_worlds_share_the_policy_and_a_claim_is_one_worlds(world):
+    other = PolicyWorld(world._policy_batch, 1)
+    robot = other.spawn(P2AT, "P2AT0", (0.0, 0.0, 1.0), LEVEL)
+    for _ in range(50):
+        world.step()
+        other.step()
+    assert world._steps == other._steps == world._policy_batch.steps
+    way = went(world, 1.0)
+    assert way[1, 0] < 0.01
+    np.testing.assert_allclose(way[[0, 0, 1], [0, 1, 1]], SPEED, rtol=0.05)
+    assert robot.pending
+    other.remove(robot)
+    world._policy_batch.served.remove(other)
+
+
+def test_another_world_can_be_served_and_clients_take_over_the_same_robot_there(world, capsys):
+    robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
+    switch = InstanceSwitch(world, 2)
+    switch.obey("1")
+    assert capsys.readouterr().out == "usarmjx: world 1 is served now\n"
+    assert world.robots == {1: robot}
+    run(world, 1.0)
+    way = went(world, 1.0)
+    assert way[1, 1] < 0.01, "the client has it here"
+    np.testing.assert_allclose(way[[0, 0, 1], [0, 1, 0]], SPEED, rtol=0.05)
+    np.testing.assert_allclose(world.state(robot).pos[:2], places(world)[1, 1], atol=1e-6)
+    switch.obey("0")
+    world.remove(robot)
+
+
+@pytest.mark.parametrize(("line", "why"), [("2", "worlds 0 to 1"), ("x", "'x' is not the number of a world")])
+def test_a_number_that_is_no_worlds_changes_nothing(world, caplog, line, why):
+    robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
+    InstanceSwitch(world, 2).obey(line)
+    assert why in caplog.text
+    assert world.robots == {1: robot}
+    assert world._instance == 0
 
 
 def test_any_other_name_gets_the_first_free_robot_where_it_wants(world):

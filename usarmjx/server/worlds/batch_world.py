@@ -20,8 +20,11 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.body_plan import kinematic_tree_of
+from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sensors.suite import suite_of
+from usarmjx.server.instances import check_instances
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings
@@ -85,15 +88,15 @@ class BatchWorld(ServedWorld):
     def __init__(self, batch: Batch | SharedBatch, instance: int) -> None:
         self._shared = batch if isinstance(batch, SharedBatch) else SharedBatch(batch)
         self._batch, self._instance = self._shared.batch, instance
-        if not 0 <= instance < self._batch.worlds:
-            raise UsageError(f"instance {instance} is not among worlds 0 to {self._batch.worlds - 1}")
+        check_instances([instance], self._batch.worlds)
         self.scene, self.robots = self._batch.scene, {}
         self.period = self.scene.physics.period
         self.arena = self._batch.arena_of(self._state, instance)
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
-        self._steps, self._episode = 0, int(self._state.worlds.episode[instance])
+        self._steps, self._episode = self._shared.steps, int(self._state.worlds.episode[instance])
         self._shared.served.append(self)
-        self._advance()
+        if not self._steps:
+            self._advance()
 
     @property
     def _state(self) -> BatchState:
@@ -156,8 +159,15 @@ class BatchWorld(ServedWorld):
 
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         lifted = self.floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
-        self._set_pose(slot, (pos[0], pos[1], pos[2] + lifted), quat_from_angles(*angles))
-        number, member = self.scene.group_of(slot)
+        command = jax.tree.map(np.array, idle_command(robot))
+        new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
+        self._start(new, np.array((pos[0], pos[1], pos[2] + lifted)), quat_from_angles(*angles))
+        return new
+
+    def _start(self, robot: Robot, pos: np.ndarray, quat: np.ndarray) -> None:
+        """Put a robot there whose slot is free, as new."""
+        self._set_pose(robot.slot, pos, quat)
+        number, member = self.scene.group_of(robot.slot)
         group = self.scene.groups[number].part(np.array([member]))
         world, physics = self.one_world()
         with numpy_backend():
@@ -165,14 +175,12 @@ class BatchWorld(ServedWorld):
             state = started(
                 self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
             )
-        command = jax.tree.map(lambda x: x[0], state.command)
-        new = Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
+        robot.command = jax.tree.map(lambda x: x[0], state.command)
         fields = {name: getattr(state, name) for name in STARTED_FIELDS}
-        self.edit(new, **jax.tree.map(lambda x: x[0], fields))
-        self.robots[slot] = new
-        return new
+        self.edit(robot, **jax.tree.map(lambda x: x[0], fields))
+        self.robots[robot.slot] = robot
 
-    def _set_pose(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
+    def _set_pose(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:
         scene = self.scene
         group, member = scene.group_of(slot)
         index = scene.groups[group].indices[member]
@@ -192,6 +200,38 @@ class BatchWorld(ServedWorld):
         if self.robots.get(robot.slot) is robot:  # its slot may be another's by now
             del self.robots[robot.slot]
             self.edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
+
+    def switch(self, instance: int) -> None:
+        """Serve another world of the batch; the clients keep their robots, which come along as new.
+
+        Raises:
+            UsageError: There is no such world, another server serves it, or a robot of it that a client would
+                need is taken; nothing has changed then.
+        """
+        check_instances([instance], self._batch.worlds)
+        if any(world._instance == instance for world in self._shared.served if world is not self):
+            raise UsageError(f"world {instance} is served on other ports")
+        robots = list(self.robots.values())
+        taken = [robot.name for robot in robots if self._is_taken(instance, robot.slot)]
+        if taken:
+            raise UsageError(f"world {instance} has no room for {', '.join(taken)}")
+        states = [self.state(robot) for robot in robots]
+        for robot in robots:
+            self.remove(robot)
+        self._instance, self._episode = instance, int(self._state.worlds.episode[instance])
+        self.arena = self._batch.arena_of(self._state, instance)
+        for robot, state in zip(robots, states, strict=True):
+            self._enter(robot, state)
+
+    def _is_taken(self, instance: int, slot: int) -> bool:
+        """Return whether the robot of a slot of a world is in use."""
+        group, member = self.scene.group_of(slot)
+        return bool(self._state.worlds.groups[group].active[instance, member])
+
+    def _enter(self, robot: Robot, state: RobotState) -> None:
+        """Bring a client's robot into this world, from where it stood in another."""
+        robot.pending.clear()
+        self._start(robot, np.asarray(state.pos), np.asarray(state.quat))
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""

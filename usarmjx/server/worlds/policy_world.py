@@ -17,6 +17,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
+from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
@@ -242,6 +243,16 @@ class PolicyWorld(BatchWorld):
         self.robots[slot] = new
         self.set_command(new, command)
         return new
+
+    def _is_taken(self, instance: int, slot: int) -> bool:
+        return bool(self._policy_batch.claimed[instance, slot])
+
+    def _enter(self, robot: Robot, state: RobotState) -> None:
+        """Take over the robot that has the same place in this world's team, where it is."""
+        robot.pending.clear()
+        self.robots[robot.slot] = robot
+        self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
+        self._policy_batch.claimed[self._instance, robot.slot] = True
 
     def remove(self, robot: Robot) -> None:
         """Give the robot back to the policy; it stands still until the next action."""
