@@ -26,6 +26,7 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 SHORT = Bounds(seconds=0.3, windows=1, limit=30.0, settling=0.5)
 STALL = 0.4  # s: how long the slow world takes for a robot
+PORTS = (1, 2)  # which the other tree's server says that it listens at; nobody does
 BURNT = 0.2  # s: processor time that the other tree's server uses before it listens
 TICK = 0.01  # s: processor time comes in whole ticks, of user and system time
 
@@ -38,8 +39,8 @@ if "--arena nowhere" in " ".join(sys.argv):
     sys.exit("there is no such arena")
 while time.process_time() < {BURNT}:
     pass
-print("usarmjx: listening on 127.0.0.1:4711", flush=True)
-print("usarmjx: pictures on 127.0.0.1:4712", flush=True)
+print("usarmjx: listening on 127.0.0.1:{PORTS[0]}", flush=True)
+print("usarmjx: pictures on 127.0.0.1:{PORTS[1]}", flush=True)
 signal.pause()
 """
 
@@ -215,7 +216,7 @@ def test_the_server_of_another_tree_is_run(other_tree, tmp_path):
     tree = SourceTree(other_tree)
     assert tree.seats(64) == ["--max-connections", "64"]
     with ServerProcess(tree, tmp_path, []) as process:
-        assert (process.port, process.image_port) == (4711, 4712)
+        assert (process.port, process.image_port) == PORTS
         assert process.cpu_seconds() >= BURNT - 2 * TICK
     assert process.started_s >= BURNT
     assert process.stopped_s is not None
@@ -233,20 +234,24 @@ def test_a_run_of_two_trees_by_the_command_line(other_tree, tmp_path, monkeypatc
     """The other tree's server does not answer: only how it starts can be measured. It stands for ours too."""
     monkeypatch.setattr("usarmjx.bench.serve.OWN_TREE", other_tree)
     file = tmp_path / "new" / "serve.jsonl"
-    words = ["--part", "start", "--repeats", "1", "--note", "not idle", "--json", str(file)]
+    words = ["--part", "start", "--part", "init", "--repeats", "1", "--note", "not idle", "--json", str(file)]
     result = CliRunner().invoke(app, ["bench", "serve", "--checkout", str(other_tree), *words])
     assert result.exit_code == 0, result.output
     (line,) = file.read_text().splitlines()
     record = json.loads(line)
     assert (record["benchmark"], record["note"]) == ("serve", "not idle")
     assert record["versions"]["mujoco"] == "3.17.0"
-    assert record["case"]["parts"] == ["start"]
+    assert record["case"]["parts"] == ["start", "init"]
     assert record["cores"] >= 1
     ours, other = record["servers"]
-    for figures in (ours["figures"]["start"], other["figures"]["start"]):
-        for temperature in ("cold", "cached"):
-            assert figures[temperature]["listening_s"]["median"] >= BURNT
-            assert figures[temperature]["sigint_to_end_s"]["median"] > 0.0
+    for server in (ours, other):
+        for figures in server["figures"]["start"].values():
+            assert figures["listening_s"]["median"] >= BURNT
+            assert figures["sigint_to_end_s"]["median"] > 0.0
+        refused = server["figures"]["init"]["cold"]
+        assert refused["median"] is None
+        assert "refused" in refused["missing"][0]
+        assert f"{server['commit']}, init cold: {refused['missing'][0]}" in result.output
     assert other["commit"] == "unknown"
     assert str(tmp_path) not in line
     assert str(other_tree) not in line

@@ -212,8 +212,8 @@ PARTS: Mapping[str, Callable[[ServeCase, SourceTree], dict[str, Any]]] = {
 def _summary(record: Mapping[str, Any]) -> str:
     """Return the medians as a table, one column for each server, with the ratios to ours."""
     servers = record["servers"]
-    names = [name for name, _ in rows(servers[0]["figures"])]
     columns = [dict(rows(server["figures"])) for server in servers]
+    names = dict.fromkeys(name for column in columns for name in column)
     began, ended = (record["load_average"][when][0] for when in ("begin", "end"))
     lines = [
         f"on {record['device']}, {record['cores']} cores, load average {began:.1f} to {ended:.1f}; "
