@@ -58,6 +58,7 @@ class Rig:
         self.model.opt.gravity[:] = 9.81 * np.array([-math.sin(tilt), 0.0, -math.cos(tilt)])
         self.data = mujoco.MjData(self.model)
         for index, (x, y, yaw, *ground) in zip(self.indices, places, strict=True):
+            self.data.ctrl[list(index.hold_actuator_ids)] = 1.0
             root = slice(index.root_qposadr, index.root_qposadr + 7)
             self.data.qpos[root] = (x, y, height or 0.0, *quat_from_angles(roll, 0.0, yaw))
             if height is None:
@@ -98,15 +99,16 @@ class Rig:
         data = self.data
         for i, (index, command) in enumerate(zip(self.indices, self.commands, strict=True)):
             targets, state = list(index.actadr), self.state(i)
+            holding = list(index.hold_actuator_ids)
             depth = depth_in_water(self.arena, state.pos) if self.arena.waters else np.float32(-1e3)
             now = DriveConditions(
-                time=np.float32(data.time), powered=np.bool_(self.powered), depth=np.float32(depth)
+                time=np.float32(data.time),
+                powered=np.bool_(self.powered),
+                depth=np.float32(depth),
+                hold=data.ctrl[holding].astype(np.float32),
             )
             told = self._control(command, state, data.act[targets].astype(np.float32), now)
-            data.ctrl[list(index.actuator_ids)], data.ctrl[list(index.hold_actuator_ids)] = (
-                told.ctrl,
-                told.hold,
-            )
+            data.ctrl[list(index.actuator_ids)], data.ctrl[holding] = told.ctrl, told.hold
             data.act[targets] = told.act
             data.xfrc_applied[index.body_ids[0]] = told.wrench
         mujoco.mj_step(self.model, data, nstep=Physics().substeps)

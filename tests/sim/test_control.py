@@ -108,7 +108,7 @@ def test_a_torque_ends_at_the_range(run):
     assert told.hold[TILT] == 1.0
     assert told.act[TILT] == pytest.approx(TILT_RANGE[1]), "beyond its range the servo pulls it back"
     inward = run(
-        [0] * 5 + [-9.0], [ControlMode.VELOCITY] * 5 + [ControlMode.TORQUE], joint_pos=[0] * 5 + [0.5]
+        [0] * 5 + [-0.1], [ControlMode.VELOCITY] * 5 + [ControlMode.TORQUE], joint_pos=[0] * 5 + [0.5]
     )
     assert inward.hold[TILT] == 0.0, "a torque may bring it back itself"
 
@@ -218,25 +218,25 @@ def test_without_power_a_robot_brakes(run):
 
 def test_a_torque_is_pulled_with_and_nothing_holds(run):
     """Stiffness times target is the torque, clamped to what the motor can do."""
-    told = run([1.0, -9.0, 0, 0, 0.2, 0], [ControlMode.TORQUE] * 6, joint_pos=np.full(6, 0.3))
+    told = run([1.0, -9.0, 0, 0, 0.1, 0], [ControlMode.TORQUE] * 6, joint_pos=np.full(6, 0.3))
     motor = P2AT_MOTOR
     np.testing.assert_allclose(told.act[:2] * motor.stiffness, [1.0, -motor.torque], rtol=1e-5)
-    np.testing.assert_allclose(told.act[4] * LINK_STIFFNESS, 0.2, rtol=1e-4)
+    np.testing.assert_allclose(told.act[4] * LINK_STIFFNESS, 0.1, rtol=1e-4)
     assert not told.hold[:5].any()
     assert not told.ctrl.any()
 
 
 @pytest.mark.oracle
 def test_a_free_joint_under_a_torque_turns_as_newton_says():
-    """A P2AT's camera pans about the vertical: angle = torque / inertia x t^2 / 2, the body being 90 times
-    heavier to turn."""
+    """A P2AT's camera pans about the vertical: speed = torque / inertia x time as long as that is below
+    MaxSpeed, the body being 90 times heavier to turn."""
     rig = Rig("P2AT").move({"CameraPanTilt_Link1": 0.02}, ControlMode.TORQUE)
     dof = rig.indices[0].dofadr[PAN]
     inertia = np.zeros((rig.model.nv, rig.model.nv))
     mujoco.mj_forward(rig.model, rig.data)
     mujoco.mj_fullM(rig.model, rig.data, inertia)
-    rig.run(0.5)
-    assert rig.data.qvel[dof] == pytest.approx(0.02 / inertia[dof, dof] * 0.5, rel=0.03)
+    rig.run(0.14)
+    assert rig.data.qvel[dof] == pytest.approx(0.02 / inertia[dof, dof] * 0.14, rel=0.03)
 
 
 @pytest.mark.oracle

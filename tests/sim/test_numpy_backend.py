@@ -79,6 +79,7 @@ def drawn(name, rows=ROWS):
         depth=numbers(),
         torque=rng.uniform(0.5, 1.5, rows).astype(np.float32),
         speed=rng.uniform(0.5, 1.5, rows).astype(np.float32),
+        hold=rng.integers(0, 2, (rows, len(plan.actuated))).astype(np.float32),
     )
     return plan, (command, state, numbers(len(plan.actuated)), conditions)
 
