@@ -14,6 +14,9 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 CLOSE = 0.03
 """Servos get there but for what they carry [rad]."""
+MAX_SPEED = 0.17  # rad/s, CONF of a P2AT's camera (manual 9.3)
+SPEED_MARGIN = 1.1
+"""A link may be this much faster for a moment: its robot gives a little."""
 TALON, P2AT = ROBOTS.get("Talon"), ROBOTS.get("P2AT")
 TWO = replace(TALON, name="TwoPackages", packages=(*TALON.packages, *P2AT.packages))
 
@@ -91,3 +94,23 @@ def test_each_mission_package_obeys_its_own_name(house):
     told = dict(re.search(r"{Name (\w+)} {Link 1} {Value ([-\d.]+)", line).groups() for line in lines)
     assert told.keys() == {"CameraPanTilt", "TalonArm"}
     assert [float(told[name]) for name in sorted(told)] == pytest.approx([0.5, 0.7], abs=CLOSE)
+
+
+def test_a_link_under_torque_keeps_its_max_speed_and_its_robot_in_place(house):
+    """All of the pan motor's torque for 3 s, then its brake, which is order 3."""
+    client = house.connect("INIT {ClassName TwoPackages} {Name Both}")
+    house.run(50)
+    start = house.world.state(client.robot).pos.copy()
+    house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value 20} {Order 2}")
+    pan = client.robot.plan.joint_index("CameraPanTilt_Link1")
+    speeds = []
+    for _ in range(150):
+        house.run(1)
+        speeds.append(float(house.world.state(client.robot).joint_vel[pan]))
+    assert speeds[-1] > 0.95 * MAX_SPEED
+    assert max(speeds) < MAX_SPEED * SPEED_MARGIN
+    assert house.world.state(client.robot).pos == pytest.approx(start, abs=0.01)
+    there = angle(house, client, "CameraPanTilt_Link1")
+    house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value 0} {Order 3}")
+    house.run(50)
+    assert angle(house, client, "CameraPanTilt_Link1") == pytest.approx(there, abs=CLOSE)
