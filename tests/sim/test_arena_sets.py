@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.lone import LoneWorld
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.build.arena_set import arena_index_of, arena_set
@@ -83,55 +85,61 @@ ARENAS = (
 )
 
 
-def drive(batch, steps=STEPS):
+def drive(batch):
     state = batch.drive(batch.reset(), 0, {"Left": 3.0, "Right": 2.5})
-    for _ in range(steps):
+    for _ in range(STEPS):
         state = batch.step(state)
     state, readings = batch.observe(state)
     return state, readings
 
 
-def alone(world):
-    """One world by itself, with the same noise as in a batch."""
-    scene = build_scene(ARENAS[world], ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
-    return Batch(scene, engine="c", first=world)
+@cache
+def together(engine):
+    """All arenas in one batch after some driving: (batch, state, readings)."""
+    scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
+    batch = Batch(scene, len(ARENAS), engine=engine)
+    return batch, *drive(batch)
+
+
+def alone(number):
+    """One world by itself after the same, with the same noise as in a batch: (world, readings)."""
+    lone = LoneWorld(build_scene(ARENAS[number], ["P2AT", "P2AT"], EXACT, radio=RadioSettings()), number)
+    lone.drive(0, {"Left": 3.0, "Right": 2.5})
+    for _ in range(STEPS):
+        lone.step()
+    return lone, lone.observe()
 
 
 @pytest.fixture(scope="module")
 def solo():
-    """Each arena compiled alone, on C MuJoCo: the oracle."""
-    return [(batch, *drive(batch)) for batch in map(alone, range(len(ARENAS)))]
+    """Each arena compiled alone, on C MuJoCo and NumPy: the oracle."""
+    return [alone(number) for number in range(len(ARENAS))]
 
 
 @pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
     """Rays end where the poses say, and a grazing one up to 20 times as far away."""
-    scene = build_scene(ARENAS, ["P2AT", "P2AT"], EXACT, radio=RadioSettings())
-    batch = Batch(scene, len(ARENAS), engine=engine)
-    state, readings = drive(batch)
+    batch, state, readings = together(engine)
     tolerance = TOLERANCE[engine]
     _, links = batch.links(state)
-    for world, (single, lone, seen) in enumerate(solo):
-        group, own = scene.groups[0], single.scene.groups[0]
+    for world, (lone, seen) in enumerate(solo):
+        group, own = batch.scene.groups[0], lone.scene.groups[0]
         pos = np.asarray(batch.physics(state).qpos[world])[group.root_qposadr]
-        expected = np.asarray(single.physics(lone).qpos[0])[own.root_qposadr]
+        expected = lone.physics.qpos[own.root_qposadr]
         np.testing.assert_allclose(pos, expected, atol=tolerance, err_msg=ARENAS[world].name)
         for here, there in zip(readings[0], seen[0], strict=True):
-            np.testing.assert_allclose(here.value[world], there.value[0], atol=20 * tolerance)
-        _, single_links = single.links(lone)
-        np.testing.assert_allclose(links.power[world], single_links.power[0], atol=0.05)
-        np.testing.assert_array_equal(links.walls[world], single_links.walls[0])
+            np.testing.assert_allclose(here.value[world], there.value, atol=20 * tolerance)
+        np.testing.assert_allclose(links.power[world], lone.links().power, atol=0.05)
+        np.testing.assert_array_equal(links.walls[world], lone.links().walls)
 
 
 def test_the_oracle_has_something_to_tell(solo):
-    climbing, lone, _ = solo[1]
-    assert climbing.physics(lone).qpos[0, climbing.scene.groups[0].root_qposadr[0, 2]] > 0.265, (
-        "it is on the ramp"
-    )
+    climbing, _ = solo[1]
+    assert climbing.physics.qpos[climbing.scene.groups[0].root_qposadr[0, 2]] > 0.265, "it is on the ramp"
     scans = []
-    for single, _, seen in solo:
-        place = single.scene.groups[0].suite.index("RangeScanner")
-        scans.append(np.asarray(seen[0][place].value[0, 0]))
+    for lone, seen in solo:
+        place = lone.scene.groups[0].suite.index("RangeScanner")
+        scans.append(seen[0][place].value[0])
     assert all(np.abs(scans[a] - scans[b]).max() > 0.5 for a, b in ((0, 1), (1, 2), (0, 2)))
 
 
@@ -158,15 +166,15 @@ def test_worlds_go_through_all_arenas_in_turn():
 
 
 def test_a_loose_object_that_an_arena_lacks_waits_out_of_the_way():
-    batch = Batch(build_scene(ARENAS, ["P2AT"]), 3, engine="c")
-    state, _ = drive(batch, 20)
+    batch, state, _ = together("c")
     pos = np.asarray(batch.physics(state).qpos)[:, batch.scene.loose_geoms.root_qposadr[0, :3]]
     assert pos[0, 2] < 0.1
     np.testing.assert_allclose(pos[1:, 2], 30.0, atol=0.01)  # it falls within a step, and is put back
 
 
 def test_no_recompilation_when_arenas_change():
-    batch = Batch(build_scene(ARENAS, ["P2AT"]), 2, engine="jax")
+    """Of a robot that compiles in half the time of one on wheels."""
+    batch = Batch(build_scene(ARENAS, ["ComStation"]), 2, engine="jax")
     state = batch.step(batch.reset())
     before = batch.step._cache_size()
     for _ in range(3):
