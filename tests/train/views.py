@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.sensors.base import Reading
@@ -12,9 +14,11 @@ from usarmjx.train.envs.task import TaskView
 
 
 def view_of(task, scene=None):
-    """A world of a task as it starts."""
+    """A world of a task as it starts, made on NumPy: operation by operation JAX would take seconds."""
     scene = scene or task.scene()
-    world, qpos = init_world(scene, jax.random.key(0), np.int32(0))
+    with numpy_backend():
+        world, qpos = jax.tree.map(jnp.asarray, init_world(scene, random.key(0), np.int32(0)))
+    world = world.replace(key=jax.random.wrap_key_data(world.key))
     physics = PhysicsState(qpos=qpos, qvel=np.zeros(scene.model.nv), act=np.zeros(scene.model.na))
     return TaskView(world=world, physics=physics, readings=(), scene=scene)
 
