@@ -125,6 +125,9 @@ def play(
     instances: Annotated[
         str, typer.Option(help="With --serve: which of them to serve, all or numbers as 0,2-5.")
     ] = "0",
+    follow: Annotated[
+        bool, typer.Option("--follow", help="With --serve: the newest checkpoint of the run drives, always.")
+    ] = False,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = BOT_PORT,
     port_offset: PortOffsetOption = 0,
@@ -147,14 +150,19 @@ def play(
                 bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
             ):
                 announce("building the world that the policy drives ...")
-                source = _source(policy, baseline, task, checkpoint)
+                source = _source(policy, baseline, task, checkpoint) if not follow else _followed(policy)
                 made = _policy_worlds(source, settings, engine, seed, worlds, numbers)
                 from usarmjx.server.bot_server import BotServerSettings
                 from usarmjx.server.loop import serve as run
 
                 makers = [page.prepare(host) for page in pages]
                 settings_of = BotServerSettings(host)
-                run(make_servers(made, settings_of, makers, bound, numbers, worlds), realtime_factor, signals)
+                servers = make_servers(made, settings_of, makers, bound, numbers, worlds)
+                if follow:
+                    from usarmjx.server.worlds.follow import PolicyFollower
+
+                    servers[0].services.append(PolicyFollower(made[0].policy_batch, Path(policy or "")))
+                run(servers, realtime_factor, signals)
             return
         from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
@@ -167,6 +175,16 @@ def play(
         save_recording(shown, out)
         last = f"{shown.times[-1]:.1f} s, score {shown.scores[-1]:.2f}"
         typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")
+
+
+def _followed(run: str | None) -> "PolicySource":
+    """Return the policy of a run that may not have begun yet, as soon as it has a checkpoint."""
+    from usarmjx.base.errors import UsageError
+    from usarmjx.server.worlds.follow import wait_for_run
+
+    if run is None:
+        raise UsageError("--follow needs the folder of a run")
+    return wait_for_run(Path(run))
 
 
 def _policy_worlds(

@@ -1,13 +1,17 @@
 """`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
 import os
+import subprocess
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.server.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -37,6 +41,13 @@ def train(
     ] = False,
     processes: Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")] = 1,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
+    serve: Annotated[
+        bool,
+        typer.Option(
+            "--serve", help="Serve a world, too, in which the newest checkpoint drives; see `play --follow`."
+        ),
+    ] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
@@ -47,13 +58,32 @@ def train(
                 raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
         from usarmjx.train.processes.group import distributed_run
 
-        with distributed_run() as process:
+        with distributed_run() as process, _served(out, port, serve and process.index == 0):
             chosen = {"worlds": worlds, "steps": steps, "seed": seed}
             score = _train(
                 task, chosen, settings or [], (out, engine, resume, not quiet and not process.index)
             )
             if process.index == 0:
                 typer.echo(score)
+
+
+@contextmanager
+def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
+    """Serve a world of a run in a process of its own, on the CPU, until the training ends."""
+    if not wanted:
+        yield
+        return
+    command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
+    # The child ends with this process, however that ends: then nobody holds the other end of its pipe.
+    theirs, ours = os.pipe()
+    settings = {**os.environ, "JAX_PLATFORMS": "cpu", PARENT_PIPE: str(theirs)}
+    child = subprocess.Popen(command, env=settings, pass_fds=(theirs,))
+    os.close(theirs)
+    try:
+        yield
+    finally:
+        os.close(ours)
+        child.wait()
 
 
 def _train(

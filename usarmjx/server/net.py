@@ -4,7 +4,7 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -107,11 +107,11 @@ class BotServer:
         self,
         world: ServedWorld,
         settings: BotServerSettings,
-        services: Sequence[Service] = (),
+        services: Iterable[Service] = (),
         bound: socket.socket | None = None,
         title: str = "",
     ) -> None:
-        self.world, self.settings, self.services, self.title = world, settings, services, title
+        self.world, self.settings, self.services, self.title = world, settings, list(services), title
         self.port = settings.port
         self._bound = bound
         self._listener: asyncio.Server | None = None

@@ -18,6 +18,11 @@ FLUSH_TIME = 0.2
 """What is buffered may take so long to be written then [s]: perhaps nobody reads it."""
 
 
+PARENT_PIPE = "USARMJX_PARENT_PIPE"
+"""Environment variable with the end of a pipe, of which the process that started this one has the other: this
+one ends as by SIGTERM when nobody holds that any more."""
+
+
 class StopSignals:
     """Ends the process on a signal: politely, if that is done within `END_TIME`, or else all the same.
 
@@ -53,6 +58,9 @@ class StopSignals:
             for number in STOP_SIGNALS:
                 self._undo.callback(signal.signal, number, signal.signal(number, self._interrupt))
             threading.Thread(target=self._watch, args=(heard,), name="signals", daemon=True).start()
+            parent = os.environ.get(PARENT_PIPE)
+            if parent is not None:
+                threading.Thread(target=_outlive_nobody, args=(int(parent),), daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -77,6 +85,13 @@ class StopSignals:
             stop()
         time.sleep(END_TIME)
         exit_now(128 + self.number if stop is None else 0)
+
+
+def _outlive_nobody(pipe: int) -> None:
+    """End this process when the one at the other end of a pipe has ended."""
+    with contextlib.suppress(OSError):
+        os.read(pipe, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def exit_now(code: int) -> None:

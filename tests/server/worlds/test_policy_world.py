@@ -1,6 +1,8 @@
 """A served world whose robots a policy drives, and clients that take some of them over."""
 
+import asyncio
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.switch import InstanceSwitch
+from usarmjx.server.worlds import follow
+from usarmjx.server.worlds.follow import PolicyFollower, newest, wait_for_run
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
@@ -108,18 +112,18 @@ def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):
 
 
 def test_two_served_worlds_share_the_policy_and_a_claim_is_one_worlds(world):
-    other = PolicyWorld(world._policy_batch, 1)
+    other = PolicyWorld(world.policy_batch, 1)
     robot = other.spawn(P2AT, "P2AT0", (0.0, 0.0, 1.0), LEVEL)
     for _ in range(50):
         world.step()
         other.step()
-    assert world._steps == other._steps == world._policy_batch.steps
+    assert world._steps == other._steps == world.policy_batch.steps
     way = went(world, 1.0)
     assert way[1, 0] < 0.01
     np.testing.assert_allclose(way[[0, 0, 1], [0, 1, 1]], SPEED, rtol=0.05)
     assert robot.pending
     other.remove(robot)
-    world._policy_batch.served.remove(other)
+    world.policy_batch.served.remove(other)
 
 
 def test_another_world_can_be_served_and_clients_take_over_the_same_robot_there(world, capsys):
@@ -204,3 +208,59 @@ def test_a_protocol_client_sees_reports_and_drives(world):
     np.testing.assert_allclose(np.diff(times), 0.2, atol=0.011)  # two decimals
     turns = np.unwrap(yaws)[1:] - np.unwrap(yaws)[:-1]
     assert turns[-3:].min() > 0.05, "clockwise, as left wheels forward turn"
+
+
+def slower(share):
+    """A policy that drives straight ahead at a share of what that of the tests does."""
+    return Policy(
+        initial_carry=lambda worlds: jnp.zeros(worlds),
+        act=lambda memory, obs, key: (memory, (jnp.full((*obs[0].shape[:2], 2), share),)),
+    )
+
+
+def test_the_newest_checkpoint_of_a_run_drives(compiled, monkeypatch, tmp_path, caplog):
+    caplog.set_level("INFO", "usarmjx")
+    names = iter(["00001", "00001", "00002", "00002"])
+    monkeypatch.setattr(follow, "newest", lambda run: next(names, "00002"))
+    sources = iter([UsageError("gone already"), SimpleNamespace(policy=lambda env: slower(0.0))])
+
+    def find(run, which):
+        found = next(sources)
+        if isinstance(found, UsageError):
+            raise found
+        return found
+
+    monkeypatch.setattr(follow, "find_source", find)
+
+    async def serve():
+        follower = PolicyFollower(compiled.policy_batch, tmp_path, interval=0.001)
+        (line,) = await follower.start()
+        assert line == f"the newest checkpoint of {tmp_path} drives"
+        while "00002" not in caplog.text:
+            await asyncio.sleep(0.001)
+        follower.stop()
+
+    run(compiled, 1.0)
+    np.testing.assert_allclose(went(compiled, 1.0), SPEED, rtol=0.05)
+    asyncio.run(serve())
+    assert "gone already" in caplog.text, "a checkpoint that has been deleted disturbs nothing"
+    run(compiled, 1.0)
+    assert (went(compiled, 1.0) < 0.05).all()
+
+
+def test_a_run_without_a_checkpoint_is_waited_for(monkeypatch, tmp_path):
+    assert newest(tmp_path) is None
+    looks = iter([None, None, "00001", "00002", "00002", "00003", "00003"])
+    found = iter([UsageError("deleted for 00002"), "policy", UsageError("broken")])
+
+    def find(run, which):
+        assert (run, which) == (str(tmp_path), "last")
+        if isinstance(one := next(found), UsageError):
+            raise one
+        return one
+
+    monkeypatch.setattr(follow, "newest", lambda run: next(looks))
+    monkeypatch.setattr(follow, "find_source", find)
+    assert wait_for_run(tmp_path, interval=0.001) == "policy"
+    with pytest.raises(UsageError, match="broken"):
+        wait_for_run(tmp_path, interval=0.001)

@@ -88,6 +88,14 @@ class PolicyBatch(SharedBatch):
         self._policy_state = self._initial_policy_state(views)
         self._act_on(views, jnp.ones(env.worlds, bool))
 
+    def drive_by(self, policy: Policy) -> None:
+        """Let another policy act from now on, compiled before it does; may be called in a thread.
+
+        Its memory must be of the same shapes as that of the one before, and goes on.
+        """
+        self._act = jax.jit(policy.act).lower(*self._act_example).compile()
+        self._policy = policy
+
     # What follows up to `_apply_actions` is traced, of one world.
 
     def _sense(self, world: World, physics: PhysicsState) -> tuple[World, Readings]:
@@ -132,7 +140,8 @@ class PolicyBatch(SharedBatch):
         obs = self._observe_all(views, state.task)
         initial = self._policy.initial_carry(self.env.worlds)
         memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
-        memory, actions = self._act(memory, obs, jax.random.fold_in(self._key, self.steps))
+        self._act_example = memory, obs, jax.random.fold_in(self._key, self.steps)
+        memory, actions = self._act(*self._act_example)
         worlds = self._apply_actions_all(views, state.task, actions, self.claimed)
         self.state = self.state.replace(worlds=worlds)
         self._policy_state = state.replace(policy=memory)
@@ -185,26 +194,29 @@ class PolicyWorld(BatchWorld):
         shared: The batch and its policy; several worlds of it may be served.
         instance: Which world to serve.
 
+    Attributes:
+        policy_batch: The batch and its policy.
+
     Raises:
         UsageError: The batch has no such world.
     """
 
     def __init__(self, shared: PolicyBatch, instance: int = 0) -> None:
         super().__init__(shared, instance)
-        self._policy_batch = shared
+        self.policy_batch = shared
 
     def _store_readings(self) -> None:
         """Keep what clients will want of what has just been measured."""
         for robot in self.robots.values():
             group, member = self.scene.group_of(robot.slot)
-            for sensor, reading in enumerate(self._policy_batch.readings[group]):
+            for sensor, reading in enumerate(self.policy_batch.readings[group]):
                 if reading.fresh[self._instance, member]:
                     robot.pending[sensor] = np.asarray(reading.value[self._instance, member])
 
     @property
     def score(self) -> float:
         """The task's score of the served world so far."""
-        return self._policy_batch.score(self._instance)
+        return self.policy_batch.score(self._instance)
 
     def agents(self) -> dict[str, int]:
         """Return the names of the task's robots, and their slots."""
@@ -220,9 +232,9 @@ class PolicyWorld(BatchWorld):
         new = (
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
-        self._policy_batch.claimed[self._instance, new.slot] = True
+        self.policy_batch.claimed[self._instance, new.slot] = True
         # Reports come when something has just been measured.
-        new.spawn_time = self._policy_batch.measured * self.period
+        new.spawn_time = self.policy_batch.measured * self.period
         return new
 
     def _put_first(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
@@ -245,30 +257,30 @@ class PolicyWorld(BatchWorld):
         return new
 
     def _is_taken(self, instance: int, slot: int) -> bool:
-        return bool(self._policy_batch.claimed[instance, slot])
+        return bool(self.policy_batch.claimed[instance, slot])
 
     def _enter(self, robot: Robot, state: RobotState) -> None:
         """Take over the robot that has the same place in this world's team, where it is."""
         robot.pending.clear()
         self.robots[robot.slot] = robot
         self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
-        self._policy_batch.claimed[self._instance, robot.slot] = True
+        self.policy_batch.claimed[self._instance, robot.slot] = True
 
     def remove(self, robot: Robot) -> None:
         """Give the robot back to the policy; it stands still until the next action."""
         if self.robots.get(robot.slot) is robot:
             self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
             del self.robots[robot.slot]
-            self._policy_batch.claimed[self._instance, robot.slot] = False
+            self.policy_batch.claimed[self._instance, robot.slot] = False
 
     def _lose(self, robot: Robot) -> None:
         super()._lose(robot)
-        self._policy_batch.claimed[self._instance, robot.slot] = False
+        self.policy_batch.claimed[self._instance, robot.slot] = False
 
     def step(self) -> None:
         """Advance all worlds by one control step; after as many as an action lasts, the policy acts."""
         super().step()
-        if self._policy_batch.measured == self._steps:
+        if self.policy_batch.measured == self._steps:
             self._store_readings()
 
     def observe(self, due: list[Robot]) -> None:
