@@ -113,7 +113,7 @@ def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
     ((servers, _, _),) = served
     assert [server.settings.port for server in servers] == [3101, 3102]
-    assert servers[0].world._policy_batch is servers[1].world._policy_batch
+    assert servers[0].world.policy_batch is servers[1].world.policy_batch
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how[:2], "--instances", "2"])
     assert done.exit_code == 2
     assert "instance 2 is not among worlds 0 to 1" in done.output
