@@ -32,6 +32,7 @@ def cast_if_wanted(wanted: Bool[Array, ""] | None, cast: Callable[..., T], misse
 
 def _cast_if_any(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[Any, ...]) -> T:
     """Return what is cast, if any of many want it (...); else misses of the same shape."""
+    cast = jax.jit(cast, inline=True)  # traced once: for its shapes, for its work, and for all maps
 
     @custom_vmap
     def run(wanted: Array, args: tuple[Any, ...]) -> T:
