@@ -14,6 +14,13 @@ import pytest
 MUCH = 2.5e9
 """A process of tests shall not hold much more memory than this [bytes]."""
 
+QUICKLY_COMPILED = (
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
+"""How XLA compiles for a test: unoptimised, by its older and plainer emitters, in one piece."""
+
 # A run is the same on every machine; `dev.py fuzz` looks for what no run has met.
 # No deadlines: a loaded machine is no failure.
 hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
@@ -32,9 +39,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """Set what jax reads when it starts its backend."""
     # On two cores two batched factorisations deadlock in its pool of two threads.
     os.environ.setdefault("NPROC", "8")
-    # Most of the time of the tests goes into compiling; unoptimised code is there a quarter sooner.
+    # Most of the time of the tests goes into compiling, which so takes less than half as long.
     if not config.getoption("optimised"):
-        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+        os.environ.setdefault("XLA_FLAGS", " ".join(QUICKLY_COMPILED))
     # What a test compiles that another one has compiled is read from a folder, which starts empty: a fifth of
     # the time of training's tests. Each process has its own, as jax does not write whole files at once.
     cache = tempfile.TemporaryDirectory(prefix="usarmjx-compiled-")
