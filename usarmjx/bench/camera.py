@@ -7,6 +7,7 @@ that no picture is the one before.
 import statistics
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,7 @@ def _loop(case: CameraCase, batch: Batch, state: BatchState) -> Callable[[jax.Ar
 def _scene_summary(scene: Scene, batch: Batch, state: BatchState) -> dict[str, Any]:
     """Return what there is to see in a world."""
     world, physics = jax.tree.map(lambda x: x[0], (state.worlds, batch.physics(state)))
-    render_scene, _ = build_render_scene(scene, world, physics)
+    render_scene, _ = jax.jit(partial(build_render_scene, scene))(world, physics)
     materials: dict[str, int] = {}
     for material, block in zip(render_scene.geoms.materials, render_scene.geoms.blocks, strict=True):
         materials[material] = materials.get(material, 0) + len(block.owner)
