@@ -8,11 +8,10 @@ pictures whose sides are no multiples of it are cast a little larger and cut.
 import math
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 
 TILE = 8
 """Side of the tiles that pixels come in."""
@@ -31,9 +30,9 @@ class CameraRays(NamedTuple):
         inside: Whether the pixel shows anything at all (rays,).
     """
 
-    direction: jax.Array
-    depth_scale: jax.Array
-    inside: jax.Array
+    direction: Array
+    depth_scale: Array
+    inside: Array
 
 
 def pixel_offsets(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +50,7 @@ def tiled(values: np.ndarray) -> np.ndarray:
     return cut.swapaxes(1, 2).reshape(rows * columns, *values.shape[2:])
 
 
-def untiled(values: jax.Array, width: int, height: int) -> jax.Array:
+def untiled(values: Array, width: int, height: int) -> Array:
     """Return what `pixel_offsets` has put tile by tile (rays, ...) as a picture (height, width, ...)."""
     columns, rows = (-(-side // TILE) for side in (width, height))
     cut = values.reshape(rows, columns, TILE, TILE, *values.shape[1:]).swapaxes(1, 2)
@@ -70,13 +69,13 @@ def pinhole_rays(width: int, height: int, fov: Array) -> CameraRays:
         fov: Horizontal field of view [rad] ().
     """
     right, up = pixel_offsets(width, height)
-    focal = width / 2 / jnp.tan(fov / 2)
-    along = jnp.stack([jnp.broadcast_to(focal, right.shape), -right, up], -1)
-    along /= jnp.sqrt((along * along).sum(-1, keepdims=True))
-    return CameraRays(along, along[:, 0], jnp.ones(len(right), bool))
+    focal = width / 2 / xp.tan(fov / 2)
+    along = xp.stack([xp.broadcast_to(focal, right.shape), -right, up], -1)
+    along /= xp.sqrt((along * along).sum(-1, keepdims=True))
+    return CameraRays(along, along[:, 0], xp.ones(len(right), bool))
 
 
-def omni_rays(width: int, height: int, zoom: jax.Array) -> CameraRays:
+def omni_rays(width: int, height: int, zoom: Array) -> CameraRays:
     """Return the rays of a camera that looks into a parabolic mirror; they start at the mirror's focus.
 
     The mirror is the paraboloid z = (h^2 - r^2) / (2 h) about the optical axis, its focus in the origin and z
@@ -95,7 +94,7 @@ def omni_rays(width: int, height: int, zoom: jax.Array) -> CameraRays:
     right, up = pixel_offsets(width, height)
     radius = np.hypot(right, up) / (min(width, height) / 2)  # in radii of the circle that fills the picture
     share = radius / zoom
-    angle = 2 * jnp.arctan(share * math.tan(MIRROR_RIM_ANGLE / 2))
+    angle = 2 * xp.arctan(share * math.tan(MIRROR_RIM_ANGLE / 2))
     side = np.stack([-right, up], -1) / np.maximum(np.hypot(right, up), 1e-9)[:, None]
-    along = jnp.concatenate([-jnp.cos(angle)[:, None], jnp.sin(angle)[:, None] * side], -1)
-    return CameraRays(along, jnp.ones(len(right)), jnp.asarray(share <= 1))
+    along = xp.concatenate([-xp.cos(angle)[:, None], xp.sin(angle)[:, None] * side], -1)
+    return CameraRays(along, xp.ones(len(right)), xp.asarray(share <= 1))

@@ -3,12 +3,11 @@
 import math
 from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.spec.arena import Light
 
@@ -71,18 +70,18 @@ def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
     )
 
 
-def daylight(lamps: PointLights) -> jax.Array:
+def daylight(lamps: PointLights) -> Array:
     """Return 1 where the sun lights the arena, 0 where it has lamps ()."""
-    return 1.0 - (jnp.asarray(lamps.rgb) > 0).any().astype(jnp.float32)
+    return 1.0 - (xp.asarray(lamps.rgb) > 0).any().astype(xp.float32)
 
 
-def falloff(distance: jax.Array) -> jax.Array:
+def falloff(distance: Array) -> Array:
     """Return a light's brightness at a distance [m], that at 1 m being 1."""
-    return 1.0 / jnp.square(jnp.maximum(distance, MIN_LIGHT_DISTANCE))
+    return 1.0 / xp.square(xp.maximum(distance, MIN_LIGHT_DISTANCE))
 
 
-def spot_falloff(cosine: jax.Array) -> jax.Array:
+def spot_falloff(cosine: Array) -> Array:
     """Return a headlight's brightness off its axis, from 1 in its core to 0 at the edge of its cone."""
     edge, core = math.cos(SPOT_OUTER_ANGLE), math.cos(SPOT_INNER_ANGLE)
-    share = jnp.clip((cosine - edge) / (core - edge), 0.0, 1.0)
+    share = xp.clip((cosine - edge) / (core - edge), 0.0, 1.0)
     return share * share * (3 - 2 * share)

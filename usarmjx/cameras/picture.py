@@ -3,22 +3,25 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import UsageError
+from usarmjx.cameras.casters import Caster
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
 from usarmjx.cameras.mounts import Camera
 from usarmjx.cameras.paint import OUTSIDE_LABEL, camera_owners
-from usarmjx.cameras.shading import RenderScene, shade
+from usarmjx.cameras.shading import RenderScene, Shaded, shade
 from usarmjx.models.build.body_plan import BodyPoses
 
 MAX_SIDE = 4096
 """Most pixels along a side."""
 HIDDEN_GEOMS_MULTIPLE = 64
 """Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
+CHUNK = 16_384
+"""Rays that are cast together on NumPy: what they meet fits into a processor's cache."""
 
 
 class Viewpoint(struct.PyTreeNode, kw_only=True):
@@ -95,7 +98,13 @@ def check_size(camera: Camera, width: int, height: int) -> None:
         raise UsageError(f"a stereo picture is {width} pixels wide; expected an even number, for two eyes")
 
 
-def render_picture(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
+def render_picture(
+    render_scene: RenderScene,
+    viewpoint: Viewpoint,
+    width: int,
+    height: int,
+    caster: Caster | None = None,
+) -> Picture:
     """Return what a robot's camera sees; pure, the size is static.
 
     The robot sees itself, but for what covers the lens (`Camera.hidden_geoms`). A stereo camera's picture
@@ -108,36 +117,49 @@ def render_picture(render_scene: RenderScene, viewpoint: Viewpoint, width: int, 
         viewpoint: From where.
         width: Pixels along a row.
         height: Rows.
+        caster: What casts this camera's rays, on NumPy; None: JAX does.
     """
-    offsets = jnp.asarray(viewpoint.eye_offsets)
+    offsets = xp.asarray(viewpoint.eye_offsets)
     eyes, wide = len(offsets), width // len(offsets)
     if viewpoint.lens == "omni":
-        rays = omni_rays(wide, height, jnp.tan(viewpoint.default_fov / 2) / jnp.tan(viewpoint.fov / 2))
-        offsets += jnp.array([MIRROR_DISTANCE, 0.0, 0.0])
+        rays = omni_rays(wide, height, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
+        offsets = offsets + xp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
         rays = pinhole_rays(wide, height, viewpoint.fov)
-    along = jnp.stack(
+    along = xp.stack(
         [sum(viewpoint.mat[i, j] * rays.direction[:, j] for j in range(3)) for i in range(3)], -1
     )
-    start = jnp.repeat(viewpoint.pos + offsets @ viewpoint.mat.T, len(along), 0)
+    start = xp.repeat(viewpoint.pos + offsets @ viewpoint.mat.T, len(along), 0)
+    seen = _see(render_scene, viewpoint, start, xp.tile(along, (eyes, 1)), caster)
+    inside, depth = xp.tile(rays.inside, eyes), seen.distance * xp.tile(rays.depth_scale, eyes)
+    levels = xp.where(inside[:, None], xp.floor(255 * seen.rgb + 0.5), 0.0).astype(xp.uint8)
+
+    def picture(values: Array) -> Array:
+        views = [untiled(view, wide, height) for view in xp.split(values, eyes)]
+        return xp.concatenate(views, 1)
+
+    return Picture(
+        rgb=picture(levels),
+        depth=picture(xp.where(inside, depth, xp.inf).astype(xp.float32)),
+        segmentation=picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32)),
+    )
+
+
+def _see(
+    render_scene: RenderScene, viewpoint: Viewpoint, start: Array, along: Array, caster: Caster | None
+) -> Shaded:
+    """Return what a camera's rays see; on NumPy some of them after the others."""
+    slot = xp.asarray(viewpoint.slot)
+    if on_numpy():
+        parts = [slice(first, first + CHUNK) for first in range(0, len(start), CHUNK)]
+        seen = [shade(render_scene, start[part], along[part], slot, caster) for part in parts]
+        return Shaded(*(xp.concatenate(columns) for columns in zip(*seen, strict=True)))
     blocks = [
         block.replace(owner=camera_owners(block.owner, viewpoint.slot, viewpoint.hidden_geoms))
         for block in render_scene.geoms.blocks
     ]
-    render_scene = render_scene.replace(geoms=render_scene.geoms.replace(blocks=tuple(blocks)))
-    seen = shade(render_scene, start, jnp.tile(along, (eyes, 1)), jnp.asarray(viewpoint.slot))
-    inside, depth = jnp.tile(rays.inside, eyes), seen.distance * jnp.tile(rays.depth_scale, eyes)
-    levels = jnp.where(inside[:, None], jnp.floor(255 * seen.rgb + 0.5), 0.0).astype(jnp.uint8)
-
-    def picture(values: jax.Array) -> jax.Array:
-        views = [untiled(view, wide, height) for view in jnp.split(values, eyes)]
-        return jnp.concatenate(views, 1)
-
-    return Picture(
-        rgb=picture(levels),
-        depth=picture(jnp.where(inside, depth, jnp.inf)),
-        segmentation=picture(jnp.where(inside, seen.label, OUTSIDE_LABEL).astype(jnp.int32)),
-    )
+    geoms = render_scene.geoms.replace(blocks=tuple(blocks))
+    return shade(render_scene.replace(geoms=geoms), start, along, slot, caster)
 
 
 @partial(jax.jit, static_argnames=("width", "height"))

@@ -8,6 +8,7 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 
+import jax
 import mujoco
 import numpy as np
 
@@ -21,8 +22,11 @@ from usarmjx.sensors.rays.kernels import surface_normal
 from usarmjx.sensors.rays.raycast import DEFAULT_QUERY, Hits, RayQuery, distance_to
 from usarmjx.sensors.rays.targets import GeomBlock
 
-OWN_GROUP = len(MATERIALS)
-"""The geom group of the robot that looks; the groups before are the materials."""
+HIDDEN_GROUP = len(MATERIALS)
+"""The geom group of what rays pass, as the robot that looks; the groups before are the materials."""
+
+FEW_RAYS = 12
+"""Fewer rays from a point are cast one by one: to cast them together begins with all geoms' bounds."""
 
 
 class CRayCaster:
@@ -58,15 +62,8 @@ class CRayCaster:
         if query.wanted is not None and not query.wanted:
             return Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
-        with self._without(int(query.exclude_owner)):
-            distance, normal, geom = self._cast(start, along, query)
-            # Where the first that a ray meets is a fender, it may pass it whole.
-            caged = np.isin(geom, self._fenders) if len(self._fenders) else np.zeros(0, bool)
-            if caged.any():
-                rays = start[caged], along[caged]
-                open_query = query.replace(transparent=query.transparent | {FENDER})
-                behind, its_normal, _ = self._cast(*rays, open_query)
-                distance[caged], normal[caged] = self._with_fenders(*rays, behind, its_normal)
+        hidden = self.geoms_of(int(query.exclude_owner))
+        distance, normal, _ = self.meet(start, along, query, hidden)
         met = distance <= query.max_distance
         cosine = np.abs((normal * along).sum(-1)) if query.incidence else np.zeros(count)
         return Hits(
@@ -74,19 +71,42 @@ class CRayCaster:
             cosine=np.where(met, cosine, 0.0).astype(np.float32),
         )
 
+    def geoms_of(self, slot: int) -> np.ndarray:
+        """Return a robot's geoms (n,); none for what is no robot's slot."""
+        return self._own.get(slot, np.zeros(0, int))
+
+    def meet(
+        self, start: np.ndarray, along: np.ndarray, query: RayQuery, hidden: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,).
+
+        Args:
+            start: Where rays start [m] (rays, 3).
+            along: Unit vectors (rays, 3).
+            query: What they pass, and whether normals are wanted.
+            hidden: Geoms that they pass too (n,).
+        """
+        with self._without(hidden):
+            distance, normal, geom = self._cast(start, along, query)
+            # Where the first that a ray meets is a fender, it may pass it whole.
+            caged = np.isin(geom, self._fenders) if len(self._fenders) else np.zeros(0, bool)
+            if caged.any():
+                rays = start[caged], along[caged]
+                open_query = query.replace(transparent=query.transparent | {FENDER})
+                behind = self._cast(*rays, open_query)
+                distance[caged], normal[caged], geom[caged] = self._with_fenders(*rays, hidden, *behind)
+        return distance, normal, geom
+
     @contextmanager
-    def _without(self, slot: int) -> Generator[None]:
-        """Put a robot's geoms into a group of their own; nothing for what is no robot's slot."""
-        own, groups = self._own.get(slot), self._model.geom_group
-        if own is None:
-            yield
-            return
-        before = groups[own]
-        groups[own] = OWN_GROUP
+    def _without(self, hidden: np.ndarray) -> Generator[None]:
+        """Put geoms (n,) into a group of their own, for a while."""
+        groups = self._model.geom_group
+        before = groups[hidden]
+        groups[hidden] = HIDDEN_GROUP
         try:
             yield
         finally:
-            groups[own] = before
+            groups[hidden] = before
 
     def _cast(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery
@@ -99,42 +119,67 @@ class CRayCaster:
         geom = np.empty(count, np.int32)
         bounds = [0, *(np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1), count]
         for first, end in pairwise(bounds):  # rays from one point at a time
+            if end - first < FEW_RAYS:
+                for ray in range(first, end):
+                    rays = geom[ray : ray + 1], normal[ray]
+                    distance[ray] = mujoco.mj_ray(
+                        self._model, self._data, start[ray], along[ray], groups, 1, -1, *rays
+                    )
+                continue
             rays = slice(first, end)
-            if end > first:
-                mujoco.mj_multiRay(
-                    self._model,
-                    self._data,
-                    start[first],
-                    along[rays].reshape(-1),
-                    groups,
-                    1,
-                    -1,
-                    geom[rays],
-                    distance[rays],
-                    normal[rays].reshape(-1) if query.incidence else None,
-                    int(end - first),
-                    mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
-                )
+            mujoco.mj_multiRay(
+                self._model,
+                self._data,
+                start[first],
+                along[rays].reshape(-1),
+                groups,
+                1,
+                -1,
+                geom[rays],
+                distance[rays],
+                normal[rays].reshape(-1) if query.incidence else None,
+                int(end - first),
+                mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
+            )
         return np.where(geom >= 0, distance, np.inf), normal, geom
 
     def _with_fenders(
-        self, start: np.ndarray, along: np.ndarray, distance: np.ndarray, normal: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return distances and normals where fenders are looked at too."""
-        ids, count = self._fenders, len(self._fenders)
+        self,
+        start: np.ndarray,
+        along: np.ndarray,
+        hidden: np.ndarray,
+        distance: np.ndarray,
+        normal: np.ndarray,
+        geom: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return distances, normals and geoms where fenders are looked at too."""
+        ids = np.setdiff1d(self._fenders, hidden)
         pos, mat = self._data.geom_xpos[ids], self._data.geom_xmat[ids].reshape(-1, 3, 3)
-        block = GeomBlock(pos=pos, mat=mat, size=self._model.geom_size[ids], owner=np.full(count, -1))
-        with numpy_backend():
-            rows = [
-                GeomBlock(**{name: getattr(block, name)[i] for name in vars(block)}) for i in range(count)
-            ]
-            reach = np.stack([distance_to(FENDER_KIND, row, start, along) for row in rows])
-            nearest = reach.argmin(0)
-            closest = reach.min(0)
-            here = np.where(np.isfinite(closest), closest, 0.0)
-            offset = start + here[:, None] * along - pos[nearest]
-            point = (mat[nearest] * offset[:, :, None]).sum(1)
-            local = surface_normal(FENDER_KIND, point, block.size[nearest])
-        turned = (mat[nearest] * np.asarray(local)[:, None]).sum(2)
+        block = GeomBlock(pos=pos, mat=mat, size=self._model.geom_size[ids], owner=np.full(len(ids), -1))
+        closest, fender, turned = nearest_of_block(FENDER_KIND, block, start, along)
         closer = closest < distance
-        return np.where(closer, closest, distance), np.where(closer[:, None], turned, normal)
+        return (
+            np.where(closer, closest, distance),
+            np.where(closer[:, None], turned, normal),
+            np.where(closer, ids[fender], geom),
+        )
+
+
+def nearest_of_block(
+    kind: int, block: GeomBlock, start: np.ndarray, along: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far rays (rays, 3) are from a few geoms that C MuJoCo does not know, by their kernel.
+
+    Returns:
+        Distances to the nearest, infinite without a hit (rays,); which it is (rays,); normals (rays, 3).
+    """
+    with numpy_backend():
+        rows = [jax.tree.map(lambda x, i=i: x[i], block) for i in range(len(block.owner))]
+        reach = np.stack([distance_to(kind, row, start, along) for row in rows])
+        nearest = reach.argmin(0)
+        closest = reach.min(0)
+        here = np.where(np.isfinite(closest), closest, 0.0)
+        pos, mat, size = (np.asarray(x)[nearest] for x in (block.pos, block.mat, block.size))
+        offset = start + here[:, None] * along - pos
+        local = surface_normal(kind, (mat * offset[:, :, None]).sum(1), size)
+    return closest, nearest, (mat * np.asarray(local)[:, None]).sum(2)

@@ -81,7 +81,7 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
 
 @jax.jit
 def _shade(render_scene: RenderScene, start: jax.Array, direction: jax.Array) -> jax.Array:
-    return shade(render_scene, start, direction, jnp.asarray(EXCLUDE_NONE)).rgb
+    return jnp.asarray(shade(render_scene, start, direction, jnp.asarray(EXCLUDE_NONE)).rgb)
 
 
 def render_picture(

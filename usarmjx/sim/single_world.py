@@ -23,6 +23,7 @@ from usarmjx.cameras.shading import RenderScene
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.engines.c_rays import CRayCaster
+from usarmjx.engines.c_sight import CSight, Looks
 from usarmjx.engines.c_world import CWorld
 from usarmjx.engines.faults import PutBack
 from usarmjx.engines.placement import REACH, free_pose
@@ -33,6 +34,7 @@ from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sim.control import idle_command
+from usarmjx.sim.looks import looks_of
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import new_group_state, started
@@ -105,6 +107,7 @@ class SingleWorld:
                 links=None if scene.radio is None else no_links(seats),
             )
         self._homes: dict[int, np.ndarray] = {}
+        self._looks: tuple[Scene, Looks] | None = None
         self._regroup({}, {})
 
     @property
@@ -324,6 +327,14 @@ class SingleWorld:
         links = update_links(self.scene, self.world, self.physics)
         self.world = self.world.replace(links=links)
         return links
+
+    @on_numpy
+    def sight(self) -> CSight:
+        """Return what casts cameras' rays at the world as it is now, whatever becomes of it."""
+        self.engine.move(self._moved())
+        if self._looks is None or self._looks[0] is not self.scene:
+            self._looks = self.scene, looks_of(self.scene)
+        return CSight(self.engine.model, self.engine.data, self._looks[1], self._indices())
 
     @on_numpy
     def render_scene(self) -> RenderScene:

@@ -1,12 +1,16 @@
 """A served world on C MuJoCo sees what the same world of a batch sees."""
 
+import threading
 from dataclasses import replace
 
 import jax
 import numpy as np
 
+from tests.server.peers import PATIENCE
+from tests.server.radio_servers import wait_until
 from usarmjx.cameras.paint import SKY_LABEL
 from usarmjx.cameras.picture import render_picture_jit
+from usarmjx.cameras.programs import PicturePrograms
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
 from usarmjx.models.spec.shapes import Mesh, Shape
@@ -76,13 +80,69 @@ def test_a_served_world_sees_what_a_batch_sees():
     assert (np.abs(seen.rgb.astype(int) - wanted.rgb) <= 1).mean() > 0.99
     assert len(np.unique(seen.segmentation)) >= 5
 
-    before = render_picture_jit._cache_size()
-    world.snapshot([CameraRequest(world.robots[1], 0, 56, 40)])()
-    world.spawn(P2DX, "third", (-1.5, 1.0, 0.0), (0.0, 0.0, 0.0))
     world.update_command(world.robots[1], CommandUpdate(light=False))
     unlit = seen_by(world)
-    assert render_picture_jit._cache_size() == before, "another camera or robot costs no compilation"
     assert (seen.rgb != unlit.rgb).any()
     dry = pond(replace(POND, waters=()))
     dry.update_command(dry.robots[1], CommandUpdate(light=False))
     assert (seen_by(dry).rgb != unlit.rgb).any(-1)[seen.segmentation != SKY_LABEL].any(), "water tints"
+
+
+class Programs:
+    """Programs that are compiled when the gate is open, and who asked for them."""
+
+    def __init__(self):
+        self.gate, self.threads = threading.Event(), []
+        self.known = PicturePrograms(self.render)
+
+    def render(self, *args):
+        self.threads.append(threading.current_thread())
+        assert self.gate.wait(PATIENCE)
+        return render_picture_jit(*args)
+
+
+def test_pictures_come_without_a_program_while_it_is_compiled_and_then_from_it():
+    """On an accelerator. Another camera or robot costs no compilation."""
+    world, programs = pond(), Programs()
+    plain = seen_by(world)
+    world.programs = programs.known
+    for _ in range(3):
+        np.testing.assert_array_equal(seen_by(world).rgb, plain.rgb)
+    seen_by(world, 28, 20)
+    wait_until(lambda: programs.threads, "a program to be asked for")
+    assert len(programs.threads) == 1, "one at a time"
+    assert programs.threads[0] is not threading.current_thread()
+
+    programs.gate.set()
+    wait_until(lambda: seen_by(world) is not None and threading.current_thread() in programs.threads, "it")
+    seen = seen_by(world)
+    # Another program rounds differently: at edges a ray may meet the other side.
+    assert (np.abs(seen.rgb.astype(int) - plain.rgb) <= 1).mean() > 0.99
+    assert (seen.segmentation == plain.segmentation).mean() > 0.99
+    wait_until(lambda: len({*programs.threads}) == 2 and programs.known.idle, "the smaller picture's program")
+
+    before, asked = render_picture_jit._cache_size(), len(programs.threads)
+    world.snapshot([CameraRequest(world.robots[1], 0, 56, 40)])()
+    world.spawn(P2DX, "third", (-1.5, 1.0, 0.0), (0.0, 0.0, 0.0))
+    world.update_command(world.robots[1], CommandUpdate(light=False))
+    unlit = seen_by(world)
+    assert programs.threads[asked:] == [threading.current_thread()] * 2
+    assert render_picture_jit._cache_size() == before, "another camera or robot costs no compilation"
+    assert (seen.rgb != unlit.rgb).any()
+
+
+def test_a_program_that_cannot_be_compiled_is_done_without(caplog):
+    def broken(*_):
+        raise RuntimeError("no room on the accelerator")
+
+    world = pond()
+    plain = seen_by(world)
+    world.programs = PicturePrograms(broken)
+    for _ in range(3):
+        np.testing.assert_array_equal(seen_by(world).rgb, plain.rgb)
+        wait_until(lambda: world.programs.idle, "it to fail")
+    assert caplog.text.count("no program for pictures could be compiled") == 1
+
+
+def test_on_a_processor_no_program_is_asked_for():
+    assert jax.default_backend() != "cpu" or pond().programs is None

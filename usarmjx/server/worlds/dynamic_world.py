@@ -10,8 +10,8 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import Vec3, quat_from_angles
-from usarmjx.cameras.padding import with_spare_capacity
-from usarmjx.cameras.picture import Picture, render_picture_jit
+from usarmjx.cameras.picture import Picture
+from usarmjx.cameras.programs import PicturePrograms
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.effecters import Opcode
@@ -37,6 +37,10 @@ class DynamicWorld(ServedWorld):
         seed: Of all random numbers.
         number: Which world of a batch of that seed it is.
         max_robots: Most robots at once.
+
+    Attributes:
+        programs: Compiled programs that render pictures; None without an accelerator: there they cost a
+            processor more than C MuJoCo's rays do, and tens of seconds before the first picture.
     """
 
     def __init__(
@@ -51,6 +55,7 @@ class DynamicWorld(ServedWorld):
         scene = build_scene(arena, (), physics)
         self._single = SingleWorld(scene, seed, number, max_robots)
         self.arena, self.period, self.robots = scene.arena, scene.physics.period, {}
+        self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
 
     @property
     def scene(self) -> Scene:
@@ -116,10 +121,17 @@ class DynamicWorld(ServedWorld):
         return status_of(outcome)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Take a snapshot of what pictures show; return a function that renders them."""
-        render_scene = with_spare_capacity(self._single.render_scene())
+        """Take a snapshot of what pictures show; return a function that renders them.
+
+        On NumPy, with the rays of C MuJoCo, unless there is an accelerator, and a program for it by now.
+        """
+        scene = self._single.render_scene()
         views = [(self.viewpoint(request), request.width, request.height) for request in requests]
-        return lambda: [jax.device_get(render_picture_jit(render_scene, *view)) for view in views]
+        compiled = None if self.programs is None else self.programs.find(scene, views)
+        if compiled is not None:
+            return compiled
+        sight = self._single.sight()
+        return lambda: [sight.render(scene, *view) for view in views]
 
 
 def _text(pos: Vec3 | Array) -> str:
