@@ -28,6 +28,7 @@ from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
 from usarmjx.sensors.suite import SensorMemory
+from usarmjx.sensors.surroundings import Surroundings
 from usarmjx.sim.control import DriveConditions, RobotCommand, compute_actuation
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene
@@ -164,13 +165,27 @@ def map_robots(
     return vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sensor_input, *rest, keys)
 
 
-def sense_self(scene: Scene, world: World, physics: PhysicsState, group: RobotGroup) -> SensorInput:
-    """Return what a group's robots sense of themselves, no rays cast; leading axis over robots."""
+def sense_self(
+    scene: Scene,
+    world: World,
+    physics: PhysicsState,
+    group: RobotGroup,
+    around: Surroundings | None = None,
+) -> SensorInput:
+    """Return what a group's robots sense of themselves, no rays cast; leading axis over robots.
+
+    Args:
+        scene: The scene.
+        world: The world.
+        physics: Where everything is.
+        group: The robots.
+        around: What is around, if it is known already.
+    """
     states = robot_states(group, physics)
     bodies = forward_kinematics(group.plan, states)
     blind = jax.tree.map(lambda x: xp.zeros((len(group.slots), *x.shape)), NO_HITS)
     time = time_of(scene, world)
-    around = surroundings(scene, world.arena_state, world.tags, time)
+    around = surroundings(scene, world.arena_state, world.tags, time) if around is None else around
     noise = None if world.varied is None or world.varied.noise is None else world.varied.noise[group.slots]
     return SensorInput(
         time=time, state=states, bodies=bodies, hits=blind, surroundings=around, noise_factor=noise
@@ -204,7 +219,8 @@ def sense(
         cast: Casts rays; None: those of `caster`.
     """
     cast = caster(scene, world, physics) if cast is None else cast
-    inputs = [sense_self(scene, world, physics, group) for group in scene.groups]
+    around = surroundings(scene, world.arena_state, world.tags, time_of(scene, world))
+    inputs = [sense_self(scene, world, physics, group, around) for group in scene.groups]
     return tuple(
         one.replace(hits=_hits(group, one, state.memory, cast))
         for group, one, state in zip(scene.groups, inputs, world.groups, strict=True)
