@@ -183,8 +183,11 @@ class Show:
 
 @contextlib.contextmanager
 def on_show(world, *, realtime_factor=1.0, **settings):
-    """A running server with its pictures, 96 x 72 and raw if nothing else is said."""
-    settings = {"port": 0, "size": (96, 72), "format": 0, "fps": 50.0} | settings
+    """A running server with its pictures, 96 x 72 and raw if nothing else is said.
+
+    It waits for them as long as the tests do: no black ones in between.
+    """
+    settings = {"port": 0, "size": (96, 72), "format": 0, "fps": 50.0, "patience": PATIENCE} | settings
     service = ImageServer(world, ImageSettings(**settings))
     with serving(world, [service], realtime_factor=realtime_factor) as (port, _):
         show = Show(world, port, service)

@@ -186,6 +186,39 @@ def test_nobody_waits_and_nothing_is_painted(painted, painter):
     assert painter.count == 1
 
 
+def test_who_waits_for_too_long_gets_a_black_picture_or_the_last_one(world, painter, monkeypatch):
+    """A picture may take seconds; others are sent meanwhile, one for each that is asked for."""
+    gate, paint = threading.Event(), painter.snapshot
+
+    def snapshot(shots):
+        take = paint(shots)
+        return lambda: take() if gate.wait(PATIENCE) else []
+
+    monkeypatch.setattr(world, "snapshot", snapshot)
+    with on_show(world, patience=0.1) as show:
+        robot = show.robot("Cyclops", "R1")
+        viewer = show.viewer()
+        assert not viewer.picture().any()
+        assert not viewer.next().any()
+        assert viewer.silent(0.3)
+        robot.sta_times(2)
+
+        gate.set()
+        wait_until(lambda: viewer.next().any(), "a picture of the world")
+        gate.clear()
+        viewer.next()  # perhaps that which was on its way
+        pictures = [viewer.next() for _ in range(3)]
+        last = pictures[0].max()
+        assert last > 0
+        assert all((picture == last).all() for picture in pictures)
+        viewer.socket.sendall(b"U" + struct.pack(">4I", 90, 10, 20, 30))
+        part = viewer.picture()
+        assert part.shape == (30, 6, 3)
+        assert not part.any(), "of this part there was none yet"
+        gate.set()
+        wait_until(lambda: (viewer.next() > last).all(), "the next picture of the world")
+
+
 def test_the_frame_rate_is_held(world, painter):
     with on_show(world, fps=5.0) as show:
         show.robot("Cyclops", "R1")

@@ -1,6 +1,7 @@
 """The image server on a real socket, in the loop of the Gamebots server (manual 3.2.5, 14.5.3).
 
-Pictures are rendered only for clients that wait for one, and that and their encoding happen in a thread.
+Pictures are rendered only for clients that wait for one, and that and their encoding happen in a thread. Who
+has waited for too long gets the last one once more, or a black one.
 """
 
 import asyncio
@@ -9,7 +10,9 @@ import socket
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
+
+import numpy as np
 
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
@@ -32,6 +35,10 @@ SIZE = (320, 240)
 """Width and height of pictures if nobody says otherwise."""
 
 
+Part = tuple[CompositeView, Region]
+"""A part of a view's picture."""
+
+
 @dataclass(frozen=True)
 class ImageSettings:
     """How to serve pictures.
@@ -43,6 +50,8 @@ class ImageSettings:
         fps: Most pictures per second of real time for each client.
         format: Picture type, 0 (raw) to 5; see `images.FORMATS`.
         max_connections: Most clients at once.
+        patience: Who has waited so long for a picture that is not ready gets the last one of the same view
+            once more, or a black one [s].
         multi_view: How all robots' cameras share the picture of those whose view is bound to no camera;
             None: they see one robot.
     """
@@ -53,6 +62,7 @@ class ImageSettings:
     fps: float = 10.0
     format: int = 3
     max_connections: int = 16
+    patience: float = 0.3
     multi_view: MultiView | None = None
 
 
@@ -66,6 +76,8 @@ class ImageClient:
         last_received: When it said something last [s].
         unsent: How many bytes waited for it to read them when that changed last.
         since: When that was [s].
+        waits_since: Since when it waits for a picture [s]; None: it does not.
+        last: What was rendered for it last, and the frame of that; None: nothing yet.
     """
 
     writer: asyncio.StreamWriter
@@ -73,6 +85,8 @@ class ImageClient:
     last_received: float = field(default_factory=time.monotonic)
     unsent: int = 0
     since: float = field(default_factory=time.monotonic)
+    waits_since: float | None = None
+    last: tuple[Part, bytes] | None = None
 
     def update_unsent(self, now: float) -> int:
         """Return how many bytes wait for the client to read them, and note when that changed."""
@@ -80,6 +94,18 @@ class ImageClient:
         if unsent != self.unsent:
             self.unsent, self.since = unsent, now
         return unsent
+
+    def is_waiting(self, now: float) -> bool:
+        """Return whether it waits for a picture, and note since when."""
+        waits = self.session.wants(now)
+        self.waits_since = (self.waits_since or now) if waits else None
+        return waits
+
+    def send(self, frame: bytes, now: float) -> None:
+        """Send the picture that it has waited for at a time [s]."""
+        self.session.sent(now)
+        self.waits_since = None
+        self.writer.write(frame)
 
 
 class ImageServer:
@@ -125,12 +151,15 @@ class ImageServer:
         waiting = []
         for client in self._clients:
             if not client.update_unsent(now):
-                waiting += [client] * client.session.wants(now)
+                waiting += [client] * client.is_waiting(now)
             elif now - client.since > STALL:
                 log.info("%s:%d: dropped, it does not read", *peer_address(client.writer))
                 client.writer.transport.abort()
         if waiting and self._render_thread.is_ready(now):
             self._render_thread.begin(self._send(waiting, now))
+        for client in waiting:
+            if client.waits_since is not None and now - client.waits_since > self._settings.patience:
+                self._send_last(client, now)
 
     def stop(self) -> None:
         """Close all connections."""
@@ -142,11 +171,7 @@ class ImageServer:
 
     async def _send(self, clients: Sequence[ImageClient], now: float) -> None:
         """Send the pictures that clients wait for, each once however many wait for the same."""
-        wanted: dict[ImageClient, tuple[CompositeView, Region]] = {}
-        for client in clients:
-            if client.session.region is not None:
-                view = client_view(self._world, *peer_address(client.writer), self._settings.size)
-                wanted[client] = view, client.session.region
+        wanted = {client: part for client in clients if (part := self._part_of(client)) is not None}
         parts = set(wanted.values())
         try:
             make = partial(_frames, parts, self._settings.format)
@@ -155,10 +180,31 @@ class ImageServer:
             for client in wanted:
                 client.writer.transport.abort()
             raise
-        for client, asked in wanted.items():
-            if not client.writer.is_closing():
-                client.session.sent(now)
-                client.writer.write(frames[asked])
+        ended = time.monotonic()
+        for client, part in wanted.items():
+            client.last = part, frames[part]
+            # Who was sent another one meanwhile may wait for this part again, or another one, or nothing.
+            waits = client.session.wants(ended) and client.session.region == part[1]
+            if waits and not client.writer.is_closing():
+                client.send(frames[part], now if (client.waits_since or ended) <= now else ended)
+
+    def _part_of(self, client: ImageClient) -> Part | None:
+        """Return what a client waits for; None: nothing."""
+        if client.session.region is None:
+            return None
+        view = client_view(self._world, *peer_address(client.writer), self._settings.size)
+        return view, client.session.region
+
+    def _send_last(self, client: ImageClient, now: float) -> None:
+        """Send the last picture of what a client waits for once more; a black one if there is none."""
+        part = self._part_of(client)
+        if part is None or client.writer.is_closing():
+            return
+        if client.last is not None and client.last[0] == part:
+            client.send(client.last[1], now)
+        else:
+            _, (*_, width, height) = part
+            client.send(_black_frame(self._settings.format, width, height), now)
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address, port = peer_address(writer)
@@ -194,9 +240,13 @@ class ImageServer:
         return bool(here)
 
 
-def _frames(
-    wanted: Collection[tuple[CompositeView, Region]], number: int, wholes: ViewImages
-) -> dict[tuple[CompositeView, Region], bytes]:
+@lru_cache(maxsize=4)
+def _black_frame(number: int, width: int, height: int) -> bytes:
+    """Return the frame of a black picture."""
+    return encode_frame(number, np.zeros((height, width, 3), np.uint8))
+
+
+def _frames(wanted: Collection[Part], number: int, wholes: ViewImages) -> dict[Part, bytes]:
     """Return the frames of parts of views."""
     frames = {}
     for view, (left, top, width, height) in wanted:
