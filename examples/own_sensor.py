@@ -17,9 +17,9 @@ import sys
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.backend import xp
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
@@ -70,16 +70,16 @@ class LightMeter(Sensor):
     def rays(self, bodies):
         pos, mat = self.mount_poses(bodies)
         along = (mat[0] * dome()[:, None, :]).sum(-1)  # from the mount's axes to the world's
-        return jnp.broadcast_to(pos[0], along.shape), along
+        return xp.broadcast_to(pos[0], along.shape), along
 
     def read(self, inputs, memory, key):
-        bright = jnp.isinf(inputs.hits.distance)  # the sky is where a ray meets nothing
+        bright = xp.isinf(inputs.hits.distance)  # the sky is where a ray meets nothing
         light = self.settings[0].daylight * bright.mean()
         told = apply_output_curve(noisy(key, light[None], self.settings), self.settings[0].output_curve)
         _, along = self.rays(inputs.bodies)
         way = (inputs.bodies.mat[0] * (along * bright[:, None]).sum(0)[:, None]).sum(0)  # on the chassis
-        way = way / jnp.maximum(jnp.linalg.norm(way), 1e-6)  # no light comes from nowhere
-        return memory, jnp.concatenate([told, way])
+        way = way / xp.maximum(xp.linalg.norm(way), 1e-6)  # no light comes from nowhere
+        return memory, xp.concatenate([told, way])
 
 
 SENSORS.add(LightMeter.kind, LightMeter)

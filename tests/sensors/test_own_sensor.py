@@ -5,12 +5,16 @@ import re
 import sys
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.arenas import FLAT
 from tests.scripts import load
+from tests.sensors.test_numpy_backend import compilations
 from tests.server.peers import Peer, serving
+from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.cli.sensor_tables import sensors_table
 from usarmjx.models.build.compose import Physics
@@ -18,6 +22,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings
+from usarmjx.sensors.noise import noisy
 from usarmjx.sensors.quantities import FORMS, Quantity
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.sensors.suite import suite_of
@@ -25,7 +30,9 @@ from usarmjx.server.messages import generic as telling
 from usarmjx.server.messages.sensors import CONFIGURATION, REPORTS, configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message as line_of
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.batch import Batch
 from usarmjx.sim.configure import configure
+from usarmjx.sim.scene import build_scene
 
 UP = (0.0, math.pi / 2, 0.0)
 CURVE = ((0.0, 0.0), (5000.0, 1.0), (10000.0, 4.0))
@@ -143,6 +150,42 @@ def test_a_client_hears_it_and_asks_about_it(example, lean):
         peer.say("SET {Type LightMeter} {Name Light} {Opcode RESET}")
         assert peer.until(b"RES").endswith(b"{Type LightMeter} {Name Light} {Status Failed}")
         peer.close()
+
+
+def test_nothing_is_compiled_for_it_in_a_served_world(example, lean):
+    """As in a batch, at the same step and place; see docs/own-sensor.md."""
+    x, y, z = example.YARD.starts[0].at
+    with compilations() as events, jax.transfer_guard("disallow_explicit"):
+        world = DynamicWorld(example.YARD, seed=1)
+        robot = world.spawn(lean, "R1", (x, y, z + 0.1), (0.0, 0.0, 0.0))
+        world.observe([robot])
+    assert events == []
+    (told,) = robot.pending.values()
+    batch = Batch(build_scene(example.YARD, [lean]), 1, engine="c", seed=1)
+    _, ((read,),) = batch.observe(batch.reset())
+    np.testing.assert_allclose(told, read.value[0, 0], rtol=1e-5, atol=1e-4)  # single precision, of 1e4 lx
+
+
+def test_one_that_says_jax_numpy_is_served_too(monkeypatch):
+    """It compiles, but reads."""
+    monkeypatch.setattr(SENSORS, "_entries", dict(SENSORS._entries))
+
+    class Tilt(Sensor):
+        kind = "Tilt"
+        settings_class = NoisySensorSettings
+
+        def read(self, inputs, memory, key):
+            _, mat = self.mount_poses(inputs.bodies)
+            told = jnp.arccos(jnp.clip(mat[0, 2, 2:], -1.0, 1.0))
+            return memory, noisy(key, told, self.settings) + 0 * jax.random.uniform(key)
+
+    SENSORS.add(Tilt.kind, Tilt)
+    world = DynamicWorld(FLAT, seed=1)
+    robot = world.spawn(
+        replace(P2AT, name="Level", sensors=(Mount(kind="Tilt", name="T"),)), "R1", (0, 0, 1.0), (0.3, 0, 0)
+    )
+    world.observe([robot])
+    assert robot.pending[0] == pytest.approx([0.3], abs=1e-6)
 
 
 def test_an_ini_file_mounts_it_and_sets_its_keys(example, tmp_path, monkeypatch):
@@ -281,7 +324,7 @@ def test_a_value_of_another_shape_is_refused_when_the_world_starts(make_bench, m
         quantities = (Quantity("At", "vector"),)
 
         def read(self, inputs, memory, key):
-            return memory, jnp.zeros(2)
+            return memory, xp.zeros(2)
 
     SENSORS.add(Wrong.kind, Wrong)
     bench = make_bench(replace(P2AT, name="Bad", sensors=(Mount(kind="Wrong", name="W"),)))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.handy import TAGGER, known
-from tests.sensors.test_numpy_backend import EVERYTHING
+from tests.sensors.test_numpy_backend import EVERYTHING, compilations
 from tests.server.test_adapter import TICK, House, heard
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.arenas import ARENAS
@@ -100,18 +100,8 @@ def lines_for(robot):
 @contextmanager
 def nothing_compiled():
     """Inside, JAX must trace and compile nothing, nor make an array: it may have compiled for that before."""
-    events = []
-
-    def note(event, seconds, **more):
-        if event.startswith("/jax/core/compile"):
-            events.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(note)
-    try:
-        with jax.transfer_guard("disallow_explicit"):
-            yield events
-    finally:
-        jax.monitoring.unregister_event_duration_listener(note)
+    with compilations() as events, jax.transfer_guard("disallow_explicit"):
+        yield
     assert events == []
 
 
