@@ -7,13 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tests.train.views import beginning
 from usarmjx.comms.links import no_links
-from usarmjx.engines import PhysicsState
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
-from usarmjx.sim.reset import init_world
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.tasks.team_parts import scanner_poses
 
@@ -58,10 +57,7 @@ def scan(pose, settings, width=WIDTH, depth=DEPTH):
 def begin(task):
     """The scene, and its world and physics at the start."""
     scene = task.scene()
-    sites = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
-    world, qpos = init_world(scene, jax.random.key(0), jnp.int32(0), sites)
-    model = scene.model
-    return scene, world, PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+    return scene, *beginning(scene)
 
 
 def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):

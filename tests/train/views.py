@@ -13,13 +13,20 @@ from usarmjx.sim.reset import init_world
 from usarmjx.train.envs.task import TaskView
 
 
-def view_of(task, scene=None):
-    """A world of a task as it starts, made on NumPy: operation by operation JAX would take seconds."""
-    scene = scene or task.scene()
+def beginning(scene):
+    """World and physics of a scene as they start, made on NumPy: JAX would compile every operation."""
+    sites = None if scene.arenas is None else scene.arenas.states
     with numpy_backend():
-        world, qpos = jax.tree.map(jnp.asarray, init_world(scene, random.key(0), np.int32(0)))
+        world, qpos = jax.tree.map(jnp.asarray, init_world(scene, random.key(0), np.int32(0), sites))
     world = world.replace(key=jax.random.wrap_key_data(world.key))
-    physics = PhysicsState(qpos=qpos, qvel=np.zeros(scene.model.nv), act=np.zeros(scene.model.na))
+    model = scene.model
+    return world, PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+
+
+def view_of(task, scene=None):
+    """A world of a task as it starts."""
+    scene = scene or task.scene()
+    world, physics = beginning(scene)
     return TaskView(world=world, physics=physics, readings=(), scene=scene)
 
 
