@@ -1,17 +1,15 @@
 """Distances of robots from what stands around them: closed forms, and the demonstration's own function."""
 
-import jax
 import numpy as np
 import pytest
 
+from tests.train.views import placed
+from tests.train.views import view_of as start_of
 from usarmjx.cli.demo_run import clearance as demo_clearance
-from usarmjx.engines import PhysicsState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import build_scene
-from usarmjx.train.envs.task import TaskView
 from usarmjx.train.scenes.clearance import NO_OBSTACLE, Boxes, bounding_box_of, box_distance, clearance
 
 STARTS = tuple(StartPose(tag=f"S{i}", at=(x, 0.0, 0.188)) for i, x in enumerate((0.0, 5.0)))
@@ -35,14 +33,11 @@ def view_of(*shapes, poses=((0.0, 0.0, 0.26, 0.0),), parked=False):
     """P2ATs at x, y, z and yaw among solids."""
     arena = ArenaSpec(name="here", shapes=shapes, starts=STARTS, extent=((-9, 9), (-9, 9)), floor=0.0)
     scene = build_scene(arena, ["P2AT"] * len(poses))
-    world, qpos = init_world(scene, jax.random.key(0), np.int32(0))
-    for address, (x, y, z, yaw) in zip(scene.groups[0].root_qposadr, poses, strict=True):
-        qpos = qpos.at[address].set(np.array([x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]))
-    if parked:
-        team = world.groups[0]
-        world = world.replace(groups=(team.replace(active=team.active.at[1].set(False)),))
-    physics = PhysicsState(qpos=qpos, qvel=np.zeros(scene.model.nv), act=np.zeros(scene.model.na))
-    return TaskView(world=world, physics=physics, readings=(), scene=scene)
+    view = placed(start_of(None, scene), *((x, y, z, 0.0, 0.0, yaw) for x, y, z, yaw in poses))
+    if not parked:
+        return view
+    team = view.world.groups[0]
+    return view.replace(world=view.world.with_group(0, team.replace(active=team.active.at[1].set(False))))
 
 
 @pytest.mark.oracle
