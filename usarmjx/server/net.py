@@ -117,7 +117,8 @@ class BotServer:
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
         self._stepped = asyncio.Event()
-        # `ServedWorld.prepare` runs here, for seconds: the loop steps on meanwhile.
+        self._joining = asyncio.Lock()
+        # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
 
     async def start(self) -> list[str]:
@@ -253,4 +254,6 @@ class BotServer:
         except UsageError as error:
             log.warning("%s: INIT refused: %s", connection.peer, error)
             return False
-        return client.spawn(init, spec)
+        async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
+            await self._stepped.wait()
+            return client.spawn(init, spec)

@@ -35,7 +35,7 @@ SIZE = (320, 240)
 """Width and height of pictures if nobody says otherwise."""
 
 
-Part = tuple[CompositeView, Region]
+PartView = tuple[CompositeView, Region]
 """A part of a view's picture."""
 
 
@@ -86,7 +86,7 @@ class ImageClient:
     unsent: int = 0
     since: float = field(default_factory=time.monotonic)
     waits_since: float | None = None
-    last: tuple[Part, bytes] | None = None
+    last: tuple[PartView, bytes] | None = None
 
     def update_unsent(self, now: float) -> int:
         """Return how many bytes wait for the client to read them, and note when that changed."""
@@ -188,7 +188,7 @@ class ImageServer:
             if waits and not client.writer.is_closing():
                 client.send(frames[part], now if (client.waits_since or ended) <= now else ended)
 
-    def _part_of(self, client: ImageClient) -> Part | None:
+    def _part_of(self, client: ImageClient) -> PartView | None:
         """Return what a client waits for; None: nothing."""
         if client.session.region is None:
             return None
@@ -246,7 +246,7 @@ def _black_frame(number: int, width: int, height: int) -> bytes:
     return encode_frame(number, np.zeros((height, width, 3), np.uint8))
 
 
-def _frames(wanted: Collection[Part], number: int, wholes: ViewImages) -> dict[Part, bytes]:
+def _frames(wanted: Collection[PartView], number: int, wholes: ViewImages) -> dict[PartView, bytes]:
     """Return the frames of parts of views."""
     frames = {}
     for view, (left, top, width, height) in wanted:
