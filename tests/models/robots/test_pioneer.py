@@ -1,6 +1,8 @@
 """P2AT and P2DX as composed, against the manual, captured messages and USARBot.ini."""
 
 import math
+import pickle
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -224,3 +226,12 @@ def test_a_removed_robot_leaves_no_trace():
     after = spec.compile()
     assert (after.nq, after.nv, after.nu, after.na, after.ngeom, after.nexclude) == sizes
     assert kinematic_tree_of(P2AT).clearance == pytest.approx(0.26)
+
+
+def test_a_robot_is_hashed_once_and_its_hash_stays_in_its_process():
+    robot = ROBOTS.get("P2AT")
+    known = hash(robot)
+    other = pickle.loads(pickle.dumps(robot))
+    assert "_hash" not in vars(other)
+    assert (other, hash(other)) == (robot, known)
+    assert hash(replace(robot, name="Other")) != known

@@ -5,8 +5,8 @@ as ZYX), so that a line can be compared with the manual's tables; `models.build.
 Lengths are metres, angles radians, masses kilograms.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Drive
@@ -204,6 +204,18 @@ class RobotSpec:
     reported_joints: tuple[str, ...] = ()
     antenna: Vec3 | None = None
     sources: tuple[tuple[str, str], ...] = ()
+
+    def __hash__(self) -> int:
+        """Return the hash of all that it says, worked out once: what is resolved of it is looked up by it."""
+        known = vars(self).get("_hash")
+        if known is None:
+            known = hash(tuple(getattr(self, one.name) for one in fields(self)))
+            object.__setattr__(self, "_hash", known)
+        return known
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: not the hash, which is another one in each process."""
+        return {name: value for name, value in vars(self).items() if name != "_hash"}
 
     @property
     def wheels(self) -> tuple[Part, ...]:
