@@ -5,6 +5,7 @@ and with the same random numbers: a robot at a pose reads what it would read in 
 that seed.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, wraps
@@ -18,7 +19,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.transforms import Vec3
+from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
@@ -56,6 +57,8 @@ from usarmjx.sim.world import (
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
+MAX_FALL = 1000.0
+"""Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
@@ -107,6 +110,7 @@ class SingleWorld:
                 links=None if scene.radio is None else no_links(seats),
             )
         self._homes: dict[int, np.ndarray] = {}
+        self._tops: dict[int, float] = {}
         self._looks: tuple[Scene, Looks] | None = None
         self._regroup({}, {})
 
@@ -174,6 +178,7 @@ class SingleWorld:
             if found is not None:
                 self.engine.place(index, *found)
                 self._homes[int(group.slots[0])] = self.engine.pose(index)
+                self._tops[int(group.slots[0])] = self._height(index)
                 return
         where = ",".join(f"{value:.2f}" for value in poses[0][0])
         raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
@@ -189,7 +194,7 @@ class SingleWorld:
         """Take a robot out of the world; the states of the others are kept to the bit."""
         roster, rows = self.roster, self._rows()
         self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
-        del roster[slot], rows[slot], self._homes[slot]
+        del roster[slot], rows[slot], self._homes[slot], self._tops[slot]
         self._regroup(roster, rows)
 
     def _rows(self) -> dict[int, GroupState]:
@@ -221,15 +226,31 @@ class SingleWorld:
         """
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics)
         self.engine.apply(inputs)
-        limits = {s: runaway_limit(entry.spec) for s, entry in self.roster.items()}
-        lost, put_back = self.engine.advance(self._indices(), limits, self._homes)
+        indices = self._indices()
+        lost, put_back = self.engine.advance(indices, self._speed_limits(indices), self._homes)
         self.world, _ = finish_step(self.scene, self.world, self.physics, np.asarray(lost, np.int32))
         if put_back:
             faults = self.world.faults
             self.world = self.world.replace(faults=faults.replace(not_finite=faults.not_finite + 1))
         for slot in put_back.robots:
+            self._tops[slot] = self._height(indices[slot])
             self.edit(slot, command=idle_command(self.roster[slot].spec))
         return put_back
+
+    def _speed_limits(self, indices: Mapping[int, RobotIndex]) -> dict[int, float]:
+        """Return up to which speed each robot is sound [m/s]: what it drives and what it fell together."""
+        limits: dict[int, float] = {}
+        for slot, index in indices.items():
+            height, top = self._height(index), self._tops[slot]
+            height = height if math.isfinite(height) else top
+            top = self._tops[slot] = max(top, height)
+            depth = min(top - height, MAX_FALL)
+            fallen = math.sqrt(2 * GRAVITY * depth) + GRAVITY * self.scene.physics.period
+            limits[slot] = math.hypot(runaway_limit(self.scene.roster[slot].spec), fallen)
+        return limits
+
+    def _height(self, index: RobotIndex) -> float:
+        return float(self.engine.data.qpos[index.root_qposadr + 2])
 
     @on_numpy
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
