@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import cache
 from types import SimpleNamespace
 
 import jax
@@ -46,16 +47,17 @@ def wire_observation(env, state):
     return policy_drive.observation(driver.pose, goal, driver.ranges), away
 
 
+@cache
+def yellow(ranges):
+    """An environment with some range sensors, compiled once."""
+    physics = Physics(timestep=0.01, substeps=5)
+    return make("drive-to-goal", engine="c", arena="yellow", ranges=(ranges,), physics=physics)
+
+
 @pytest.mark.oracle
 @pytest.mark.parametrize("ranges", ["Sonar", "RangeScanner"])
 def test_lines_give_the_observation_that_the_environment_gives(ranges):
-    env = make(
-        "drive-to-goal",
-        engine="c",
-        arena="yellow",
-        ranges=(ranges,),
-        physics=Physics(timestep=0.01, substeps=5),
-    )
+    env = yellow(ranges)
     state, draw = env.reset(5), np.random.default_rng(1)
     for _ in range(4):
         seen, away = wire_observation(env, state)
@@ -112,7 +114,7 @@ def test_the_baseline_drives_a_robot_to_its_goal_over_tcp():
 
 def test_the_baseline_of_a_client_does_what_that_of_the_environment_does():
     """One robot in the yellow arena, the same observations to both; float32 rounding between programs."""
-    env = make("drive-to-goal", engine="c", arena="yellow", physics=Physics(timestep=0.01, substeps=5))
+    env = yellow("Sonar")
     policy, state = BASELINES.get("drive-to-goal")(env), env.reset(5)
     client = policy_drive.Baseline("P2AT", "Sonar")
     assert client.groups[0]["obs_size"] == env.groups[0].obs_size
