@@ -229,9 +229,8 @@ def test_a_removed_robot_leaves_no_trace():
 
 
 def test_a_robot_is_hashed_once_and_its_hash_stays_in_its_process():
-    robot = ROBOTS.get("P2AT")
-    known = hash(robot)
-    other = pickle.loads(pickle.dumps(robot))
+    known = hash(P2AT)
+    other = pickle.loads(pickle.dumps(P2AT))
     assert "_hash" not in vars(other)
-    assert (other, hash(other)) == (robot, known)
-    assert hash(replace(robot, name="Other")) != known
+    assert (other, hash(other)) == (P2AT, known)
+    assert hash(replace(P2AT, name="Other")) != known
