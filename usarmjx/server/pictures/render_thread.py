@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 MAX_TIME_SHARE = 0.6
 """The thread works for no more than this part of the time."""
 MAX_PAUSE = 0.2
-"""It rests no longer than this after a picture, whose first one of a kind takes seconds to compile [s]."""
+"""It rests no longer than this after a picture, which may take seconds to compile or to render [s]."""
 
 Made = TypeVar("Made")
 ViewImages = Mapping[CompositeView, np.ndarray]
