@@ -17,7 +17,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-PACE = 5.0
+PACE = 2.0
 """Times real time: the faster it is, the later in the world's time a command arrives."""
 F4 = r"-?\d+\.\d{4}"
 HEADLIGHT = r"{LightToggle False} {LightIntensity 0} {Battery \d+} {View -1}"

@@ -91,6 +91,11 @@ class SourceTree:
         return ["--max-connections", str(robots)]
 
 
+def _heed_interrupts() -> None:
+    """Let SIGINT end a process although the shell that started this one in the background ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class ServerProcess(AbstractContextManager["ServerProcess"]):
     """A running server with all its services at free ports; it listens once the context is entered.
 
@@ -127,6 +132,7 @@ class ServerProcess(AbstractContextManager["ServerProcess"]):
             self._command,
             cwd=self._tree.folder,
             env=self._environment,
+            preexec_fn=_heed_interrupts,  # noqa: PLW1509 - it only sets a signal
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
