@@ -132,7 +132,7 @@ class ServerProcess(AbstractContextManager["ServerProcess"]):
             self._command,
             cwd=self._tree.folder,
             env=self._environment,
-            preexec_fn=_heed_interrupts,  # noqa: PLW1509 - it only sets a signal
+            preexec_fn=_heed_interrupts,
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
