@@ -1,7 +1,8 @@
 """How the Gamebots server is set up: where it listens, and how many may come (manual 9.1)."""
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from usarmjx.models.ini.parse import read_ini
@@ -28,6 +29,21 @@ class BotServerSettings:
     port: int = BOT_PORT
     max_connections: int = 16
     init_timeout: float = 60.0
+
+
+@dataclass
+class Tally:
+    """What a server has counted since it began.
+
+    Attributes:
+        connections: Clients that were accepted.
+        commands: Legal commands by their types.
+        faults: What was wrong with the lines of clients that have left.
+    """
+
+    connections: int = 0
+    commands: Counter[type] = field(default_factory=Counter[type])
+    faults: int = 0
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:

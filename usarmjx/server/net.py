@@ -4,14 +4,14 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
-from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.bot_server import BotServerSettings, Tally
 from usarmjx.server.protocol.commands import Command, Init
 from usarmjx.server.wireless.sockets import listen
 from usarmjx.server.worlds.served_world import ServedWorld
@@ -100,6 +100,7 @@ class BotServer:
         settings: How it is served.
         services: What else is served.
         title: What the log calls the world.
+        tally: What has been counted.
         port: The port in use, once started.
     """
 
@@ -112,7 +113,7 @@ class BotServer:
         title: str = "",
     ) -> None:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
-        self.port = settings.port
+        self.port, self.tally = settings.port, Tally()
         self._bound = bound
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
@@ -120,6 +121,16 @@ class BotServer:
         self._joining = asyncio.Lock()
         # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
+
+    @property
+    def clients(self) -> Collection[Client]:
+        """Who is connected."""
+        return self._connections.keys()
+
+    @property
+    def faults(self) -> int:
+        """How many lines of clients could not be used so far."""
+        return self.tally.faults + sum(client.session.fault_count for client in self._connections)
 
     async def start(self) -> list[str]:
         """Listen, and let the services listen; return lines for the user.
@@ -195,6 +206,7 @@ class BotServer:
             return
         client = Client(self.world, peer)
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer)
+        self.tally.connections += 1
         log.info("%s: connected", peer)
         try:
             connection.flush()
@@ -205,6 +217,7 @@ class BotServer:
             log.info("%s: the server stops", peer)  # the end of this task; nobody waits for its result
         finally:
             del self._connections[client]
+            self.tally.faults += client.session.fault_count
             client.leave()
             connection.hang_up()
             log.info("%s: disconnected", peer)
@@ -234,6 +247,7 @@ class BotServer:
         client = connection.client
         while commands:
             for command in commands:
+                self.tally.commands[type(command)] += 1
                 if not isinstance(command, Init):
                     began = time.perf_counter()
                     client.handle(command)

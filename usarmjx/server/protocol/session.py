@@ -82,6 +82,7 @@ class RobotSession:
 
     Attributes:
         phase: Where the dialogue stands.
+        fault_count: How many faults there were so far.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class RobotSession:
         self._send_limit = send_limit
         self._outgoing = bytearray()
         self._faults: list[str] = []
-        self._more_faults = 0
+        self._more_faults = self.fault_count = 0
         self._awaits_answer = False
         self._waiting: deque[str] = deque()
         self.send(greeting)
@@ -200,6 +201,7 @@ class RobotSession:
         return command
 
     def _fault(self, reason: str) -> None:
+        self.fault_count += 1
         if len(self._faults) < MAX_FAULTS:
             self._faults.append(reason)
         else:

@@ -253,6 +253,7 @@ class BatchWorld(ServedWorld):
         episode = int(self._state.worlds.episode[self._instance])
         before, self._episode = self._episode, episode
         if episode != before:
+            self.mishaps.resets += 1
             log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
             for robot in list(self.robots.values()):
                 self._lose(robot)

@@ -100,6 +100,7 @@ class DynamicWorld(ServedWorld):
         """Advance by one control step; robots whose physics goes bad are put back where they appeared."""
         put_back = self._single.step()
         if put_back:
+            self.mishaps.put_back += len(put_back.robots) + len(put_back.others)
             names = [self.robots[slot].name for slot in sorted(put_back.robots)]
             log.error("the physics of %s went bad: put back", ", ".join([*names, *put_back.others]))
         for slot in put_back.robots:

@@ -86,6 +86,19 @@ class ViewpointRequest:
     height: int
 
 
+@dataclass
+class Mishaps:
+    """What has happened to a world's physics so far.
+
+    Attributes:
+        put_back: Robots and objects that went bad and were put back.
+        resets: How often the whole world was reset for that.
+    """
+
+    put_back: int = 0
+    resets: int = 0
+
+
 def status_of(outcome: OperationResult) -> str:
     """Return the Status of RES for one robot's operation (manual 11)."""
     if not outcome.done:
@@ -130,6 +143,11 @@ class ServedWorld(ABC):
     def tag_texts(self) -> dict[int, str]:
         """What is written on RFID tags, by ID; the others are empty."""
         return initial_tag_texts(self.arena)
+
+    @cached_property
+    def mishaps(self) -> Mishaps:
+        """How often its physics went bad."""
+        return Mishaps()
 
     @property
     @abstractmethod
