@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.serve_run import PageChoice, make_servers
-from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption, announce
+from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
+from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
+from usarmjx.cli.waiting import announce
 from usarmjx.server.instances import parse_instances
 from usarmjx.server.ports import BOT_PORT, bound_ports, count_up
 from usarmjx.server.signals import StopSignals
@@ -82,6 +83,7 @@ def evaluate_policy(
 ) -> None:
     """Tell a policy's mean final score and the 95 % interval of that mean."""
     with ErrorExit():
+        announce("building the worlds that the policy is tried in ...")
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 
         found = _source(policy, baseline, task, checkpoint)
@@ -138,6 +140,7 @@ def play(
         int | None,
         typer.Option(min=0, max=65535, help="With --serve: show the world on a page of this port, too."),
     ] = None,
+    metrics_port: MetricsOption = None,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, or serve it."""
     with ErrorExit():
@@ -148,6 +151,7 @@ def play(
             with (
                 StopSignals() as signals,
                 bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
+                metrics_socket(host, metrics_port, port_offset) as metrics,
             ):
                 announce("building the world that the policy drives ...")
                 source = _source(policy, baseline, task, checkpoint) if not follow else _followed(policy)
@@ -162,8 +166,11 @@ def play(
                     from usarmjx.server.worlds.follow import PolicyFollower
 
                     servers[0].services.append(PolicyFollower(made[0].policy_batch, Path(policy or "")))
+                if metrics is not None:
+                    add_metrics(servers, realtime_factor, metrics)
                 run(servers, realtime_factor, signals)
             return
+        announce("building the world that the policy drives ...")
         from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
         check_suffix(out)

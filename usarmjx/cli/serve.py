@@ -1,6 +1,5 @@
 """`usarmjx serve`: worlds of a batch over the Gamebots protocol."""
 
-import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -8,12 +7,15 @@ import typer
 
 from usarmjx.cli.serve_run import (
     ImageChoice,
+    MetricsOption,
     PageChoice,
     RadioChoice,
     ServiceChoice,
+    add_metrics,
     bot_settings,
     instances_of,
     make_servers,
+    metrics_socket,
 )
 from usarmjx.cli.tools import (
     ArenaOption,
@@ -23,9 +25,10 @@ from usarmjx.cli.tools import (
     PortOffsetOption,
     SeedOption,
     UnitOption,
-    announce,
     configure_from,
 )
+from usarmjx.cli.waiting import announce
+from usarmjx.server.json_log import configure_log
 from usarmjx.server.ports import IMAGE_PORT, POSITION_PORT, WSS2_PORT, bound_ports, count_up
 from usarmjx.server.signals import StopSignals
 
@@ -113,6 +116,8 @@ def serve(
         int | None,
         typer.Option(min=0, max=65535, help="Show the world on a page of this port; else no page."),
     ] = None,
+    metrics_port: MetricsOption = None,
+    log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
     """Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.
@@ -120,8 +125,7 @@ def serve(
     Several worlds have ports of their own: the first those of the options, the others count up from there.
     So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.
     """
-    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
-    logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
+    configure_log(verbose=verbose, as_json=log_json)
     with ErrorExit(), StopSignals() as signals:
         numbers = instances_of(instances, instance, worlds)
         settings = bot_settings(
@@ -137,8 +141,12 @@ def serve(
         if spectator_port is not None:
             choices.append(PageChoice(spectator_port))
         first = {"--port": settings.port} | {key: n for choice in choices for key, n in choice.ports.items()}
-        with bound_ports(host, count_up(first, len(numbers), port_offset)) as bound:
-            announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
+        with (
+            bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
+            metrics_socket(host, metrics_port, port_offset) as metrics,
+        ):
+            if not log_json:
+                announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
             makers = [choice.prepare(host) for choice in choices]
             configure_from(ini, uu_per_metre)
             from usarmjx.server.loop import serve as run
@@ -153,4 +161,7 @@ def serve(
                 max_robots=seats or settings.max_connections,
                 seed=seed,
             )
-            run(make_servers(served, settings, makers, bound, numbers, worlds), realtime_factor, signals)
+            servers = make_servers(served, settings, makers, bound, numbers, worlds)
+            if metrics is not None:
+                add_metrics(servers, realtime_factor, metrics)
+            run(servers, realtime_factor, signals)

@@ -4,16 +4,19 @@ What can be known without JAX is known before JAX is imported; the classes here 
 ports at once, the rest in `prepare`.
 """
 
+import contextlib
 import socket
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.instances import parse_instances
-from usarmjx.server.ports import WSS_PORT
+from usarmjx.server.ports import LAST_PORT, WSS_PORT, bound_socket
 
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
@@ -23,6 +26,12 @@ if TYPE_CHECKING:
 
 Sockets = Mapping[str, socket.socket]
 """The bound sockets of one world, by the options that set their ports."""
+MetricsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=LAST_PORT, help="Figures for Prometheus at /metrics of this port, and /healthz; else none."
+    ),
+]
 
 
 class ServiceChoice(Protocol):
@@ -215,3 +224,27 @@ def make_servers(
         own = sockets["--port"]
         servers.append(BotServer(world, replace(settings, port=port_of(own)), services, own, title))
     return servers
+
+
+@contextlib.contextmanager
+def metrics_socket(host: str, port: int | None, offset: int) -> Iterator[socket.socket | None]:
+    """Take the port of the figures, moved by the offset unless it is 0; None: there are none.
+
+    Raises:
+        UsageError: It is taken, or there is no such port.
+    """
+    if port is None:
+        yield None
+        return
+    port = port + offset if port else 0
+    if port > LAST_PORT:
+        raise UsageError(f"--metrics-port leads to port {port}; the last one is {LAST_PORT}")
+    with bound_socket(host, port, "--metrics-port") as bound:
+        yield bound
+
+
+def add_metrics(servers: "Sequence[BotServer]", factor: float, bound: socket.socket) -> None:
+    """Let servers' figures be served at a socket; the factor is the simulated seconds per second wanted."""
+    from usarmjx.server.metrics import MetricsServer
+
+    servers[0].services.append(MetricsServer(servers, factor, bound))
