@@ -7,6 +7,7 @@ from pathlib import Path
 
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.read import as_whole, fail
+from usarmjx.server.access import EVERYBODY, AccessRules
 from usarmjx.server.ports import BOT_PORT
 
 SECTION = "BotAPI.BotServer"
@@ -22,13 +23,16 @@ class BotServerSettings:
         host: Address to bind; loopback by default.
         port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
         max_connections: Most clients at once (BotAPI.ini: MaxConnections).
-        init_timeout: Who has no robot and asks for nothing for so long makes room; 0: nobody has to [s].
+        init_timeout: Who has no robot and asks for nothing for so long makes room, and who only asks
+            does when no seat is left; 0: nobody has to [s].
+        access: Who may connect.
     """
 
     host: str = "127.0.0.1"
     port: int = BOT_PORT
     max_connections: int = 16
     init_timeout: float = 60.0
+    access: AccessRules = EVERYBODY
 
 
 @dataclass

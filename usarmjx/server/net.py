@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable
@@ -12,6 +13,7 @@ from typing import Protocol
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
 from usarmjx.server.bot_server import BotServerSettings, Tally
+from usarmjx.server.gate import Gate
 from usarmjx.server.protocol.commands import Command, Init
 from usarmjx.server.wireless.sockets import listen
 from usarmjx.server.worlds.served_world import ServedWorld
@@ -38,6 +40,7 @@ class RobotConnection:
         last_asked: When it gave a command that was legal last [s].
         step: World time of the control step that `spent` is about [s].
         spent: How long its lines have taken in that step [s].
+        since: When it connected [s].
     """
 
     client: Client
@@ -47,6 +50,13 @@ class RobotConnection:
     last_asked: float = field(default_factory=time.monotonic)
     step: float = -1.0
     spent: float = 0.0
+    since: float = field(default_factory=time.monotonic)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it has no robot, and waits for none."""
+        client = self.client
+        return client.robot is None and not client.session.awaits_answer and not self.writer.is_closing()
 
     def flush(self) -> None:
         """Write what waits to be sent, if the socket can take it."""
@@ -115,6 +125,9 @@ class BotServer:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
         self.port, self.tally = settings.port, Tally()
         self._bound = bound
+        self._gate = Gate(
+            settings.access, settings.max_connections, f"{title}, robots" if title else "robots"
+        )
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
         self._stepped = asyncio.Event()
@@ -139,7 +152,8 @@ class BotServer:
             UsageError: A port is taken or the address is not ours.
         """
         host = self.settings.host
-        self._listener, self.port = await listen(host, self.settings.port, self._accept, self._bound)
+        where = host, self.settings.port
+        self._listener, self.port = await listen(where, self._accept, self._gate, self._bound)
         more = [line for service in self.services for line in await service.start()]
         return [f"listening on {host}:{self.port}", *more]
 
@@ -178,13 +192,7 @@ class BotServer:
         if client.lost:
             log.warning("a client's robot is gone: its connection is closed")
             connection.writer.close()
-        elif (
-            patience
-            and client.robot is None
-            and not client.session.awaits_answer
-            and now > connection.last_asked + patience
-            and not connection.writer.is_closing()
-        ):
+        elif patience and now > connection.last_asked + patience and connection.is_idle:
             log.warning("%s: no INIT for %g s: its connection is closed", connection.peer, patience)
             connection.hang_up()
         connection.flush()
@@ -200,8 +208,8 @@ class BotServer:
         peer = "{}:{}".format(*writer.get_extra_info("peername")[:2])
         if self.title:
             peer = f"{self.title}, {peer}"
-        if len(self._connections) >= self.settings.max_connections:
-            log.warning("%s: refused, %d connections are open", peer, len(self._connections))
+        if not self._make_room():
+            self._gate.refuse(peer, f"{len(self._connections)} connections are open")
             writer.close()
             return
         client = Client(self.world, peer)
@@ -221,6 +229,22 @@ class BotServer:
             client.leave()
             connection.hang_up()
             log.info("%s: disconnected", peer)
+
+    def _make_room(self) -> bool:
+        """Return whether another client fits; if need be who has been here longest without a robot yields."""
+        if len(self._connections) < self.settings.max_connections:
+            return True
+        latest = time.monotonic() - (self.settings.init_timeout or math.inf)
+        idle = [
+            connection
+            for connection in self._connections.values()
+            if connection.since < latest and connection.is_idle
+        ]
+        if idle:
+            longest = min(idle, key=lambda connection: connection.since)
+            log.warning("%s: makes room, it has no robot", longest.peer)
+            longest.hang_up()
+        return bool(idle)
 
     async def _listen(self, connection: RobotConnection) -> None:
         client = connection.client

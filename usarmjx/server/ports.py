@@ -4,6 +4,7 @@ import contextlib
 import errno
 import socket
 from collections.abc import Iterator, Mapping, Sequence
+from weakref import WeakSet
 
 from usarmjx.base.errors import UsageError
 
@@ -14,8 +15,11 @@ WSS_PORT, WSS2_PORT, POSITION_PORT = 5874, 50000, 7435
 IMAGE_PORT = 5003
 """Of the image server (manual 3.2.5)."""
 LAST_PORT = 65535
+FIRST_DIALLED = 1024
+"""No port below is dialled for a client: those are the system's."""
 WRONG_PORT = (errno.EADDRINUSE, errno.EACCES)
 """What says that another port may do where this one does not."""
+_bound_sockets: WeakSet[socket.socket] = WeakSet()
 
 
 def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dict[str, int]]:
@@ -114,7 +118,29 @@ def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
     except OSError as error:
         bound.close()
         raise _refusal(host, port, option, error) from error
+    _bound_sockets.add(bound)
     return bound
+
+
+def may_dial(address: str, port: int) -> bool:
+    """Return whether a client may make us connect to a port: not to the system's, nor to one of our own.
+
+    Args:
+        address: IP address, of a client or of one who may be dialled for it.
+        port: Its port.
+    """
+    own = {bound.getsockname()[1] for bound in _bound_sockets if bound.fileno() >= 0}
+    return port >= FIRST_DIALLED and not (port in own and _is_ours(address))
+
+
+def _is_ours(address: str) -> bool:
+    """Return whether an IP address is one of this machine's: then it can be bound."""
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+    return True
 
 
 def _refusal(host: str, port: int, option: str, error: OSError) -> UsageError:

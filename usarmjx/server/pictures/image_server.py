@@ -14,6 +14,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.gate import Gate, peer_address
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
 from usarmjx.server.ports import IMAGE_PORT
@@ -25,7 +27,6 @@ from usarmjx.server.wireless.sockets import (
     close_gracefully,
     limit_kernel_buffer,
     listen,
-    peer_address,
 )
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -54,6 +55,7 @@ class ImageSettings:
             once more, or a black one [s].
         multi_view: How all robots' cameras share the picture of those whose view is bound to no camera;
             None: they see one robot.
+        access: Who may connect.
     """
 
     host: str = "127.0.0.1"
@@ -64,6 +66,7 @@ class ImageSettings:
     max_connections: int = 16
     patience: float = 0.3
     multi_view: MultiView | None = None
+    access: AccessRules = EVERYBODY
 
 
 @dataclass(eq=False)
@@ -126,6 +129,7 @@ class ImageServer:
         self._world, self._settings, self._bound = world, settings, bound
         self._clients: list[ImageClient] = []
         self._listener: asyncio.Server | None = None
+        self._gate = Gate(settings.access, settings.max_connections, "pictures")
         self._stepped = asyncio.Event()
         self._render_thread = RenderThread(world)
         self.port = settings.port
@@ -138,7 +142,7 @@ class ImageServer:
             UsageError: The port is taken or the address is not ours.
         """
         host, port = self._settings.host, self._settings.port
-        self._listener, self.port = await listen(host, port, self._accept, self._bound)
+        self._listener, self.port = await listen((host, port), self._accept, self._gate, self._bound)
         return [f"pictures on {host}:{self.port}"]
 
     def tick(self) -> None:
@@ -209,7 +213,7 @@ class ImageServer:
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address, port = peer_address(writer)
         if not address or not self._make_room():
-            log.warning("%s:%d: refused, %d clients are here", address, port, len(self._clients))
+            self._gate.refuse(f"{address}:{port}", f"{len(self._clients)} clients are here")
             writer.close()
             return
         limit_kernel_buffer(writer)

@@ -34,6 +34,8 @@ from usarmjx.server.wireless.comserver import (
     normalize_address,
 )
 
+MESSAGE_END = b";"
+"""Ends a message."""
 MAX_MESSAGE_SIZE = 1024
 """Longest message accepted, its `;` not counted [bytes]: names and numbers need a few dozen."""
 MAX_NAMES = 16
@@ -117,7 +119,7 @@ class DialectASession:
 
         Until `answer_open` messages wait, without a bound: read no more from the peer.
         """
-        *complete, rest = data.split(b";")
+        *complete, rest = data.split(MESSAGE_END)
         for piece in complete:
             self._append(piece)
             self._waiting.append(None if self._skipping else self._pending.decode("latin-1"))
@@ -175,4 +177,4 @@ class DialectASession:
         self.phase = TRANSITIONS[self.phase, type(request)]
 
     def _reply(self, text: str) -> None:
-        self._outgoing += text.encode("latin-1", "replace") + b";"
+        self._outgoing += text.encode("latin-1", "replace") + MESSAGE_END

@@ -15,7 +15,10 @@ from typing import Protocol
 
 from usarmjx.base.errors import PeerError
 from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.gate import LINE_ENDS, Gate, peer_address
 from usarmjx.server.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.wireless.dialect_a import MESSAGE_END
 from usarmjx.server.wireless.net_a import DataLinkServer
 from usarmjx.server.wireless.net_b import ProxyServer
 from usarmjx.server.wireless.positions import PositionSession
@@ -28,8 +31,8 @@ from usarmjx.server.wireless.sockets import (
     limit_kernel_buffer,
     listen,
     log,
-    peer_address,
 )
+from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS
 from usarmjx.server.worlds.served_world import ServedWorld
 
 POLL_PERIOD = 1.0
@@ -48,6 +51,7 @@ class WirelessSettings:
         allow: Addresses that may be connected to beside that of the peer who asks for it.
         max_connections: Most control and position connections at once.
         idle_timeout: Who has no robot in the world and says nothing for so long is dropped [s].
+        access: Who may connect.
     """
 
     host: str = "127.0.0.1"
@@ -57,6 +61,7 @@ class WirelessSettings:
     allow: tuple[str, ...] = ()
     max_connections: int = 64
     idle_timeout: float = 60.0
+    access: AccessRules = EVERYBODY
 
 
 class ConnectionHandler(Protocol):
@@ -135,7 +140,9 @@ class WirelessService:
         self._radio, self._clock, self._settings, self._bound = radio, clock, settings, bound or {}
         self._throttle = Throttle()
         self._links = DataLinkServer(radio, settings.allow, self._throttle)
-        self._proxies = ProxyServer(radio, settings.host, self._throttle)
+        self._gate = Gate(settings.access, settings.max_connections, "radio")
+        calls = Gate(settings.access, MAX_CONNECTIONS, "calls by radio")
+        self._proxies = ProxyServer(radio, settings.host, self._throttle, calls)
         self._connections: list[ClientConnection] = []
         self._listeners: list[asyncio.Server] = []
         self._poll_task: asyncio.Task[None] | None = None
@@ -156,7 +163,11 @@ class WirelessService:
         lines = []
         for name, title, port, make_handler in servers:
             server, self.ports[name] = await listen(
-                self._settings.host, port, self._connection_callback(make_handler), self._bound.get(name)
+                (self._settings.host, port),
+                self._connection_callback(make_handler),
+                self._gate,
+                self._bound.get(name),
+                MESSAGE_END if name == "wss" else LINE_ENDS,
             )
             self._listeners.append(server)
             lines.append(f"{title} on {self._settings.host}:{self.ports[name]}")
@@ -205,7 +216,7 @@ class WirelessService:
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             address, port = peer_address(writer)
             if not address or not self._make_room():
-                log.warning("%s:%d: refused, %d connections are open", address, port, len(self._connections))
+                self._gate.refuse(f"{address}:{port}", f"{len(self._connections)} connections are open")
                 writer.close()
                 return
             limit_kernel_buffer(writer)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.server.gate import Gate, peer_address
+from usarmjx.server.ports import may_dial
 from usarmjx.server.wireless.comserver import normalize_address
 from usarmjx.server.wireless.dialect_b import DialectBSession
 from usarmjx.server.wireless.radio_channel import RadioChannel
@@ -18,7 +20,6 @@ from usarmjx.server.wireless.sockets import (
     connect,
     drain,
     log,
-    peer_address,
 )
 from usarmjx.server.wireless.switchboard import Changes, Route, Switchboard
 
@@ -49,11 +50,12 @@ class ProxyServer:
         radio: The radio.
         host: Address to listen on.
         throttle: Where work queues.
+        gate: Lets in who calls the forwarded ports.
     """
 
-    def __init__(self, radio: RadioChannel, host: str, throttle: Throttle) -> None:
-        self._host, self._throttle = host, throttle
-        self._board = Switchboard(radio, self._allocate, time.monotonic)
+    def __init__(self, radio: RadioChannel, host: str, throttle: Throttle, gate: Gate) -> None:
+        self._host, self._throttle, self._gate = host, throttle, gate
+        self._board = Switchboard(radio, self._allocate, time.monotonic, may_dial)
         self._ports: dict[Route, ReservedPort] = {}
         self._connections: dict[Route, set[ProxyConnection]] = {}
         self._handlers: set[DialectBHandler] = set()
@@ -113,7 +115,7 @@ class ProxyServer:
 
     def _allocate(self, route: Route) -> int | None:
         try:
-            self._ports[route] = ReservedPort(self._host, partial(self._called, route))
+            self._ports[route] = ReservedPort(self._host, partial(self._called, route), self._gate)
         except UsageError as error:
             log.warning("%s", error)
             return None

@@ -6,16 +6,15 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.ports import bound_socket
+from usarmjx.server.gate import LINE_ENDS, Gate, Handler, guarded, keep_alive
+from usarmjx.server.ports import FIRST_DIALLED, bound_socket, may_dial
 
 log = logging.getLogger("usarmjx.server.wireless")
 """One logger for all of it: USARComServer.ini's bDebug turns it on."""
-
-Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 READ_SIZE = 256
 """Most bytes taken at once from a control connection, whose every message costs some work."""
@@ -81,23 +80,29 @@ class Throttle:
 
 
 async def listen(
-    host: str, port: int, handler: Handler, bound: socket.socket | None = None
+    where: tuple[str, int],
+    handler: Handler,
+    gate: Gate,
+    bound: socket.socket | None = None,
+    ends: bytes = LINE_ENDS,
 ) -> tuple[asyncio.Server, int]:
     """Return a listening server and its port.
 
     Args:
-        host: Address to listen on.
-        port: Its port; 0 picks a free one.
-        handler: Is called with every connection.
+        where: Address and port to listen on; 0 picks a free one.
+        handler: Is called with every connection that is let in.
+        gate: Lets them in.
         bound: A socket that is bound to them already.
+        ends: What ends the line with the token: any of these bytes.
 
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
+    host, port = where
     bound = bound or bound_socket(host, port)
     port = bound.getsockname()[1]
     try:
-        server = await asyncio.start_server(handler, sock=bound)
+        server = await asyncio.start_server(guarded(gate, handler, ends), sock=bound)
     except OSError as error:
         bound.close()
         raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
@@ -109,14 +114,15 @@ class ReservedPort:
 
     Args:
         host: Address to listen on.
-        handler: Is called with every connection.
+        handler: Is called with every connection that is let in.
+        gate: Lets them in; it asks for no token here.
 
     Raises:
         UsageError: There is no port left.
     """
 
-    def __init__(self, host: str, handler: Handler) -> None:
-        self._host, self._handler = host, handler
+    def __init__(self, host: str, handler: Handler, gate: Gate) -> None:
+        self._host, self._handler = host, guarded(gate, handler, ends=None)
         self._bound: socket.socket | None = bound_socket(host, 0)
         self._server: asyncio.Server | None = None
         self.port: int = self._bound.getsockname()[1]
@@ -165,12 +171,15 @@ async def connect(
         note: Called with our port as soon as the connection is under way, before anything is read.
 
     Raises:
-        OSError: It does not answer; TimeoutError, which is one, if not in time.
+        OSError: It does not answer, or may not be dialled; TimeoutError, which is one, if not in time.
     """
+    if not may_dial(address, port):
+        raise PermissionError(f"{address}:{port} is not dialled: it is ours or below {FIRST_DIALLED}")
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     client = socket.socket(family, socket.SOCK_STREAM)
     try:
         client.setblocking(False)
+        keep_alive(client)
         state = client.connect_ex((address, port))
         if state not in (0, *CONNECT_PENDING):
             raise OSError(state, os.strerror(state))
@@ -213,9 +222,3 @@ def close_gracefully(writer: asyncio.StreamWriter) -> None:
 def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
     """Keep the system from holding megabytes of answers for a peer that does not read them."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MAX_WRITE_BUFFER // 4)
-
-
-def peer_address(writer: asyncio.StreamWriter) -> tuple[str, int]:
-    """Return address and port of a peer; nothing and 0 if it is gone already."""
-    peer = writer.get_extra_info("peername")
-    return (peer[0], peer[1]) if peer else ("", 0)

@@ -85,13 +85,18 @@ class Switchboard:
         radio: The radio.
         allocate: Reserves a port for a route; None when there is none left.
         now: The time that passes for a client [s].
+        may_dial: Whether an address may be dialled at a port; a robot does not listen where it may not.
     """
 
     def __init__(
-        self, radio: RadioAccess, allocate: Callable[[Route], int | None], now: Callable[[], float]
+        self,
+        radio: RadioAccess,
+        allocate: Callable[[Route], int | None],
+        now: Callable[[], float],
+        may_dial: Callable[[str, int], bool] = lambda address, port: True,
     ) -> None:
         self.radio = radio
-        self._allocate, self._now = allocate, now
+        self._allocate, self._now, self._may_dial = allocate, now, may_dial
         self._participants: dict[str, Participant] = {}
         self._forwarded_ports: dict[Route, ForwardedPort] = {}
         self._opened: list[Route] = []
@@ -103,6 +108,7 @@ class Switchboard:
 
     def join(self, name: str, address: str, ports: tuple[int, ...]) -> None:
         """Note that a robot has joined."""
+        ports = tuple(port for port in ports if self._may_dial(address, port))
         self._participants[name] = Participant(address, ports, self._now(), seen=self.radio.has_robot(name))
 
     def leave(self, name: str) -> tuple[list[Route], list[Route]]:
