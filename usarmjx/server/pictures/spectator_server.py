@@ -18,11 +18,14 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
+from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.gate import Gate
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
+from usarmjx.server.web_gate import asking_token, gated_connection
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
@@ -44,6 +47,7 @@ class SpectatorSettings:
         size: Width and height of the pictures [pixels].
         fps: Most pictures per second of real time for each page.
         max_connections: Most pages at once.
+        access: Who may connect.
     """
 
     host: str = "127.0.0.1"
@@ -51,6 +55,7 @@ class SpectatorSettings:
     size: tuple[int, int] = (320, 240)
     fps: float = 20.0
     max_connections: int = 8
+    access: AccessRules = EVERYBODY
 
 
 @dataclass(eq=False)
@@ -87,6 +92,7 @@ class SpectatorServer:
     ) -> None:
         self._world, self._settings, self._bound = world, settings, bound
         self._pages: list[Page] = []
+        self._gate = Gate(settings.access, settings.max_connections, "pages")
         self._render_thread = RenderThread(world)
         self._stepped = asyncio.Event()
         self._server: Server | None = None
@@ -105,14 +111,15 @@ class SpectatorServer:
             self._server = await serve(
                 self._accept,
                 sock=bound,
-                process_request=_answer,
+                process_request=asking_token(self._gate, _answer),
+                create_connection=gated_connection(self._gate),
                 max_size=MAX_MESSAGE_SIZE,
                 compression=None,
             )
         except OSError as error:
             bound.close()
             raise UsageError(f"cannot listen on {host}:{self.port}: {error}") from error
-        return [f"watch at http://{host}:{self.port}/"]
+        return [f"watch at http://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
 
     def tick(self) -> None:
         """The world has made a control step."""
