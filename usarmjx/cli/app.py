@@ -2,7 +2,19 @@
 
 import typer
 
-from usarmjx.cli import arena, bench, demo, listing, play, portraits, radio_map, sensor_plots, serve, train
+from usarmjx.cli import (
+    arena,
+    bench,
+    chaos,
+    demo,
+    listing,
+    play,
+    portraits,
+    radio_map,
+    sensor_plots,
+    serve,
+    train,
+)
 
 app = typer.Typer(
     help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
@@ -17,6 +29,7 @@ app.add_typer(play.app)
 app.command("list")(listing.list_everything)
 app.command()(portraits.portraits)
 app.command()(serve.serve)
+app.command()(chaos.chaos)
 app.command("radio-map")(radio_map.radio_map)
 app.command()(demo.demo)
 app.command("sensor-plots")(sensor_plots.sensor_plots)

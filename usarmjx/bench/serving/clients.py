@@ -42,9 +42,9 @@ class Connection(Protocol):
 AnyClient = TypeVar("AnyClient", bound=Connection)
 
 
-def connect(port: int) -> socket.socket:
-    """Return a connection to a port of this machine that never blocks."""
-    made = socket.create_connection((HOST, port), CONNECT_LIMIT)
+def connect(port: int, host: str = HOST) -> socket.socket:
+    """Return a connection to a port, of this machine by default, that never blocks."""
+    made = socket.create_connection((host, port), CONNECT_LIMIT)
     made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     made.setblocking(False)
     return made
@@ -55,6 +55,7 @@ class RobotClient:
 
     Args:
         port: The port.
+        host: Whose it is.
 
     Attributes:
         socket: Its connection.
@@ -64,9 +65,9 @@ class RobotClient:
         answer: The line that `expect` asked for, and when it came.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, host: str = HOST) -> None:
         self.began = time.perf_counter()
-        self.socket = connect(port)
+        self.socket = connect(port, host)
         self.reports: list[tuple[float, float]] = []
         self.unsent = b""
         self.answer: tuple[Message, float] | None = None
@@ -139,18 +140,24 @@ class Crowd(AbstractContextManager["Crowd"]):
 
     Args:
         port: Its Gamebots port.
+        on_close: Is told whose connection the server has closed; None: that is an error.
     """
 
-    def __init__(self, port: int) -> None:
-        self._port, self._selector = port, selectors.DefaultSelector()
+    def __init__(self, port: int, on_close: Callable[[Connection], None] | None = None) -> None:
+        self._port, self._selector, self._on_close = port, selectors.DefaultSelector(), on_close
 
     def robot(self) -> RobotClient:
         """Return a new client of the Gamebots port."""
-        return self._add(RobotClient(self._port))
+        return self.add(RobotClient(self._port))
 
     def pictures(self, port: int) -> PictureClient:
         """Return a new client of an image server."""
-        return self._add(PictureClient(port))
+        return self.add(PictureClient(port))
+
+    def add(self, client: AnyClient) -> AnyClient:
+        """Read a client, too; return it."""
+        self._selector.register(client.socket, selectors.EVENT_READ, client)
+        return client
 
     def leave(self, client: Connection) -> None:
         """Close a client's connection."""
@@ -191,19 +198,33 @@ class Crowd(AbstractContextManager["Crowd"]):
             self.leave(key.data)
         self._selector.close()
 
-    def _add(self, client: AnyClient) -> AnyClient:
-        self._selector.register(client.socket, selectors.EVENT_READ, client)
-        return client
-
     def _rounds(self, seconds: float) -> Iterator[None]:
         """Read what comes again and again for so long [s]."""
         end = time.perf_counter() + seconds
         while (left := end - time.perf_counter()) > 0:
             for key in list(self._selector.get_map().values()):
-                key.data.flush()
+                try:
+                    key.data.flush()
+                except ConnectionError:
+                    self._lose(key.data)
             for key, _ in self._selector.select(min(left, PATIENCE)):
-                data = key.data.socket.recv(READ_SIZE)
-                if not data:
-                    raise ConnectionError("the server has closed a connection")
-                key.data.take(data, time.perf_counter())
+                data = _received(key.data.socket)
+                if data:
+                    key.data.take(data, time.perf_counter())
+                else:
+                    self._lose(key.data)
             yield
+
+    def _lose(self, client: Connection) -> None:
+        if self._on_close is None:
+            raise ConnectionError("the server has closed a connection")
+        self.leave(client)
+        self._on_close(client)
+
+
+def _received(connection: socket.socket) -> bytes:
+    """Return what has come; nothing if the connection is closed or broken off."""
+    try:
+        return connection.recv(READ_SIZE)
+    except ConnectionError:
+        return b""

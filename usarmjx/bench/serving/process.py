@@ -22,6 +22,8 @@ OWN_TREE = Path(__file__).resolve().parents[3]
 COMMAND = (sys.executable, "-m", "usarmjx", "serve")
 FREE_PORTS = ("--port", "--wss-port", "--wss2-port", "--position-port", "--image-port")
 LISTENING, PICTURES = re.compile(r"listening on [\d.]+:(\d+)"), re.compile(r"pictures on [\d.]+:(\d+)")
+PAGE, METRICS = re.compile(r"watch at http://[\d.]+:(\d+)"), re.compile(r"metrics at http://[\d.]+:(\d+)")
+"""What a server says about its ports, in this order."""
 OPTION = re.compile(r"--[a-z][a-z0-9-]*")
 START_LIMIT = 120.0
 """How long a server may take to listen [s]."""
@@ -158,6 +160,19 @@ class ServerProcess(AbstractContextManager["ServerProcess"]):
             self._process.kill()
             self._process.wait()
         self._errors.close()
+
+    @property
+    def process(self) -> int:
+        """The number of its process."""
+        return self._process.pid
+
+    def port_said(self, wanted: re.Pattern[str]) -> int:
+        """Return the port in the next of the lines that it says about its ports.
+
+        Raises:
+            UsageError: It says none.
+        """
+        return self._port_said(wanted, time.perf_counter() + START_LIMIT)
 
     def cpu_seconds(self) -> float:
         """Return the processor time that it has used so far, in all threads [s].
