@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from usarmjx.cli.access_options import (
+    AllowOption,
+    PerAddressOption,
+    TokenFileOption,
+    TokenOption,
+    access_rules,
+    warn_if_open,
+)
 from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
 from usarmjx.cli.waiting import announce
@@ -133,6 +141,10 @@ def play(
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one.")] = BOT_PORT,
     port_offset: PortOffsetOption = 0,
+    allow: AllowOption = None,
+    token: TokenOption = None,
+    token_file: TokenFileOption = None,
+    connections_per_address: PerAddressOption = None,
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
     ] = 1.0,
@@ -148,19 +160,21 @@ def play(
             pages = [] if spectator_port is None else [PageChoice(spectator_port)]
             first = {"--port": port} | {key: n for page in pages for key, n in page.ports.items()}
             numbers = parse_instances(instances, worlds)
+            rules = access_rules(allow, token, token_file, connections_per_address)
             with (
                 StopSignals() as signals,
                 bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
                 metrics_socket(host, metrics_port, port_offset) as metrics,
             ):
+                warn_if_open(bound[0]["--port"].getsockname()[0], rules)
                 announce("building the world that the policy drives ...")
                 source = _source(policy, baseline, task, checkpoint) if not follow else _followed(policy)
                 made = _policy_worlds(source, settings, engine, seed, worlds, numbers)
                 from usarmjx.server.bot_server import BotServerSettings
                 from usarmjx.server.loop import serve as run
 
-                makers = [page.prepare(host) for page in pages]
-                settings_of = BotServerSettings(host)
+                makers = [page.prepare(host, rules) for page in pages]
+                settings_of = BotServerSettings(host, access=rules)
                 servers = make_servers(made, settings_of, makers, bound, numbers, worlds)
                 if follow:
                     from usarmjx.server.worlds.follow import PolicyFollower

@@ -5,6 +5,14 @@ from typing import Annotated
 
 import typer
 
+from usarmjx.cli.access_options import (
+    AllowOption,
+    PerAddressOption,
+    TokenFileOption,
+    TokenOption,
+    access_rules,
+    warn_if_open,
+)
 from usarmjx.cli.serve_run import (
     ImageChoice,
     MetricsOption,
@@ -64,9 +72,14 @@ def serve(
         float,
         typer.Option(
             min=0.0,
-            help="Seconds after which a client goes that has no robot and asks for nothing; 0: never.",
+            help="Seconds after which a client goes that has no robot and asks for nothing, or for all it "
+            "asks if no seat is left; 0: never.",
         ),
     ] = 60.0,
+    allow: AllowOption = None,
+    token: TokenOption = None,
+    token_file: TokenFileOption = None,
+    connections_per_address: PerAddressOption = None,
     engine: EngineOption = "auto",
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
@@ -128,8 +141,15 @@ def serve(
     configure_log(verbose=verbose, as_json=log_json)
     with ErrorExit(), StopSignals() as signals:
         numbers = instances_of(instances, instance, worlds)
+        rules = access_rules(allow, token, token_file, connections_per_address)
         settings = bot_settings(
-            ini, seats, host=host, port=port, max_connections=max_connections, init_timeout=init_timeout
+            ini,
+            seats,
+            host=host,
+            port=port,
+            max_connections=max_connections,
+            init_timeout=init_timeout,
+            rules=rules,
         )
         choices: list[ServiceChoice] = []
         if wireless:
@@ -146,8 +166,9 @@ def serve(
             metrics_socket(host, metrics_port, port_offset) as metrics,
         ):
             if not log_json:
-                announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
-            makers = [choice.prepare(host) for choice in choices]
+                warn_if_open(bound[0]["--port"].getsockname()[0], rules)
+            announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
+            makers = [choice.prepare(host, rules) for choice in choices]
             configure_from(ini, uu_per_metre)
             from usarmjx.server.loop import serve as run
             from usarmjx.server.worlds.make import make_worlds

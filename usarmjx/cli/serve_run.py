@@ -20,6 +20,7 @@ from usarmjx.server.ports import LAST_PORT, WSS_PORT, bound_socket
 
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
+    from usarmjx.server.access import AccessRules
     from usarmjx.server.bot_server import BotServerSettings
     from usarmjx.server.net import BotServer, Service
     from usarmjx.server.worlds.served_world import ServedWorld
@@ -42,8 +43,12 @@ class ServiceChoice(Protocol):
         """Its ports for the first world, by the options that set them."""
         ...
 
-    def prepare(self, host: str) -> Callable[["ServedWorld", Sockets], "Service"]:
+    def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Read the other options; return what makes the service of a world.
+
+        Args:
+            host: Address to listen on.
+            rules: Who may connect.
 
         Raises:
             UsageError: One of them is wrong.
@@ -78,7 +83,7 @@ class RadioChoice:
         usual = self.radio.listen_port if self.ini else WSS_PORT
         return {option: usual if port is None else port for option, port in self.given.items()}
 
-    def prepare(self, host: str) -> Callable[["ServedWorld", Sockets], "Service"]:
+    def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Return what makes the wireless servers of a world."""
         from usarmjx.server.wireless.comserver import check_addresses
         from usarmjx.server.wireless.net import WirelessSettings, make_wireless
@@ -88,7 +93,8 @@ class RadioChoice:
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = {name: sockets[f"--{name}-port"] for name in ("wss", "wss2", "position")}
             ports = {f"{name}_port": port_of(own) for name, own in bound.items()}
-            return make_wireless(world, self.radio, WirelessSettings(host, allow=allow, **ports), bound)
+            settings = WirelessSettings(host, allow=allow, access=rules, **ports)
+            return make_wireless(world, self.radio, settings, bound)
 
         return make
 
@@ -116,7 +122,7 @@ class ImageChoice:
         """Its port by its option."""
         return {"--image-port": self.port}
 
-    def prepare(self, host: str) -> Callable[["ServedWorld", Sockets], "Service"]:
+    def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Return what makes the image server of a world."""
         from usarmjx.server.pictures.image_server import SIZE, ImageServer, ImageSettings
         from usarmjx.server.protocol.images import format_number, parse_size
@@ -125,7 +131,7 @@ class ImageChoice:
         shared = None if self.shared is None else read_multi_view(self.shared)
         size = parse_size(self.size) if self.size else shared.size if shared else SIZE
         number = format_number(self.format)
-        settings = ImageSettings(host, self.port, size, self.fps, number, multi_view=shared)
+        settings = ImageSettings(host, self.port, size, self.fps, number, multi_view=shared, access=rules)
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--image-port"]
@@ -149,13 +155,13 @@ class PageChoice:
         """Its port by its option."""
         return {"--spectator-port": self.port}
 
-    def prepare(self, host: str) -> Callable[["ServedWorld", Sockets], "Service"]:
+    def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Return what makes the page of a world."""
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--spectator-port"]
-            return SpectatorServer(world, SpectatorSettings(host, port_of(bound)), bound)
+            return SpectatorServer(world, SpectatorSettings(host, port_of(bound), access=rules), bound)
 
         return make
 
@@ -184,6 +190,7 @@ def bot_settings(
     port: int | None,
     max_connections: int | None,
     init_timeout: float,
+    rules: "AccessRules",
 ) -> "BotServerSettings":
     """Return how to serve a world; an option overrides what BotAPI.ini among the ini files says.
 
@@ -191,7 +198,7 @@ def bot_settings(
     """
     from usarmjx.server.bot_server import BotServerSettings, read_bot_server
 
-    read = BotServerSettings(host, init_timeout=init_timeout, **read_bot_server(ini or ()))
+    read = BotServerSettings(host, init_timeout=init_timeout, access=rules, **read_bot_server(ini or ()))
     return replace(
         read,
         port=read.port if port is None else port,
