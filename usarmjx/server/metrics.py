@@ -18,11 +18,15 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
+from usarmjx.server.gate import Gate
 from usarmjx.server.meter import GAP_BOUNDS, StepMeter
 from usarmjx.server.net import BotServer
+from usarmjx.server.web_gate import asking_token, gated_connection
 
 REQUEST_LIMIT = 5.0
 """Who connects has so long to ask [s]."""
+MAX_CONNECTIONS = 16
+"""An address may have three quarters of so many, unless the operator says otherwise."""
 IN_TIME = 0.9
 """A world that makes less than this share of the time that it should is behind."""
 GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
@@ -102,6 +106,7 @@ class MetricsServer:
         self._registry = CollectorRegistry()
         self._registry.register(WorldCollector(self._meters))
         ProcessCollector(namespace="usarmjx", registry=self._registry)
+        self._gate = Gate(servers[0].settings.access, MAX_CONNECTIONS, "metrics")
         self._server: Server | None = None
 
     async def start(self) -> list[str]:
@@ -113,7 +118,11 @@ class MetricsServer:
         host, port = self._bound.getsockname()[:2]
         try:
             self._server = await serve(
-                _no_websocket, sock=self._bound, process_request=self._answer, open_timeout=REQUEST_LIMIT
+                _no_websocket,
+                sock=self._bound,
+                process_request=asking_token(self._gate, self._answer),
+                create_connection=gated_connection(self._gate),
+                open_timeout=REQUEST_LIMIT,
             )
         except OSError as error:
             raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
