@@ -102,8 +102,8 @@ class Guarded(DynamicWorld):
         """Coordinates and velocities of each robot, by slot, as bytes."""
         data, found = self._single.engine.data, {}
         for group in self.scene.groups:
-            rows = zip(group.slots, group.root_qposadr, group.qposadr, group.root_dofadr, group.dofadr)
-            for slot, *here in rows:
+            addresses = group.root_qposadr, group.qposadr, group.root_dofadr, group.dofadr
+            for slot, *here in zip(group.slots, *addresses, strict=True):
                 parts = data.qpos[here[0]], data.qpos[here[1]], data.qvel[here[2]], data.qvel[here[3]]
                 found[int(slot)] = b"".join(part.tobytes() for part in parts)
         return found
@@ -199,9 +199,7 @@ class Wire(RuleBasedStateMachine):
     @initialize()
     def watch(self):
         self.watcher = Talker(self.port)
-        self.watcher.say(
-            "INIT {{ClassName P2AT}} {{Name Watcher}} {{Location {},{},0}}".format(FAR[0], -FAR[1])
-        )
+        self.watcher.say(f"INIT {{ClassName P2AT}} {{Name Watcher}} {{Location {FAR[0]},{-FAR[1]},0}}")
         assert self.watcher.has_robot()
 
     def one(self, number):
