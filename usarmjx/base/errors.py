@@ -7,7 +7,8 @@ UsarmjxError
 │   │   ├── ArenaFileError            an arena's file that does not read
 │   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
 │   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
-│   └── EngineError         the engine cannot run here, or overflowed its buffers
+│   ├── EngineError         the engine cannot run here, or overflowed its buffers
+│   └── WriteError          a file that cannot be written: no room, no right
 └── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
 """
 
@@ -46,6 +47,10 @@ class UnsupportedGeomError(SpecError):
 
 class EngineError(UsageError):
     """An engine cannot run on this machine, or one of its buffers overflowed."""
+
+
+class WriteError(UsageError):
+    """A file cannot be written: no room, or no right; the message names the path and the reason."""
 
 
 class PeerError(UsarmjxError):

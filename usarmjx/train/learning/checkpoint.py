@@ -7,8 +7,13 @@ whole.
 """
 
 import json
+import logging
+import os
 import shutil
 import zlib
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -18,7 +23,8 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UsageError, UsarmjxError, WriteError
+from usarmjx.base.files import PARTIAL, disk_fault, write_beside, writing
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.record import RunRecord, load_record
 from usarmjx.train.learning.train_state import TrainState, make_networks, make_train_state, policy_params
@@ -29,7 +35,8 @@ FOLDER = "checkpoints"
 FORMAT = 2
 """Raised whenever a field of what is kept is renamed, added or taken away: leaves are found by these
 names."""
-PARTIAL = ".partial"
+ROOM_PER_ARRAY = 3072
+"""What orbax writes of an array besides its numbers: 1 kB, and the rest of a block on the disk [bytes]."""
 
 
 def _is_key(leaf: object) -> TypeGuard[jax.Array]:
@@ -66,7 +73,53 @@ def _write(folder: Path, name: str, tree: object, process_group: ProcessGroup) -
             (folder / name).absolute(), process_group.to_global(jax.device_put(rows, process_group.device), 0)
         )
     content = {"leaves": _described(arrays), "checksums": [_checksum(array) for array in arrays.values()]}
-    (folder / f"{name}_{process_group.index}.json").write_text(json.dumps(content))
+    with write_beside(folder / f"{name}_{process_group.index}.json") as file:
+        file.write_text(json.dumps(content))
+
+
+def _write_parts(folder: Path, parts: Mapping[str, object], process_group: ProcessGroup) -> None:
+    """Write all parts.
+
+    Raises:
+        WriteError: A disk refused.
+        UsarmjxError: It refused one of several processes; the others wait for what that one cannot write.
+    """
+    try:
+        with _quiet():
+            for name, tree in parts.items():
+                _write(folder, name, tree, process_group)
+    except Exception as error:  # the libraries below have errors of their own for a full disk
+        reason = disk_fault(error) or (error.strerror if isinstance(error, OSError) else None)
+        if reason is None:
+            raise
+        kind = WriteError if process_group.count == 1 else UsarmjxError
+        raise kind(f"cannot write {folder}: {reason}") from error
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """Keep orbax from logging, with traces, what it raises as well."""
+    log, rule = logging.getLogger("absl"), _is_no_error
+    log.addFilter(rule)
+    try:
+        yield
+    finally:
+        log.removeFilter(rule)
+
+
+def _is_no_error(record: logging.LogRecord) -> bool:
+    return record.levelno < logging.ERROR
+
+
+def _reserve(file: Path, parts: Mapping[str, object]) -> None:
+    """Take the room on the disk that these parts will need, so that nothing is begun that does not fit.
+
+    Halfway several processes could not stop: some would wait for what others cannot write.
+    """
+    sizes = [array.nbytes for tree in parts.values() for array in _arrays(tree).values()]
+    with file.open("wb") as room:
+        if hasattr(os, "posix_fallocate"):  # not on macOS
+            os.posix_fallocate(room.fileno(), 0, sum(sizes) + ROOM_PER_ARRAY * len(sizes))
 
 
 def _read(folder: Path, name: str, wanted: dict[str, np.ndarray], index: int) -> list[np.ndarray]:
@@ -204,24 +257,56 @@ class Checkpoints:
             train_state: The same in all processes.
             worlds: Of this process.
             note: For `meta`; must have `score`, a number or None.
+
+        Raises:
+            WriteError: In all processes; nothing of it is left, and the earlier ones are whole.
+            UsarmjxError: Only in this one of several processes, which cannot go on.
         """
-        process_group, name = self.process_group or ProcessGroup(), f"{iteration:08d}"
-        if (self.folder / name).exists():
+        process_group, place = self.process_group or ProcessGroup(), self.folder / f"{iteration:08d}"
+        if place.exists():
             return
-        fresh = self.folder / (name + PARTIAL)
+        parts: dict[str, object] = {"learner": train_state, "worlds": worlds}
+        meta = {"format": FORMAT, "iteration": iteration, "processes": process_group.count, **note}
+        fresh = place.with_name(place.name + PARTIAL)
+        room = fresh / f"room_{process_group.index}"
+        steps = (
+            partial(self._begin, fresh, process_group),
+            partial(_reserve, room, parts),
+            room.unlink,
+            partial(_write_parts, fresh, parts, process_group),
+            partial(self._finish, fresh, meta, process_group),
+        )
+        try:
+            for step in steps:
+                self._together(place, step, process_group)
+        except WriteError:
+            if process_group.index == 0:
+                shutil.rmtree(fresh, ignore_errors=True)
+            raise
+
+    def _begin(self, fresh: Path, process_group: ProcessGroup) -> None:
         if process_group.index == 0:
             shutil.rmtree(fresh, ignore_errors=True)
             fresh.mkdir(parents=True)
-        process_group.barrier(f"begin {name}")
-        _write(fresh, "learner", train_state, process_group)
-        _write(fresh, "worlds", worlds, process_group)
-        process_group.barrier(f"written {name}")
+
+    def _finish(self, fresh: Path, meta: Mapping[str, Any], process_group: ProcessGroup) -> None:
         if process_group.index == 0:
-            meta = {"format": FORMAT, "iteration": iteration, "processes": process_group.count, **note}
-            (fresh / "meta.json").write_text(json.dumps(meta))
-            fresh.rename(self.folder / name)
+            with write_beside(fresh / "meta.json") as file:
+                file.write_text(json.dumps(meta))
+            fresh.rename(fresh.with_name(fresh.name.removesuffix(PARTIAL)))
             self._drop_old()
-        process_group.barrier(f"done {name}")
+
+    @staticmethod
+    def _together(path: Path, step: Callable[[], None], process_group: ProcessGroup) -> None:
+        """Do something in each process; where it fails in one, it has failed in all."""
+        fault = None
+        try:
+            with writing(path):
+                step()
+        except WriteError as error:
+            fault = error
+        if not process_group.everywhere(fault is None):
+            raise fault or WriteError(f"cannot write {path}: another process could not")
 
     def _drop_old(self) -> None:
         there = self.all()
@@ -229,7 +314,8 @@ class Checkpoints:
         for path in (*(p for p in there if p not in kept), *self.folder.glob(f"*{PARTIAL}")):
             gone = path.with_name(path.name + PARTIAL) if path.name.isdecimal() else path
             if gone != path:
-                path.rename(gone)  # so that a half deleted one is not taken for a checkpoint
+                with suppress(OSError):  # the next time will do
+                    path.rename(gone)  # so that a half deleted one is not taken for a checkpoint
             shutil.rmtree(gone, ignore_errors=True)
 
 

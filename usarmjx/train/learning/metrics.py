@@ -2,15 +2,18 @@
 
 import json
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-from tensorboardX import SummaryWriter
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.files import write_beside
+from usarmjx.train.learning.log_files import AppendedFile, Board
 
 PER_EPISODE = ("return", "score", "length")
 
@@ -56,7 +59,7 @@ def read_lines(file: Path) -> list[dict[str, Any]]:
 
 
 class Log:
-    """Writes down each iteration.
+    """Writes down each iteration. What the disk refuses waits for the next one, and is told of once.
 
     Args:
         folder: Of the run.
@@ -64,6 +67,9 @@ class Log:
         after: Iterations that are behind already; what was written of later ones is dropped.
         bar: Show a bar in the terminal.
         console: Where; None: the standard error stream.
+
+    Raises:
+        WriteError: The folder cannot be written to.
     """
 
     def __init__(
@@ -71,11 +77,10 @@ class Log:
     ) -> None:
         file = folder / "metrics.jsonl"
         kept = [record for record in read_lines(file) if record["iteration"] <= after]
-        fresh = folder / "metrics.jsonl.new"
-        fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
-        fresh.replace(file)
-        self._file = file.open("a", buffering=1)
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=after + 1)
+        with write_beside(file) as fresh:
+            fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
+        self._lines, self._board = AppendedFile(file), Board(folder / "tensorboard", after)
+        self._faults: dict[Path, WriteError] = {}
         self._shown: dict[str, float] = {}
         self._bar = Progress(
             TextColumn("{task.completed}/{task.total}"),
@@ -96,17 +101,48 @@ class Log:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close the files."""
-        self._bar.stop()
-        self._file.close()
+        with suppress(OSError):  # what it is shown on may be a file, and the disk full
+            self._bar.stop()
+        self._lines.close()
         self._board.close()
 
     def write(self, record: dict[str, Any]) -> None:
         """Write down an iteration: `iteration`, `agent_steps`, `steps_per_s` and what `summary` returns."""
-        self._file.write(json.dumps(record) + "\n")
-        for name, value in record.items():
-            if isinstance(value, int | float) and name not in ("iteration", "agent_steps"):
-                self._board.add_scalar(name, value, record["iteration"])
-                self._shown[name] = value
+        iteration, line = record["iteration"], json.dumps(record) + "\n"
+        numbers = {
+            name: value
+            for name, value in record.items()
+            if isinstance(value, int | float) and name not in ("iteration", "agent_steps")
+        }
+        self._try(self._lines, lambda: self._lines.append(line.encode()))
+        self._try(self._board, lambda: self._board.show(iteration, numbers))
+        self._shown |= numbers
         shown = {name: self._shown.get(name, math.nan) for name in ("steps_per_s", "return", "score", "bad")}
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
-        self._bar.update(self._task, completed=record["iteration"], description=text.format(**shown))
+        with suppress(OSError):
+            self._bar.update(self._task, completed=iteration, description=text.format(**shown))
+
+    def _try(self, file: AppendedFile, write: Callable[[], None]) -> None:
+        try:
+            write()
+        except WriteError as error:
+            if file.path not in self._faults:
+                self.say(f"{error}; training goes on, and it is tried again after each iteration")
+            self._faults[file.path] = error
+        else:
+            if self._faults.pop(file.path, None):
+                self.say(f"{file.path} is written to again, and whole")
+
+    def say(self, text: str) -> None:
+        """Tell whoever is at the terminal in a line."""
+        with suppress(OSError):
+            self._bar.console.print(f"usarmjx: {text}", markup=False, highlight=False, soft_wrap=True)
+
+    def check_whole(self) -> None:
+        """Refuse to end well when something of the run is missing in `metrics.jsonl`.
+
+        Raises:
+            WriteError: Says how much.
+        """
+        if self._lines.waiting:
+            raise WriteError(f"{self._faults[self._lines.path]}; {self._lines.waiting} lines are missing")

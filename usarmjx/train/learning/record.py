@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
 
@@ -63,11 +64,14 @@ class RunRecord:
     versions: dict[str, str] = field(default_factory=dict[str, str])
 
     def save(self, folder: Path) -> None:
-        """Write the record into a folder."""
+        """Write the record into a folder.
+
+        Raises:
+            WriteError: It cannot be written to.
+        """
         text = json.dumps({"format": FORMAT, **asdict(self)}, indent=1)
-        fresh = folder / f"{RECORD_FILE}.new"
-        fresh.write_text(text + "\n")
-        fresh.replace(folder / RECORD_FILE)
+        with write_beside(folder / RECORD_FILE) as fresh:
+            fresh.write_text(text + "\n")
 
     def check_resumes(self, old: "RunRecord", folder: Path) -> None:
         """Refuse to go on with a run that was started as another one.

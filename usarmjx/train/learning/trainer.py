@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Any
 import jax
 from jax.sharding import PartitionSpec
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.files import PARTIAL, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
@@ -31,6 +32,7 @@ from usarmjx.train.learning.train_state import ROLLOUT_STREAM, TrainState, make_
 from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.processes.launch import check_parent
+from usarmjx.train.processes.lock import run_lock
 
 EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
@@ -161,29 +163,63 @@ def train(
         watch: Called with what is written of each iteration.
 
     Raises:
-        UsageError: The folder has a run already, or none to resume, or one that was started otherwise; a
-            broken checkpoint; numbers of worlds, minibatches and processes that do not fit.
+        UsageError: The folder has a run already, or none to resume, or one that was started otherwise, went
+            further than is asked for, or is being trained; a broken checkpoint; numbers of worlds,
+            minibatches and processes that do not fit.
+        WriteError: The folder cannot be written to, or something is missing there at the end.
     """
     out, process_group = Path(out), ProcessGroup()
     if resume and not (out / RECORD_FILE).exists():
         raise UsageError(f"nothing to resume in {out}: it has no {RECORD_FILE}")
-    if not resume and (out / RECORD_FILE).exists():
+    with ExitStack() as held:
+        if (out / RECORD_FILE).exists():
+            _lock(held, out, process_group)
+        if not resume:
+            _check_new(out, process_group)
+        process_group.barrier("look for a run")  # before anyone writes one
+        trainer = Trainer(env, config, process_group)
+        record = make_record(trainer.env, config, process_group.count, origin)
+        checkpoints = Checkpoints(out, process_group, config.keep)
+        if resume:
+            record.check_resumes(load_record(out), out)
+            _check_ahead(trainer, checkpoints)
+        else:
+            _lock(held, out, process_group)
+            _check_new(out, process_group)  # another one may have been quicker
+        _prepare(out, record, process_group)
+        train_state, worlds, before = _restore(trainer, checkpoints)
+        log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
+        return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
+
+
+def _lock(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
+    """Keep other trainers out of the folder; the first of several processes does that for all."""
+    if process_group.index == 0:
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
+        held.enter_context(run_lock(out))
+
+
+def _check_new(out: Path, process_group: ProcessGroup) -> None:
+    if process_group.index == 0 and (out / RECORD_FILE).exists():
         raise UsageError(f"{out} has a run already; resume it, or choose another folder")
-    process_group.barrier("look for a run")  # before anyone writes one
-    trainer = Trainer(env, config, process_group)
-    record = make_record(trainer.env, config, process_group.count, origin)
-    if resume:
-        record.check_resumes(load_record(out), out)
-    _prepare(out, record, process_group)
-    checkpoints = Checkpoints(out, process_group, config.keep)
-    train_state, worlds, before = _restore(trainer, checkpoints)
-    log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
-    return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
+
+
+def _check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
+    """Refuse to resume a run that has more behind it than is asked for."""
+    if checkpoints.all():
+        done = checkpoints.meta(checkpoints.find("last"))
+        if done["iteration"] > trainer.iterations:
+            raise UsageError(
+                f"the run in {checkpoints.run} has {done['agent_steps']:,} agent steps behind it, more than "
+                f"the {trainer.config.steps:,} that are asked for: ask for as many at least"
+            )
 
 
 def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
     if process_group.index == 0:
-        out.mkdir(parents=True, exist_ok=True)
+        for left in out.glob(f".*{PARTIAL}-*"):  # by a trainer that was killed
+            left.unlink()
         record.save(out)
     process_group.barrier("prepared")
 
@@ -210,6 +246,17 @@ def _mean_score(lines: list[dict[str, Any]]) -> float | None:
     return sum(episodes * score for episodes, score in rows) / count if count else None
 
 
+def _save(
+    checkpoints: Checkpoints, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
+) -> WriteError | None:
+    """Write a checkpoint, and return why it could not be written."""
+    try:
+        checkpoints.save(iteration, *state, note)
+    except WriteError as error:
+        return error
+    return None
+
+
 def _run(
     trainer: Trainer,
     checkpoints: Checkpoints,
@@ -223,6 +270,7 @@ def _run(
     world_steps = config.rollout * config.worlds
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
+    missing: WriteError | None = None
     with log or nullcontext():
         for iteration in range(before + 1, iterations + 1):
             began = time.perf_counter()
@@ -243,11 +291,17 @@ def _run(
                 log.write(line)
             if iteration % config.checkpoint_every == 0 or iteration == iterations:
                 note = {"agent_steps": agent_steps, "score": _mean_score(lines)}
-                checkpoints.save(iteration, train_state, worlds, note)
+                missing = _save(checkpoints, iteration, (train_state, worlds), note)
+                if log and missing and iteration < iterations:
+                    log.say(f"{missing}; training goes on, and the next checkpoint is tried")
                 lines.clear()
             if watch:
                 watch(line)
             check_parent()
+        if missing:
+            raise WriteError(f"{missing}; the last checkpoint is missing: resume the run from the one before")
+        if log:
+            log.check_whole()
     if not line:  # the run was over already
         line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
     return TrainResult(out, iterations, iterations * world_steps * trainer.agents, line)

@@ -132,6 +132,13 @@ class ProcessGroup:
         if self.count > 1:
             multihost_utils.sync_global_devices(name)
 
+    def everywhere(self, true: bool) -> bool:
+        """Return whether something is true in all processes; each waits here for the others."""
+        if self.count == 1:
+            return true
+        found: Any = multihost_utils.process_allgather(np.array([true]))
+        return bool(np.all(found))
+
 
 def _strong(leaf: jax.Array) -> jax.Array:
     return leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf

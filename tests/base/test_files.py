@@ -1,0 +1,96 @@
+"""What cannot be written is one line, and what was there before is whole."""
+
+import errno
+import os
+import resource
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.files import disk_fault, write_beside, writing
+
+
+@contextmanager
+def largest_file(size):
+    """No file may grow beyond this, as on a disk that is full; the system's own refusal."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def write(path, text):
+    with write_beside(path) as fresh:
+        fresh.write_text(text)
+
+
+def test_what_was_there_stays_whole_when_the_rest_does_not_fit(tmp_path):
+    path = tmp_path / "deep" / "figures.json"
+    write(path, "first")
+    with largest_file(100), pytest.raises(WriteError) as caught:
+        write(path, "second" * 100)
+    assert str(caught.value) == f"cannot write {path}: File too large"
+    assert path.read_text() == "first"
+    write(path, "second" * 100)
+    assert path.read_text() == "second" * 100
+    assert [file.name for file in path.parent.iterdir()] == ["figures.json"]
+
+
+def test_a_write_that_is_broken_off_leaves_nothing(tmp_path):
+    def write_half():
+        with write_beside(tmp_path / "new.txt") as fresh:
+            fresh.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_new_file_has_its_ending_while_it_is_written(tmp_path):
+    """By which some libraries choose its format; whoever looks for such files does not see it."""
+    with write_beside(tmp_path / "plan.png") as fresh:
+        assert (fresh.suffix, fresh.name[0], fresh.parent) == (".png", ".", tmp_path)
+        fresh.touch()
+
+
+def test_a_full_device_is_written_to_as_it_is():
+    """And is still a device afterwards."""
+    with pytest.raises(WriteError, match=r"^cannot write /dev/full: No space left on device$"):
+        write(Path("/dev/full"), "too much")
+    assert not Path("/dev/full").is_file()
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "real").write_text("first")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write(tmp_path / "link", "second")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "second"
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
+def test_the_reason_is_in_the_systems_words(tmp_path, monkeypatch, number):
+    def refuse(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    with pytest.raises(WriteError) as caught:
+        write(tmp_path / "new" / "file", "text")
+    assert str(caught.value) == f"cannot write {tmp_path / 'new' / 'file'}: {os.strerror(number)}"
+
+
+def test_what_is_no_fault_of_the_disk_is_none(tmp_path):
+    assert disk_fault(ValueError("no")) is None
+    assert disk_fault(FileNotFoundError(errno.ENOENT, "gone")) is None
+    tensorstore = ValueError("Failed to write 9 bytes: No space left on device [os_error_code='28']")
+    assert disk_fault(tensorstore) == "No space left on device"
+    above = RuntimeError("saving failed")
+    above.__cause__ = OSError(errno.EROFS, "whatever")
+    assert disk_fault(above) == "Read-only file system"
+    with pytest.raises(UsageError, match="no disk"), writing(tmp_path):
+        raise UsageError("it was no disk")
