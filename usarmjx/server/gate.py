@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.access import AccessRules, IPAddress, parse_address, token_of
+from usarmjx.server.access import AUTH, AccessRules, IPAddress, parse_address, token_of
 
 log = logging.getLogger(__name__)
 
@@ -152,7 +152,9 @@ def peer_address(writer: asyncio.StreamWriter) -> tuple[str, int]:
 
 
 async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
-    r"""Return the first line that is not blank, up to its end; of "\r\n" the second byte may stay unread.
+    r"""Return the first line that is not blank, up to its end or to where it is no AUTH any more.
+
+    Of the end "\r\n" the second byte may stay unread.
 
     Raises:
         PeerError: There is none, or it is too long.
@@ -165,5 +167,9 @@ async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
         if byte not in ends:
             line += byte
         elif line.strip():
-            return line.decode("latin-1")
-    raise PeerError(f"its first line has more than {MAX_AUTH_SIZE} bytes")
+            break
+        if not AUTH.encode().startswith(line.lstrip()[: len(AUTH)].upper()):
+            break  # who waits for an answer to something else shall not wait
+    else:
+        raise PeerError(f"its first line has more than {MAX_AUTH_SIZE} bytes")
+    return line.decode("latin-1")

@@ -1,0 +1,108 @@
+"""A server with every kind of port that strangers can reach, and what each answers."""
+
+import contextlib
+import os
+import socket
+from types import SimpleNamespace
+
+import numpy as np
+
+from tests.server.fake_radio import FakeRadio
+from tests.server.peers import PATIENCE, serving
+from tests.server.still_world import StillWorld
+from usarmjx.server.access import AccessRules
+from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
+from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+from usarmjx.server.wireless.net import WirelessService, WirelessSettings
+
+HOST, ELSEWHERE = "127.0.0.1", "127.0.0.2"
+"""Two addresses of this machine."""
+TOKEN = "open-sesame_42"
+LINE = f"AUTH {{Token {TOKEN}}}\r\n".encode()
+KINDS = {
+    "robots": (LINE, b"GETSTARTPOSES\r\n", b"NFO {Gametype"),
+    "wss": (f"AUTH {TOKEN};".encode(), b"GETSS R1 R2;", b"Fail: "),
+    "wss2": (LINE, b"GETSS {Robot R1}\r\n", b"ERROR {Reason Must"),
+    "position": (LINE, b"GETPOS\r\n", b"POSITIONS {Robots 2}"),
+    "pictures": (LINE, b"OK", bytes([0, 0, 0, 0, 4 + 3 * 8 * 6])),
+    "page": (
+        f"GET /?token={TOKEN} HTTP/1.1\r\nHost: {HOST}\r\n\r\n".encode(),
+        f"GET / HTTP/1.1\r\nHost: {HOST}\r\n\r\n".encode(),
+        b"HTTP/1.1 200 OK\r\n",
+    ),
+}
+"""How each port is told the token, a question to it, and how the answer begins."""
+TCP_KINDS = [kind for kind in KINDS if kind != "page"]
+
+
+class AllPorts:
+    """The ports of a running server by their kinds, and connections to them, which are closed with it."""
+
+    def __init__(self, ports, server):
+        self.ports, self.server = ports, server
+        self._open = contextlib.ExitStack()
+
+    def connect(self, kind, address=HOST):
+        """A connection from an address."""
+        made = socket.create_connection((HOST, self.ports[kind]), PATIENCE, (address, 0))
+        return self._open.enter_context(made)
+
+    def answers(self, kind, said, address=HOST):
+        """Whether a port answers its question if something is said before."""
+        return begins(self.connect(kind, address), said + KINDS[kind][1], KINDS[kind][2])
+
+    def close(self):
+        self._open.close()
+
+
+def begins(connection, said, start):
+    """Whether what comes begins so once something was said; if not, nothing at all may come."""
+    with contextlib.suppress(ConnectionError):
+        connection.sendall(said)
+    heard = hear(connection, len(start))
+    assert heard in (start, b""), heard
+    return heard == start
+
+
+def hear(connection, most):
+    """The next bytes, fewer if the server hangs up."""
+    heard = b""
+    with contextlib.suppress(ConnectionError):
+        while len(heard) < most and (more := connection.recv(most - len(heard))):
+            heard += more
+    return heard
+
+
+def server_side(connection):
+    """The server's end of a connection, as the server is in this process; None until it has accepted it."""
+    name = connection.getsockname()
+    for number in map(int, os.listdir("/proc/self/fd")):
+        with contextlib.suppress(OSError):
+            copy = socket.socket(fileno=os.dup(number))
+            if copy.getpeername() == name:
+                return copy
+            copy.close()
+    return None
+
+
+def black(shot):
+    return SimpleNamespace(rgb=np.zeros((shot.height, shot.width, 3), np.uint8))
+
+
+@contextlib.contextmanager
+def all_ports(**rules):
+    """A running server with all its ports, for those whom rules let in."""
+    access, world = AccessRules(**rules), StillWorld()
+    world.snapshot = lambda shots: lambda: [black(shot) for shot in shots]
+    ports = {"wss_port": 0, "wss2_port": 0, "position_port": 0}
+    radio = WirelessService(
+        FakeRadio(("R1", "R2")), lambda: world.time, WirelessSettings(access=access, **ports)
+    )
+    images = ImageServer(world, ImageSettings(port=0, size=(8, 6), format=0, access=access))
+    page = SpectatorServer(world, SpectatorSettings(port=0, access=access))
+    with serving(world, [radio, images, page], access=access) as (port, server):
+        found = AllPorts({"robots": port, **radio.ports, "pictures": images.port, "page": page.port}, server)
+        try:
+            yield found
+        finally:
+            found.close()
