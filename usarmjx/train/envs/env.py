@@ -1,5 +1,6 @@
 """A task in a batch of worlds: functional reset and step, brax's way."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -12,18 +13,33 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.reset import init_world
+from usarmjx.sim.world import World
 from usarmjx.train.envs.episode import (
     apply_policy_actions,
     evaluate_step,
     make_view,
-    reset_done_worlds,
+    restart_some,
     start_episode,
 )
 from usarmjx.train.envs.recipe import GeneratedArenas
-from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart
+from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Restart
 from usarmjx.train.envs.task import StepResult, Task
+
+
+def restart_batch_size(worlds: int, episode_steps: int) -> int:
+    """Return how many worlds begin an episode at once; where more are done, one such batch follows another.
+
+    As many as end with a step if their ends are spread and episodes last half their time, and three standard
+    deviations more (Poisson's).
+
+    Args:
+        worlds: In the environment.
+        episode_steps: Steps after which the time is up.
+    """
+    ends = 2 * worlds / episode_steps
+    return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
 class Env:
@@ -66,45 +82,53 @@ class Env:
         arenas = task.arenas
         self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
         self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
+        self._first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
-        self._start = self._compile(jax.vmap(partial(start_episode, self.scene, task)))
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
-        self._reset_worlds = self._compile(partial(reset_done_worlds, self.scene, task))
+        self._blank = self._compile(self._blank_state)
+        together = restart_batch_size(worlds, task.episode_steps)
+        self._restart_some = self._compile(partial(restart_some, self.scene, task, together))
         self._library = self._compile(self._library_at)
-        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = (
-            self._compile(self._step) if self.traceable else self._step
-        )
+        self._restart: Callable[[EnvState, Array], EnvState] = self._restart_where
+        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = self._step
         """Advance every world by one action, per group (worlds, robots, action_size).
 
         Numbers beyond +-1 count as +-1, those that are not numbers as 0.
         """
-        self.groups, self.privileged_size, self._metrics = self._shapes()
+        if self.traceable:
+            self.step, self._restart = self._compile(self._step), self._compile(self._restart_where)
+        self._blanks, self._metrics = self._shapes()
+        self.groups, self.privileged_size = self._agents(), self._blanks[1].privileged.shape[-1]
 
     @staticmethod
     def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
         return jax.jit(jax.default_matmul_precision("highest")(function))
 
-    def _shapes(self) -> tuple[tuple[AgentGroup, ...], int, tuple[str, ...]]:
-        """Return the agents, the size of `privileged` and the names of the metrics."""
+    def _shapes(self) -> tuple[tuple[World, EpisodeStart], tuple[str, ...]]:
+        """Return the shapes of a world and of what its episode begins with, and the metrics' names."""
         scene, task = self.scene, self.task
 
-        def once(key: jax.Array) -> tuple[EpisodeStart, StepResult]:
+        def once(key: jax.Array) -> tuple[World, EpisodeStart, StepResult]:
             arenas = None if scene.arenas is None else jax.tree.map(jnp.asarray, scene.arenas.states)
             world, qpos = init_world(scene, key, jnp.int32(0), arenas, shuffle=task.shuffle)
             model = scene.model
             physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
             world, begun = start_episode(scene, task, world, physics)
-            return begun, task.evaluate(make_view(scene, world, physics)[1], begun.memory)
+            return world, begun, task.evaluate(make_view(scene, world, physics)[1], begun.memory)
 
-        begun, result = jax.eval_shape(once, jax.random.key(0))
+        world, begun, result = jax.eval_shape(once, jax.random.key(0))
+        return (world, begun), tuple(result.metrics)
+
+    def _agents(self) -> tuple[AgentGroup, ...]:
+        scene, task = self.scene, self.task
         groups: list[AgentGroup] = []
         for number, obs, actions in zip(
-            task.agent_groups(scene), begun.obs, task.action_sizes(scene), strict=True
+            task.agent_groups(scene), self._blanks[1].obs, task.action_sizes(scene), strict=True
         ):
             group = scene.groups[number]
             names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
             groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions))
-        return tuple(groups), begun.privileged.shape[-1], tuple(result.metrics)
+        return tuple(groups)
 
     def _library_at(self, library: ArenaState, level: jax.Array) -> ArenaState:
         """Return a library in which only the arenas in play are, over and over."""
@@ -130,12 +154,28 @@ class Env:
         if level < 1.0 and not self.levels:
             raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
         level_now = jnp.float32(level)
-        batch = self.batch.reset(self.seed if seed is None else seed, self._arenas(level_now))
-        worlds, begun = self._start(batch.worlds, self.batch.physics(batch))
-        no = jnp.zeros(self.worlds, bool)
-        zero = jnp.zeros(self.worlds)
+        key = jax.random.key(self.seed if seed is None else seed)
+        blank = self._blank(key, level_now, self._arenas(level_now))
+        blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
+        state = self._restart(blank, np.ones(self.worlds, bool))
+        return state.replace(final_obs=state.obs, final_privileged=state.privileged)
+
+    def _blank_state(self, key: jax.Array, level: jax.Array, arenas: ArenaState | None) -> EnvState:
+        """Return all worlds before their first episode; all of it is zero but for what it is told."""
+
+        def zeros(one: jax.ShapeDtypeStruct) -> jax.Array:
+            return jnp.zeros((self.worlds, *one.shape), one.dtype)
+
+        world, begun = self._blanks
+        numbers = self._first + jnp.arange(self.worlds)
+        worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
+            key=jax.vmap(partial(jax.random.fold_in, key))(numbers),
+            number=numbers,
+            episode=jnp.full(self.worlds, -1, jnp.int32),
+        )
+        begun, no, zero = jax.tree.map(zeros, begun), jnp.zeros(self.worlds, bool), jnp.zeros(self.worlds)
         return EnvState(
-            batch=batch.replace(worlds=worlds),
+            batch=BatchState(physics=None, worlds=worlds, arenas=arenas),
             memory=begun.memory,
             obs=begun.obs,
             privileged=begun.privileged,
@@ -149,7 +189,7 @@ class Env:
             length=begun.length,
             bad=no,
             metrics=dict.fromkeys(self._metrics, zero),
-            level=level_now,
+            level=level,
         )
 
     def at_level(self, state: EnvState, level: float | jax.Array) -> EnvState:
@@ -170,14 +210,24 @@ class Env:
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
         worlds, task = self._evaluate(state.task_state, batch.worlds, self.batch.physics(batch), before)
         state = state.with_task(batch.replace(worlds=worlds), task)
-        if self.traceable:
-            return jax.lax.cond(state.done.any(), self._reset_done, lambda s: s, state)
-        return self._reset_done(state) if np.asarray(state.done).any() else state
+        return self._restart(state, state.done)
 
-    def _reset_done(self, state: EnvState) -> EnvState:
-        batch = self.batch.reset_where(state.batch, state.done)
-        worlds, task = self._reset_worlds(state.task_state, batch.worlds, self.batch.physics(batch))
-        return state.with_task(batch.replace(worlds=worlds), task)
+    def _restart_where(self, state: EnvState, where: Array) -> EnvState:
+        """Begin the next episode in some worlds (worlds,), a fixed number of them at a time."""
+        batch = state.batch
+        qpos = jnp.zeros((self.worlds, self.scene.model.nq), jnp.float32)
+        now = Restart(worlds=batch.worlds, begun=state.episode_start, qpos=qpos, left=jnp.asarray(where))
+        if self.traceable:
+            now = jax.lax.while_loop(
+                lambda now: now.left.any(), lambda now: self._restart_some(now, batch.arenas), now
+            )
+        else:
+            if not np.asarray(where).any():
+                return state
+            while np.asarray(now.left).any():
+                now = self._restart_some(now, batch.arenas)
+        physics = self.batch.engine.reset(batch.physics, where, now.qpos)
+        return state.with_start(batch.replace(physics=physics, worlds=now.worlds), now.begun)
 
     def _check(self, actions: tuple[Array, ...]) -> None:
         """Refuse actions of another shape."""

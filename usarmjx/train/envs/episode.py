@@ -1,7 +1,7 @@
 """What episodes of a task are made of: their beginning, their steps, their end. Pure functions to be traced.
 
 `make_view`, `start_episode` and `apply_policy_actions` are of one world; `evaluate_step` and
-`reset_done_worlds` of a batch.
+`restart_some` of a batch.
 """
 
 from functools import partial
@@ -11,14 +11,15 @@ import jax.numpy as jnp
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines import PhysicsState
+from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
-from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.radio import update_links
+from usarmjx.sim.reset import reset
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import FaultCounts, World, episode_key, observe
-from usarmjx.train.envs.state import EpisodeStart, Memory, TaskState
+from usarmjx.train.envs.state import EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import Task, TaskView
 
 
@@ -109,14 +110,30 @@ def evaluate_step(
     )
 
 
-def reset_done_worlds(
-    scene: Scene, task: Task, state: TaskState, worlds: World, physics: PhysicsState
-) -> tuple[World, TaskState]:
-    """Begin an episode in the worlds that are done."""
-    fresh, begun = jax.vmap(partial(start_episode, scene, task))(worlds, physics)
-    here = partial(select_worlds, state.done)
-    changed = {
-        name: jax.tree.map(here, getattr(begun, name), getattr(state, name))
-        for name in ("memory", "obs", "privileged", "score", "length")
-    }
-    return jax.tree.map(here, fresh, worlds), state.replace(**changed)
+@jax.named_scope("restart")
+def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: ArenaState | None) -> Restart:
+    """Begin an episode in the first worlds of those that are left; only they are computed.
+
+    Args:
+        scene: The scene.
+        task: The task.
+        together: How many worlds; where fewer are left, some of the others are computed for nothing.
+        now: All worlds, and which are left.
+        arenas: See `sim.reset.reset`.
+    """
+    rows = jnp.nonzero(now.left, size=together, fill_value=len(now.left))[0]
+    some = jax.tree.map(lambda old: old.at[rows].get(mode="clip"), now.worlds)
+    fresh, qpos = jax.vmap(partial(reset, scene, shuffle=task.shuffle), in_axes=(0, None))(some, arenas)
+    still = [jnp.zeros((together, size), jnp.float32) for size in (scene.model.nv, scene.model.na)]
+    physics = PhysicsState(qpos=qpos, qvel=still[0], act=still[1])
+    fresh, begun = jax.vmap(partial(start_episode, scene, task))(fresh, physics)
+
+    def put(old: jax.Array, new: jax.Array) -> jax.Array:
+        return old.at[rows].set(new, mode="drop")
+
+    return Restart(
+        worlds=jax.tree.map(put, now.worlds, fresh),
+        begun=jax.tree.map(put, now.begun, begun),
+        qpos=put(now.qpos, jnp.asarray(qpos)),
+        left=now.left.at[rows].set(False, mode="drop"),
+    )

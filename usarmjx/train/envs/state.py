@@ -8,6 +8,7 @@ import jax
 from flax import struct
 
 from usarmjx.sim.batch import BatchState
+from usarmjx.sim.world import World
 
 Memory: TypeAlias = Any
 """A task's own state within an episode: any tree of arrays; only the task knows what is in it."""
@@ -86,6 +87,15 @@ class EnvState(TaskState, kw_only=True):
         """Return the state with other worlds in which the task stands so."""
         return self.replace(batch=batch, **{one.name: getattr(task, one.name) for one in fields_of(task)})
 
+    @property
+    def episode_start(self) -> "EpisodeStart":
+        """The part that a new episode begins with."""
+        return EpisodeStart(**{one.name: getattr(self, one.name) for one in fields_of(EpisodeStart)})
+
+    def with_start(self, batch: BatchState, begun: "EpisodeStart") -> "EnvState":
+        """Return the state with other worlds, and with that part."""
+        return self.replace(batch=batch, **{one.name: getattr(begun, one.name) for one in fields_of(begun)})
+
 
 class EpisodeStart(struct.PyTreeNode, kw_only=True):
     """What an episode begins with, in one world; `TaskState` has fields of the same names for all worlds.
@@ -103,3 +113,19 @@ class EpisodeStart(struct.PyTreeNode, kw_only=True):
     privileged: jax.Array
     score: jax.Array
     length: jax.Array
+
+
+class Restart(struct.PyTreeNode, kw_only=True):
+    """Worlds of which some are about to begin their next episode.
+
+    Attributes:
+        worlds: All worlds (worlds, ...).
+        begun: What their episodes began with (worlds, ...).
+        qpos: Where those start that have begun it by now (worlds, nq).
+        left: Which are still to begin it (worlds,).
+    """
+
+    worlds: World
+    begun: EpisodeStart
+    qpos: jax.Array
+    left: jax.Array

@@ -1,0 +1,89 @@
+"""Only worlds that are done begin anew, a few at a time: as if all had been computed, bit for bit."""
+
+import itertools
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import usarmjx
+from usarmjx.models.build.compose import Physics
+from usarmjx.sim.batch import select_worlds
+from usarmjx.train.envs import env as module
+from usarmjx.train.envs.env import restart_batch_size
+from usarmjx.train.envs.episode import start_episode
+
+WORLDS, TOGETHER = 5, 2
+
+
+@pytest.fixture(scope="module", params=["c", "jax"])
+def env(request):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "restart_batch_size", lambda worlds, steps: TOGETHER)
+        return usarmjx.make(
+            "drive-to-goal", worlds=WORLDS, engine=request.param, physics=Physics(timestep=0.01), ranges=()
+        )
+
+
+@pytest.fixture(scope="module")
+def in_full(env):
+    """All worlds are reset and begin an episode, and those that are masked keep it: the oracle."""
+    start = jax.vmap(partial(start_episode, env.scene, env.task))
+    begin = jax.jit(jax.default_matmul_precision("highest")(start))
+
+    def restart(state, where):
+        batch = env.batch.reset_where(state.batch, where)
+        pick = partial(select_worlds, where)
+        worlds, begun = begin(batch.worlds, env.batch.physics(batch))
+        worlds = jax.tree.map(pick, worlds, batch.worlds)
+        return state.with_start(batch.replace(worlds=worlds), jax.tree.map(pick, begun, state.episode_start))
+
+    return restart
+
+
+def bits(state):
+    plain = jax.tree.map(
+        lambda one: jax.random.key_data(one) if jnp.issubdtype(one.dtype, jax.dtypes.prng_key) else one,
+        state.replace(batch=state.batch.replace(arenas=None)),
+    )
+    return jax.tree.map(np.asarray, plain)
+
+
+def test_whichever_worlds_are_done_they_begin_as_all_together_would(env, in_full):
+    ours = theirs = env.reset(3)
+    for mask in itertools.product([False, True], repeat=WORLDS):
+        where = np.array(mask)
+        ours, theirs = env._restart(ours, where), in_full(theirs, where)
+        jax.tree.map(np.testing.assert_array_equal, bits(ours), bits(theirs))
+    np.testing.assert_array_equal(ours.batch.worlds.episode, np.full(WORLDS, 2 ** (WORLDS - 1)))
+
+
+def test_first_episodes_begin_as_those_of_the_batch(env):
+    ours, plain = env.reset(4).batch, env.batch.reset(4)
+    np.testing.assert_array_equal(env.batch.physics(ours).qpos, env.batch.physics(plain).qpos)
+    np.testing.assert_array_equal(ours.worlds.episode, plain.worlds.episode)
+    np.testing.assert_array_equal(*(jax.random.key_data(one.worlds.key) for one in (ours, plain)))
+
+
+def test_few_are_computed_where_few_are_done(env, monkeypatch):
+    if env.traceable:
+        pytest.skip("the loop is compiled there")
+    calls, usual, state = [], env._restart_some, env.reset()
+    monkeypatch.setattr(env, "_restart_some", lambda *args: calls.append(1) or usual(*args))
+    for done, expected in ((0, 0), (1, 1), (2, 1), (3, 2), (5, 3)):
+        calls.clear()
+        env._restart(state, np.arange(WORLDS) < done)
+        assert len(calls) == expected
+
+
+@pytest.mark.parametrize(("worlds", "steps"), [(1, 1), (1, 500), (64, 200), (1024, 300), (4096, 100)])
+def test_more_worlds_end_with_a_step_than_fit_in_one_of_a_hundred_at_most(worlds, steps):
+    """If all last until the time is up, or a third of them end at half of it."""
+    size = restart_batch_size(worlds, steps)
+    assert 1 <= size <= worlds
+    for share in (1.0, 4 / 3):
+        assert stats.binom.sf(size, worlds, min(1.0, share / steps)) <= 0.01
+    assert size <= max(4, worlds / 16)
