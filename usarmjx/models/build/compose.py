@@ -7,6 +7,7 @@ and, if it has a motor, an actuator. Parts of one robot do not touch each other:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotSpec
 from usarmjx.models.spec.shapes import SURFACES, Shape
 
+CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
@@ -36,6 +38,7 @@ class Physics:
         substeps: Physics steps per control step.
         iterations: Cap on solver iterations.
         ls_iterations: Cap on line-search iterations.
+        cone: Friction cone of the contacts.
         contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
             robots; robots with more (or fewer) touching geoms count for more (or fewer).
         pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
@@ -47,6 +50,7 @@ class Physics:
     impratio: float = 2.0
     iterations: int = 10
     ls_iterations: int = 10
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
     contacts_per_robot: int = 16
     pairs_per_robot: int = 32
 
@@ -54,6 +58,20 @@ class Physics:
     def period(self) -> float:
         """The control step [s]."""
         return self.timestep * self.substeps
+
+    @property
+    def rows_per_contact(self) -> int:
+        """Constraint rows of a contact with sliding friction."""
+        return 3 if self.cone == "elliptic" else 4
+
+    @classmethod
+    def fast(cls) -> "Physics":
+        """Return settings for training and sweeps: several times as fast, and less exact.
+
+        Found by a search over settings; docs/performance.md tables what every robot class does under them,
+        beside the reference settings, and what they are not for.
+        """
+        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5, cone="pyramidal")
 
 
 def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
@@ -66,7 +84,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     # MJX-JAX's implicitfast goes on damping a servo that is at its force limit, C and Warp do not; with
     # Euler all three agree, and the servos' gains are low enough for it.
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.cone = CONES[physics.cone]
     option.solver = mujoco.mjtSolver.mjSOL_CG
     option.impratio = physics.impratio
     # One contact per pair of convex geoms: with several, wheels stick at the edge of a 4 cm board.

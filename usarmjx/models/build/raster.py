@@ -5,14 +5,17 @@ and ellipsoids as the boxes around them; terrain by the nearest of its heights. 
 a square on every side (not upwards), so that a wall thinner than a square is not missed between two.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.spec.shapes import SKY, SURFACES, Shape
 
+MOST_ROWS = 10_000_000
+"""Of a table: squares that solids stand over, each counted as often as it has one."""
 FLAT = 1e-9
 """A face whose normal has less than this along z is upright."""
 UPWARD = 0.5
@@ -78,16 +81,32 @@ def half_lengths(shape: Shape) -> tuple[float, float, float]:
 
 
 def rasterize(shapes: Sequence[Shape], grid: Grid) -> SpanTable:
-    """Return what the solids that robots can touch fill over a grid's squares."""
+    """Return what the solids that robots can touch fill over a grid's squares.
+
+    Raises:
+        SpecError: The table would have more than `MOST_ROWS` rows.
+    """
     solid = [shape for shape in shapes if touchable(shape)]
-    parts = [_terrain(shape, grid) for shape in solid if shape.kind == "hfield"]
-    parts += [_hull(shape, grid) for shape in solid if shape.kind == "mesh"]
-    parts.append(_boxes([shape for shape in solid if shape.kind not in ("hfield", "mesh")], grid))
+    parts: list[SpanRows] = []
+    for part in _parts(solid, grid):
+        parts.append(part)
+        _check_total(sum(len(some[0]) for some in parts))
     rows = [np.concatenate(values) for values in zip(*parts, strict=True)]
     return SpanTable(square=rows[0], low=rows[1], high=rows[2], slope=rows[3])
 
 
 SpanRows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _parts(solid: Sequence[Shape], grid: Grid) -> Iterator[SpanRows]:
+    yield from (_terrain(shape, grid) for shape in solid if shape.kind == "hfield")
+    yield from (_hull(shape, grid) for shape in solid if shape.kind == "mesh")
+    yield _boxes([shape for shape in solid if shape.kind not in ("hfield", "mesh")], grid)
+
+
+def _check_total(squares: int) -> None:
+    if squares > MOST_ROWS:
+        raise SpecError(f"its solids stand over {squares} squares of its plan; at most {MOST_ROWS}")
 
 
 def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
@@ -155,6 +174,7 @@ def _windows(low: np.ndarray, high: np.ndarray, grid: Grid) -> tuple[np.ndarray,
     last = np.floor((high - grid.low) / grid.cell + 1.25).astype(int).clip(0, limit)
     count = last - first
     each = count.prod(-1)
+    _check_total(int(each.sum()))
     owner = np.repeat(np.arange(len(low)), each)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each)
     return owner, first[owner, 0] + place // count[owner, 1], first[owner, 1] + place % count[owner, 1]

@@ -7,9 +7,12 @@ from itertools import product
 
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.models.build.raster import Grid, SpanTable
 
 TINY = 1e-6
+MOST_PAIRS = 5e8
+"""Squares times the square of the surfaces over one of them: that many pairs are looked at."""
 SIDES = ((1, 0), (0, 1))
 CORNERS = ((1, 1), (1, -1))
 
@@ -41,6 +44,9 @@ def walkable_surfaces(
 
     Each square's solids are passed from the lowest to the highest; what leaves less room than the robot is
     high belongs to one block. Steep faces are no surface, unless they rise by no more than a step.
+
+    Raises:
+        SpecError: There are too many surfaces one above the other (`MOST_PAIRS`).
     """
     squares = grid.shape[0] * grid.shape[1]
     top, steep, count = np.full(squares, floor), np.zeros(squares), np.zeros(squares, int)
@@ -51,6 +57,8 @@ def walkable_surfaces(
         which = which[np.isfinite(firm[which]) & (top[which] <= firm[which] + step)]
         for layer in range(int(count[which].max(initial=-1)) + 1):
             if layer == len(grounds):
+                if squares * (layer + 1) ** 2 > MOST_PAIRS:
+                    raise SpecError(f"more than {layer} surfaces one above the other on {squares} squares")
                 grounds.append(np.full(squares, np.nan))
                 steeps.append(np.zeros(squares))
             these = which[count[which] == layer]

@@ -7,6 +7,8 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.values import read_bytes
 
+FORMATS = ("PNG", "PPM", "BMP", "JPEG", "GIF")
+"""What images may be, as Pillow calls it (PPM: also PGM and PBM); others run programs of their own."""
 MOST_PIXELS = 16_000_000
 """Of a map."""
 MOST_HEIGHTS = 1_000_000
@@ -75,7 +77,7 @@ def _pixels(path: Path, most: int) -> tuple[str, np.ndarray]:
 
     read_bytes(path, most=8 * most)
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
             if width * height > most:
                 raise ArenaFileError(f"{path}: {width} x {height} pixels; at most {most} in all")

@@ -111,10 +111,10 @@ def occupancy_grid_content(
         ArenaFileError: See `read_occupancy_grid`; or the map has too many walls.
     """
     plan = read_occupancy_grid(value, unknown)
-    boxes = min(rectangles(plan.wall), _turned(rectangles(plan.wall.T)), key=len)
+    boxes = min(rectangles(plan.wall, MOST_BOXES), _turned(rectangles(plan.wall.T, MOST_BOXES)), key=len)
     if len(boxes) > MOST_BOXES:
         raise value.error(
-            f"the map makes {len(boxes)} boxes, at most {MOST_BOXES} are allowed: clear it of specks, or "
+            f"the map makes more than the {MOST_BOXES} boxes that are allowed: clear it of specks, or "
             "halve its size and double its resolution"
         )
     return Content(
@@ -128,10 +128,15 @@ Cells = tuple[int, int, int, int]
 """First row, row after the last, first column, column after the last."""
 
 
-def rectangles(filled: np.ndarray) -> list[Cells]:
-    """Cover the true cells (rows, columns) with rectangles, each as long as it goes and then as wide."""
+def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
+    """Cover the true cells (rows, columns) with rectangles, each as long as it goes and then as wide.
+
+    It stops in the row where there are more than `most`.
+    """
     left, found = filled.copy(), []
     for row in range(left.shape[0]):
+        if len(found) > most:
+            break
         edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
         for start, stop in edges.reshape(-1, 2).tolist():
             below = np.asarray(left[row:, start:stop].all(axis=1))

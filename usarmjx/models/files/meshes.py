@@ -4,15 +4,21 @@ Contacts, rays and the radio take a solid of kind mesh as the convex hull of its
 convex is therefore refused rather than filled in, unless its hull is asked for.
 """
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import surface_of
+from usarmjx.models.files.mesh_check import MESH_CHECKS, MOST_MESH_BYTES, broken, check_mesh
+from usarmjx.models.files.reader_process import MeshArrays, read_mesh_objects
+from usarmjx.models.files.values import read_bytes
 from usarmjx.models.spec.shapes import Mesh, Shape
 
 MOST_VERTICES = 200
@@ -25,12 +31,6 @@ THINNEST = 1e-12
 """Least volume of a solid [m3]."""
 NO_MESH = Mesh(np.zeros((0, 3)))
 """Of a shape whose solid is still to come."""
-LOADING: dict[str, dict[str, Any]] = {
-    "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
-    "stl": {"process": False},
-}
-"""Kinds of files, and how trimesh shall read them: as they are."""
-SUFFIXES = tuple(f".{kind}" for kind in LOADING)
 ADVICE = (
     "cut it into convex pieces (with a tool as CoACD or V-HACD) and name their files under "
     "`decomposition`, or give `hull: true` to fill it in"
@@ -66,12 +66,19 @@ def load_convex_pieces(
         ArenaFileError: A file that does not read; a piece that is not closed or not convex, flat, or that has
             too many corners; names it.
     """
+    x, y, z = scale
+    return [*_pieces_of(path, _checked(path), (x, y, z), hull)]
+
+
+@lru_cache(maxsize=64)
+def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool) -> tuple[ConvexPiece, ...]:
+    """Return the pieces of a file with that content; a building has a hundred doors of one file."""
     found: list[ConvexPiece] = []
     for name, vertices, faces in _objects(path):
         found += convex_pieces(vertices * np.asarray(scale), faces, f"{path}: {name}".rstrip(": "), hull=hull)
         if len(found) > MAX_MESH_PIECES:
             raise ArenaFileError(f"{path}: more than {MAX_MESH_PIECES} pieces; give it in several files")
-    return found
+    return tuple(found)
 
 
 def vertices_of_file(path: Path) -> np.ndarray:
@@ -80,6 +87,7 @@ def vertices_of_file(path: Path) -> np.ndarray:
     Raises:
         ArenaFileError: A file that does not read, or has too many vertices.
     """
+    _checked(path)
     vertices = np.concatenate([vertices for _, vertices, _ in _objects(path)])
     return checked_corners(vertices, str(path))
 
@@ -106,9 +114,9 @@ def convex_pieces(
     mesh.merge_vertices()
     every = np.arange(len(mesh.faces))
     groups = trimesh.graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
+    if len(groups) > MAX_MESH_PIECES:
+        raise ArenaFileError(f"{name}: {len(groups)} pieces; at most {MAX_MESH_PIECES}")
     parts: Any = mesh.submesh(groups, append=False, repair=False)
-    if len(parts) > MAX_MESH_PIECES:
-        raise ArenaFileError(f"{name}: {len(parts)} pieces; at most {MAX_MESH_PIECES}")
     names = (
         [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
     )
@@ -149,29 +157,28 @@ def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
     return vertices[np.sort(hull.vertices)], float(hull.volume)
 
 
-def _objects(path: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yield name, vertices and faces of a file's objects."""
-    import trimesh
-
-    if path.suffix.lower() not in SUFFIXES:
-        raise ArenaFileError(f"{path}: meshes are {' or '.join(SUFFIXES)} files")
+def _checked(path: Path) -> bytes:
+    """Look for what is broken in a mesh file; return a digest of what it holds."""
+    if path.suffix.lower() not in MESH_CHECKS:
+        raise ArenaFileError(f"{path}: meshes are {' or '.join(MESH_CHECKS)} files")
     if not path.is_file():
         raise ArenaFileError(f"{path}: there is no such mesh file")
-    try:
-        with path.open("rb") as file:
-            kind = path.suffix[1:].lower()
-            scene: Any = trimesh.load_scene(file, file_type=kind, **LOADING[kind])
-        meshes = {name: scene.geometry[name] for name in sorted(scene.geometry)}
-        found = [(str(name), np.array(m.vertices, float), np.array(m.faces)) for name, m in meshes.items()]
-    except Exception as error:  # trimesh raises whatever its parsers run into
-        raise ArenaFileError(f"{path}: does not read as a mesh: {error}") from error
-    found = [one for one in found if len(one[2])]
+    data = read_bytes(path, MOST_MESH_BYTES)
+    check_mesh(path, data)
+    return hashlib.blake2b(data).digest()
+
+
+def _objects(path: Path) -> Iterator[MeshArrays]:
+    """Yield name, vertices and faces of a file's objects."""
+    found = [one for one in read_mesh_objects(path) if len(one[2])]
     if not found:
-        raise ArenaFileError(f"{path}: does not read as a mesh: it has no faces")
+        raise broken(path, "it has no faces")
     if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
-        raise ArenaFileError(f"{path}: does not read as a mesh: vertices are three finite numbers each")
+        raise broken(path, "vertices are three finite numbers each")
     for name, vertices, faces in found:
         used, places = np.unique(faces, return_inverse=True)
+        if used[0] < -len(vertices) or used[-1] >= len(vertices):
+            raise broken(path, f"faces have vertices {used[0]} to {used[-1]} of {len(vertices)}")
         yield (name if len(found) > 1 else ""), vertices[used], places.reshape(faces.shape)
 
 

@@ -1,6 +1,5 @@
 """MJCF files to arenas: what is fixed, what lies loose, and doors."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,9 @@ from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.doors import Hinge, door_of
 from usarmjx.models.files.geoms import geom_mass, geom_shapes
 from usarmjx.models.files.masses import with_masses
+from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
+from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.spec.arena import Door, LooseObject
 from usarmjx.models.spec.shapes import Shape
 
@@ -40,11 +41,11 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
     Raises:
         ArenaFileError: A file that does not read, or something that an arena cannot have; names it.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        model = spec.compile()
-    except (ValueError, OSError) as error:
-        raise ArenaFileError(f"{path}: does not read as MJCF: {_one_line(error)}") from error
+    check_model_size(path)
+    if wrong := try_model(path):
+        raise ArenaFileError(f"{path}: does not read as MJCF: {wrong}")
+    spec = mujoco.MjSpec.from_file(str(path))
+    model = spec.compile()
     for kind, count in (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex)):
         if count:
             raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
@@ -52,10 +53,6 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
         return _MjcfReader(path, spec, model, surface).content()
     except UnicodeDecodeError as error:
         raise ArenaFileError(f"{path}: has a name that is no UTF-8: {error}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 class _MjcfReader:
@@ -78,6 +75,12 @@ class _MjcfReader:
         for body in range(1, model.nbody):
             jointed = model.body_jntnum[body] > 0
             self._owner[body] = body if jointed else self._owner[model.body_parentid[body]]
+        self._owned: dict[int, list[int]] = {}
+        for geom in range(model.ngeom):
+            self._owned.setdefault(self._owner[model.geom_bodyid[geom]], []).append(geom)
+        self._members: dict[int, list[int]] = {}
+        for body in range(model.nbody):
+            self._members.setdefault(self._owner[body], []).append(body)
 
     def content(self) -> Content:
         """Return what the file has."""
@@ -108,11 +111,9 @@ class _MjcfReader:
     def _name(self, kind: str, number: int) -> str:
         return getattr(self._model, kind)(number).name or f"number {number}"
 
-    def _geoms(self, owner: int) -> Iterator[int]:
-        """Yield the geoms of a body and of all that is fixed to it."""
-        for geom in range(self._model.ngeom):
-            if self._owner[self._model.geom_bodyid[geom]] == owner:
-                yield geom
+    def _geoms(self, owner: int) -> list[int]:
+        """Return the geoms of a body and of all that is fixed to it."""
+        return self._owned.get(owner, [])
 
     def _free(self, body: int) -> bool:
         """Return whether a body with joints lies loose, and refuse what is neither that nor a door."""
@@ -188,12 +189,11 @@ class _MjcfReader:
     def _inertia(self, body: int, frame: Pose) -> Inertia:
         """Return mass, centre and inertia of a body with what is fixed to it, in the body's axes."""
         parts = []
-        for member in range(self._model.nbody):
-            if self._owner[member] == body:
-                mat = frame.mat.T @ self._data.ximat[member].reshape(3, 3)
-                tensor = mat @ np.diag(self._model.body_inertia[member]) @ mat.T
-                centre = frame.mat.T @ (self._data.xipos[member] - frame.pos)
-                parts.append(Inertia(float(self._model.body_mass[member]), centre, tensor))
+        for member in self._members[body]:
+            mat = frame.mat.T @ self._data.ximat[member].reshape(3, 3)
+            tensor = mat @ np.diag(self._model.body_inertia[member]) @ mat.T
+            centre = frame.mat.T @ (self._data.xipos[member] - frame.pos)
+            parts.append(Inertia(float(self._model.body_mass[member]), centre, tensor))
         return combine_inertias(parts)
 
     def _door(self, body: int) -> Door:

@@ -12,6 +12,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.build.measure import with_measurements
 from usarmjx.models.drives import Drive
 from usarmjx.models.files.mjcf_motors import motors_of
+from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.mjcf_solids import (
     Inertia,
     Pose,
@@ -25,6 +26,7 @@ from usarmjx.models.files.mjcf_solids import (
     usarsim_vector,
     volume,
 )
+from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec, Spring
 from usarmjx.models.spec.shapes import Shape
 
@@ -109,10 +111,10 @@ def robot_from_mjcf(
 
 def _open(path: Path) -> tuple[mujoco.MjSpec, str]:
     """Return the file's description with a free chassis, and the chassis' name."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, OSError) as error:
-        raise SpecError(f"{path}: does not read: {error}") from error
+    check_model_size(path)
+    if wrong := try_model(path):
+        raise SpecError(f"{path}: does not read: {wrong}")
+    spec = mujoco.MjSpec.from_file(str(path))
     for kind, found in (("equality constraint", spec.equalities), ("tendon", spec.tendons)):
         if found:
             raise SpecError(f"{path}: {kind} {found[0].name!r}: robots have parts with one joint each only")

@@ -20,6 +20,10 @@ SIZES = {
 """How many numbers the size of a kind of solid has, and what they are; a mesh has none."""
 
 
+FARTHEST = 1e7
+"""Farthest place of an arena from its origin, and largest length [m]."""
+
+
 def problem(record: object) -> str:
     """Return what is wrong with a dataclass of an arena, and what is allowed; empty: nothing."""
     return ARENA_RULES.get(type(record), _fine)(record)
@@ -96,6 +100,12 @@ def _light(light: Light) -> str:
 
 
 def _arena(arena: ArenaSpec) -> str:
+    solids = [*arena.shapes, *(shape for one in arena.loose for shape in one.shapes)]
+    places = [one.at for one in (*solids, *arena.starts, *arena.loose, *arena.doors, *arena.victims)]
+    lengths = [*places, *(shape.size for shape in solids), *arena.extent]
+    farthest = max((abs(number) for numbers in lengths for number in numbers), default=0.0)
+    if not farthest <= FARTHEST:
+        return f"something lies or reaches {farthest:g} m from the origin; at most {FARTHEST:g}"
     for kind, records in (("loose object", arena.loose), ("door", arena.doors), ("victim", arena.victims)):
         twice = [name for name, count in Counter(record.name for record in records).items() if count > 1]
         if twice:

@@ -13,11 +13,13 @@ from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles, usarsim_vector
-from usarmjx.models.files.values import read_bytes
+from usarmjx.models.files.xml_file import read_xml
 from usarmjx.models.spec.shapes import Rgba, Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"
+MOST_MESH_FILES = 1000
+"""Meshes that a file names, repeated ones counted each time."""
 GEOMETRY_KINDS = ("box", "sphere", "cylinder", "mesh")
 
 
@@ -36,6 +38,9 @@ def urdf_content(path: Path, surface: str = "") -> Content:
         ArenaFileError: A file that does not read, or something that an arena cannot have; names it.
     """
     root = _parse(path)
+    meshes = sum(1 for _ in root.iter("mesh"))
+    if meshes > MOST_MESH_FILES:
+        raise ArenaFileError(f"{path}: names {meshes} meshes; at most {MOST_MESH_FILES}")
     frames = _frames(path, root)
     colours = _colours(path, root)
     shapes: list[Shape] = []
@@ -62,11 +67,8 @@ class _Where:
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    text = read_bytes(path)
-    if b"<!ENTITY" in text:
-        raise ArenaFileError(f"{path}: defines entities; URDF files have none")
     try:
-        root = ElementTree.fromstring(text)
+        root = read_xml(path)
     except ElementTree.ParseError as error:
         raise ArenaFileError(f"{path}:{error.position[0]}: is no XML: {error}") from error
     if root.tag != "robot":
@@ -77,28 +79,31 @@ def _parse(path: Path) -> ElementTree.Element:
 def _frames(path: Path, root: ElementTree.Element) -> dict[str, Pose]:
     """Return where each link is, all joints at zero."""
     above: dict[str, tuple[str, Pose]] = {}
-    names = [link.get("name", "") for link in root.findall("link")]
+    names = dict.fromkeys(link.get("name", "") for link in root.findall("link"))
     for joint in root.findall("joint"):
         where = f"{path}: joint {joint.get('name')!r}"
         ends = [getattr(joint.find(end), "attrib", {}).get("link") for end in ("parent", "child")]
         for end, link in zip(("parent", "child"), ends, strict=True):
             if link not in names:
-                raise ArenaFileError(f"{where}: its {end} {link!r} is no link; there is: {', '.join(names)}")
+                there = ", ".join([*names][:20]) + (", ..." if len(names) > 20 else "")
+                raise ArenaFileError(f"{where}: its {end} {link!r} is no link; there is: {there}")
         parent, child = (str(end) for end in ends)
         if child in above:
             raise ArenaFileError(f"{where}: link {child!r} hangs on two joints")
         above[child] = (parent, _origin(joint, where))
     frames: dict[str, Pose] = {}
-
-    def frame(name: str, depth: int) -> Pose:
-        if depth > len(names):
-            raise ArenaFileError(f"{path}: link {name!r} hangs on itself")
-        if name not in frames:
-            parent, offset = above.get(name, ("", Pose(np.zeros(3), np.eye(3))))
-            frames[name] = _then(frame(parent, depth + 1), offset) if parent else offset
-        return frames[name]
-
-    return {name: frame(name, 0) for name in names}
+    for name in names:
+        waiting: dict[str, None] = {}  # links up to one whose place is known, or to a root
+        while name in above and name not in frames:
+            if name in waiting:
+                raise ArenaFileError(f"{path}: link {name!r} hangs on itself")
+            waiting[name] = None
+            name = above[name][0]
+        frames.setdefault(name, Pose(np.zeros(3), np.eye(3)))
+        for link in reversed(waiting):
+            parent, offset = above[link]
+            frames[link] = _then(frames[parent], offset)
+    return frames
 
 
 def _then(frame: Pose, offset: Pose) -> Pose:

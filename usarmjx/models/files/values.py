@@ -1,8 +1,8 @@
 """YAML text to values that know where they stand, so that a mistake can be named by file and line."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -12,6 +12,13 @@ MOST_BYTES = 16_000_000
 """Of a YAML file."""
 MOST_VALUES = 500_000
 """In a YAML file, repeated ones counted each time."""
+MOST_DIGITS = 100
+"""Characters of a number; one in base 60 takes the square of its length to read."""
+MOST_KEY = 100
+"""Characters of a key."""
+MERGE = "tag:yaml.org,2002:merge"
+SHOWN = 100
+"""Characters of a value that errors quote, and of what leads to it."""
 
 Plain = dict[str, "YamlValue"] | list["YamlValue"] | str | int | float | bool | None
 
@@ -64,6 +71,8 @@ class YamlValue:
             return "a mapping"
         if isinstance(self.data, list):
             return f"a list of {len(self.data)}"
+        if isinstance(self.data, str) and len(self.data) > SHOWN:
+            return repr(self.data[:SHOWN] + "...")
         return repr(self.data) if self.data is not None else "nothing"
 
 
@@ -90,7 +99,7 @@ def read_yaml(path: Path) -> YamlValue:
     """
     text = read_bytes(path)
     try:
-        loader = yaml.SafeLoader(text.decode("utf-8"))
+        loader = _BoundedLoader(text.decode("utf-8"), path)
         node = loader.get_single_node()
         if node is None:
             raise ArenaFileError(f"{path}: is empty; an arena is a mapping, as `name: mine`")
@@ -109,19 +118,36 @@ def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0]
 
 
+class _BoundedLoader(yaml.SafeLoader):
+    """Stops where a file has too many values to keep.
+
+    Args:
+        text: The file's text.
+        path: The file, for messages.
+    """
+
+    def __init__(self, text: str, path: Path) -> None:
+        super().__init__(text)
+        self._path, self._count = path, 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401 - PyYAML's
+        """Return the next value; called for each."""
+        self._count += 1
+        if self._count > 2 * MOST_VALUES:  # keys are among them
+            raise ArenaFileError(f"{self._path}: more than {MOST_VALUES} values in one file")
+        return super().compose_node(parent, index)
+
+
 class _YamlReader:
     """Turns the nodes of a document into values, and counts them: aliases can make many of few."""
 
     def __init__(self, path: Path, loader: yaml.SafeLoader) -> None:
         self._path, self._loader, self._count = path, loader, 0
         self._open: set[int] = set()
-        self._flat: set[int] = set()
+        self._flat: dict[int, dict[str, yaml.Node]] = {}
 
     def value(self, node: yaml.Node, name: str) -> YamlValue:
-        self._count += 1
-        line = node.start_mark.line + 1
-        if self._count > MOST_VALUES:
-            raise ArenaFileError(f"{self._path}:{line}: more than {MOST_VALUES} values in one file")
+        line = self._counted(node)
         if id(node) in self._open:
             raise ArenaFileError(f"{self._path}:{line}: {name} contains itself")
         self._open.add(id(node))
@@ -129,26 +155,57 @@ class _YamlReader:
         self._open.discard(id(node))
         return YamlValue(data, self._path, line, name)
 
+    def _counted(self, node: yaml.Node, more: int = 1) -> int:
+        """Count a value, or several; return its line."""
+        self._count += more
+        line = node.start_mark.line + 1
+        if self._count > MOST_VALUES:
+            raise ArenaFileError(f"{self._path}:{line}: more than {MOST_VALUES} values in one file")
+        return line
+
     def _data(self, node: yaml.Node, name: str) -> Plain:
         if isinstance(node, yaml.MappingNode):
-            return {key: self.value(child, f"{name}.{key}".lstrip(".")) for key, child in self._pairs(node)}
+            pairs = self._pairs(node).items()
+            return {key: self.value(child, _joined(name, f".{key}").lstrip(".")) for key, child in pairs}
         if isinstance(node, yaml.SequenceNode):
-            return [self.value(child, f"{name}[{i}]") for i, child in enumerate(node.value)]
+            return [self.value(child, _joined(name, f"[{i}]")) for i, child in enumerate(node.value)]
+        where = f"{self._path}:{node.start_mark.line + 1}: {name}"
+        if len(node.value) > MOST_DIGITS and node.tag.endswith((":int", ":float")):
+            raise ArenaFileError(f"{where}: a number of {len(node.value)} characters; at most {MOST_DIGITS}")
         try:
             data = self._loader.construct_object(node)
-        except (ValueError, OverflowError) as error:  # a date that does not exist, a number too long
-            line = node.start_mark.line + 1
-            raise ArenaFileError(f"{self._path}:{line}: {name}: {node.value!r}: {error}") from error
+        except yaml.YAMLError:
+            raise
+        except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into
+            raise ArenaFileError(
+                f"{where}: {node.value[:SHOWN]!r} is no {node.tag[-SHOWN:]}: {error}"
+            ) from error
         return data if isinstance(data, (str, int, float)) or data is None else str(node.value)
 
-    def _pairs(self, node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
-        """Yield keys and values, after those of a merge (<<), which they replace."""
-        if id(node) not in self._flat:  # else it stands here again, by an alias
-            self._flat.add(id(node))
-            self._check_keys(node)
-            self._loader.flatten_mapping(node)
+    def _pairs(self, node: yaml.MappingNode) -> dict[str, yaml.Node]:
+        """Return keys and values, after those of a merge (<<), which they replace."""
+        if id(node) in self._flat:  # it stands here again, by an alias
+            return self._flat[id(node)]
+        self._check_keys(node)
+        self._flat[id(node)] = {}  # of a mapping that merges itself
+        merged: dict[str, yaml.Node] = {}
         for key, child in node.value:
-            yield str(key.value), child
+            if key.tag == MERGE:
+                for other in reversed(self._merged(child)):  # the first one counts
+                    pairs = self._pairs(other)
+                    self._counted(other, len(pairs))
+                    merged |= pairs
+        self._flat[id(node)] = merged | {key.value: child for key, child in node.value if key.tag != MERGE}
+        return self._flat[id(node)]
+
+    def _merged(self, node: yaml.Node) -> list[yaml.MappingNode]:
+        """Return the mappings that a merge names: one, or a list of them."""
+        named: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        found = [one for one in named if isinstance(one, yaml.MappingNode)]
+        if len(found) < len(named):
+            line = f"{self._path}:{node.start_mark.line + 1}"
+            raise ArenaFileError(f"{line}: is no YAML: expected a mapping or a list of them to merge (<<)")
+        return found
 
     def _check_keys(self, node: yaml.MappingNode) -> None:
         seen: set[str] = set()
@@ -156,6 +213,14 @@ class _YamlReader:
             line = f"{self._path}:{key.start_mark.line + 1}"
             if not isinstance(key, yaml.ScalarNode):
                 raise ArenaFileError(f"{line}: a key is a word, not a list or mapping")
+            if len(key.value) > MOST_KEY:
+                raise ArenaFileError(f"{line}: a key of {len(key.value)} characters; at most {MOST_KEY}")
             if key.value in seen:
                 raise ArenaFileError(f"{line}: key {key.value!r} is there twice")
             seen.add(key.value)
+
+
+def _joined(name: str, more: str) -> str:
+    """Return what leads to a value, cut short: each value keeps its own."""
+    whole = name + more
+    return whole if len(whole) <= SHOWN else "..." + whole[3 - SHOWN :]

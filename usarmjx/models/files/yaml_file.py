@@ -1,5 +1,6 @@
 """An arena's YAML file: the fields of `ArenaSpec`, and other files to take solids from."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import EMPTY, Content, extent_of, free_start_pose, merge_contents
 from usarmjx.models.files.fields import check_keys, hints_of, read, read_record, required
@@ -18,6 +20,15 @@ from usarmjx.models.files.values import YamlValue
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import HeightField, Mesh
 
+MOST_SOLIDS = 50_000
+"""Solids of an arena, and victims."""
+MOST_OTHER_FILES = {
+    **dict.fromkeys(("heights", "heightfield", "map"), 32),
+    **dict.fromkeys(("mjcf", "urdf"), 100),
+    **dict.fromkeys(("mesh", "meshes", "decomposition"), 1000),
+}
+"""Keys that name other files, and how many of them an arena may have."""
+
 
 def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     """Return the arena that a YAML file describes, and what of its other files is left out.
@@ -27,6 +38,7 @@ def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     """
     given = value.mapping()
     check_keys(value, [*hints_of(ArenaSpec), *SOLID_SOURCES])
+    _check_number_of_files(value)
     content = merge_contents(
         [part for key in SOLID_SOURCES if key in given for part in _contents(key, given[key])]
     )
@@ -34,6 +46,22 @@ def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     usual = {"name": value.path.stem, "starts": (), "extent": EMPTY}
     arena = read_record(ArenaSpec, own, SPECIAL, **usual)
     return complete_arena(arena, content, value, set(given)), content.warnings
+
+
+def _check_number_of_files(value: YamlValue) -> None:
+    """Refuse a file that names more other files than an arena may be made of."""
+    found: Counter[str] = Counter()
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        pairs = one.data.items() if isinstance(one.data, dict) else ()
+        waiting += one.data if isinstance(one.data, list) else [item for _, item in pairs]
+        for key, item in pairs:
+            if key in MOST_OTHER_FILES:
+                named = item.data if isinstance(item.data, list) else [item]
+                found[key] += sum(isinstance(name.data, str | dict) for name in named)
+                if found[key] > MOST_OTHER_FILES[key]:
+                    raise item.error(f"more than {MOST_OTHER_FILES[key]} files under {key!r} in one arena")
 
 
 def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: set[str]) -> ArenaSpec:
@@ -46,13 +74,23 @@ def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: 
         given: Fields that are settled.
     """
     shapes, loose = (*arena.shapes, *content.shapes), (*arena.loose, *content.loose)
+    solids = [*shapes, *(shape for one in loose for shape in one.shapes)]
+    if len(solids) + len(arena.victims) > MOST_SOLIDS:
+        raise value.error(
+            f"{len(solids)} solids and {len(arena.victims)} victims; at most {MOST_SOLIDS} in all"
+        )
     arena = replace(arena, shapes=shapes, loose=loose, doors=(*arena.doors, *content.doors))
     if "has_floor" not in given and content.floor is not None:
         arena = replace(arena, has_floor=content.floor)
     if "extent" not in given:
         arena = replace(arena, extent=content.extent or extent_of(shapes, loose))
     if "starts" not in given:
-        start = free_start_pose(arena, content.free_position)
+        if wrong := problem(arena):
+            raise value.error(wrong)
+        try:
+            start = free_start_pose(arena, content.free_position)
+        except SpecError as error:
+            raise value.error(f"no start pose can be found, give `starts`: {error}") from error
         if start is None:
             raise value.error("there is no free place for a robot to start from: give `starts`, or a floor")
         arena = replace(arena, starts=(start,))

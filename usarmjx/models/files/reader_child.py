@@ -1,0 +1,124 @@
+"""The program of the process that reads files for `reader_process`; it imports nothing of usarmjx.
+
+A line of JSON on its input names a file and how to read it; a line of JSON on its output says what came of
+it, with as many bytes behind it as the line says. A crash, an endless loop or a flood of memory ends this
+process and no other.
+"""
+
+import contextlib
+import json
+import os
+import select
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, BinaryIO
+
+MEMORY = 2_000_000_000
+"""What reading one file may take beyond what the readers take themselves [bytes]."""
+CPU_TIME = 20
+"""What reading one file may take [s]."""
+IDLE = 10.0
+"""After so long without a file this process ends [s]."""
+MOST_GEOMS = 50_000
+"""Geoms of a model."""
+LOADING: dict[str, dict[str, Any]] = {
+    "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
+    "stl": {"process": False},
+}
+"""Kinds of mesh files, and how trimesh shall read them: as they are."""
+
+
+def limit() -> None:
+    """Lower this process' limits to what the next file may take, where the system has limits."""
+    try:
+        import resource
+    except ImportError:
+        return
+    end = int(time.process_time()) + 1 + CPU_TIME
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (end if most < 0 else min(end, most), most))
+    with contextlib.suppress(OSError, ValueError):  # no such file, or a system that has not this limit
+        with open("/proc/self/statm") as file:
+            size = int(file.read().split()[0]) * resource.getpagesize()
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        wanted = size + MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (wanted if most < 0 else min(wanted, most), most))
+
+
+def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
+    """Compile an MJCF or URDF file, and make the data that goes with it."""
+    import mujoco
+
+    limit()
+    model = mujoco.MjSpec.from_file(path).compile()
+    if model.ngeom > MOST_GEOMS:
+        raise ValueError(f"it makes {model.ngeom} geoms; at most {MOST_GEOMS}")
+    mujoco.MjData(model)
+    return {}, []
+
+
+def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
+    """Read a mesh file's objects: their names, and vertices and faces of each."""
+    import numpy as np
+    import trimesh
+
+    limit()
+    kind = path[-3:].lower()
+    with open(path, "rb") as file:
+        scene: Any = trimesh.load_scene(_as_utf8(file, kind), file_type=kind, **LOADING[kind])
+    found = [(str(name), scene.geometry[name]) for name in sorted(scene.geometry)]
+    arrays = [
+        np.ascontiguousarray(array, kind)
+        for _, mesh in found
+        for array, kind in ((mesh.vertices, "<f8"), (mesh.faces, "<i8"))
+    ]
+    names = [name for name, _ in found]
+    return {"names": names, "shapes": [array.shape for array in arrays]}, arrays
+
+
+def _as_utf8(file: BinaryIO, kind: str) -> BinaryIO:
+    """Return a text file with what is no UTF-8 in it replaced; trimesh would want another module for that."""
+    import io
+
+    data = file.read()
+    if kind == "stl" and b"\0" in data:
+        return io.BytesIO(data)
+    return io.BytesIO(data.decode("utf-8", "replace").encode())
+
+
+READERS: dict[str, Callable[[str], tuple[dict[str, object], list[Any]]]] = {
+    "model": try_model,
+    "mesh": read_mesh,
+}
+
+
+def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
+    """Return what came of reading a file: the values it has, or under "error" what is wrong with it."""
+    kind, path = json.loads(line)
+    try:
+        return READERS[kind](path)
+    except MemoryError:
+        return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
+    except Exception as error:  # readers raise whatever they run into
+        return {"error": " ".join(str(error).split()) or type(error).__name__}, []
+
+
+def main() -> None:
+    """Answer line by line, until nobody asks any more."""
+    sys.path[:] = json.loads(sys.argv[1])
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the readers print is no answer
+    while os.name == "nt" or select.select([0], [], [], IDLE)[0]:
+        line = sys.stdin.buffer.readline()
+        if not line:
+            return
+        values, arrays = answer(line)
+        body = [array.tobytes() for array in arrays]
+        head = {**values, "bytes": sum(map(len, body))}
+        out.write(json.dumps(head).encode() + b"\n" + b"".join(body))
+        out.flush()
+
+
+if __name__ == "__main__":
+    main()
