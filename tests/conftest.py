@@ -46,6 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # the time of training's tests. Each process has its own, as jax does not write whole files at once.
     cache = tempfile.TemporaryDirectory(prefix="usarmjx-compiled-")
     config.add_cleanup(cache.cleanup)
+    os.environ["USARMJX_CACHE"] = "off"
     os.environ["JAX_COMPILATION_CACHE_DIR"] = cache.name  # for programs that tests start
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
     jax.config.update("jax_compilation_cache_dir", cache.name)

@@ -18,7 +18,6 @@ from usarmjx.server.worlds.make import parse_roster
 @pytest.fixture(autouse=True)
 def own_cache(monkeypatch, tmp_path):
     """What JAX compiles for a test belongs to the test."""
-    monkeypatch.setattr("usarmjx.server.worlds.make.enable_compilation_cache", lambda: None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 

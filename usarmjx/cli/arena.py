@@ -7,6 +7,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
     from usarmjx.models.spec.arena import ArenaSpec
@@ -24,6 +25,7 @@ LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, 
 def list_arenas() -> None:
     """List the arenas that ship with usarmjx, with what is in them."""
     with ErrorExit():
+        announce("reading the arenas ...")
         from usarmjx.cli.arena_tables import arenas_table
 
         typer.echo(arenas_table())
@@ -37,6 +39,7 @@ def draw(
 ) -> None:
     """Draw an arena's floor plan, or the arena from a corner above, or both."""
     with ErrorExit():
+        announce(f"drawing arena {arena} ...")
         from usarmjx.base.errors import UsageError
         from usarmjx.models.files.load import find_arena
 
@@ -54,6 +57,7 @@ def check(
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
     with ErrorExit():
+        announce(f"checking arena {arena} ...")
         from usarmjx.models.check.arena import check_arena
         from usarmjx.models.files.load import find_arena
 
@@ -88,6 +92,7 @@ def generate(
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
+        announce(f"making a {kind} ...")
         from usarmjx.cli.arena_tables import summary
         from usarmjx.models.build.compose import Physics, new_spec
         from usarmjx.models.files.load import save_arena
@@ -118,6 +123,7 @@ def generate(
 def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")]) -> None:
     """Draw the pictures of docs/arenas.md: all arenas, and a generated one of each kind."""
     with ErrorExit():
+        announce("drawing all arenas ...")
         from usarmjx.models.arenas import ARENAS
         from usarmjx.models.generate import KINDS
         from usarmjx.models.generate import generate as make

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from usarmjx.cli.tools import EngineOption, ErrorExit, IniOption, SeedOption, UnitOption, configure_from
+from usarmjx.cli.waiting import announce
 
 app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
 
@@ -23,6 +24,7 @@ def bench_radio(
 ) -> None:
     """Measure the links of all pairs of robots, walls counted."""
     with ErrorExit():
+        announce("measuring the radio ...", keep=False)
         from usarmjx.bench.radio import RadioCase, measure_radio
 
         case = RadioCase(worlds=worlds, robots=robots, walls=walls, steps=steps, repeats=repeats, seed=seed)
@@ -42,6 +44,7 @@ def bench_rays(
 ) -> None:
     """Measure laser scans of all robots, and the same by brute force."""
     with ErrorExit():
+        announce("measuring rays ...", keep=False)
         from usarmjx.bench.rays import RayCase, measure_rays
 
         size = {"worlds": worlds, "robots": robots, "walls": walls, "steps": steps, "repeats": repeats}
@@ -64,6 +67,7 @@ def bench_camera(
 ) -> None:
     """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
     with ErrorExit():
+        announce("measuring pictures ...", keep=False)
         from usarmjx.bench.camera import CameraCase, measure_camera
         from usarmjx.server.protocol.images import parse_size
 
@@ -139,6 +143,7 @@ def bench_train(
 ) -> None:
     """Record runs of `usarmjx train`: their speed and curves, and when they were as good as by hand."""
     with ErrorExit():
+        announce("reading runs ...")
         from usarmjx.bench.train import record_run
 
         for run in runs:
@@ -165,6 +170,7 @@ def bench_step(
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
     with ErrorExit():
+        announce("measuring steps ...", keep=False)
         configure_from(ini, uu_per_metre)
         from usarmjx.bench.step import StepCase, measure_step
 

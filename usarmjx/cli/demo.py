@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import announce
 
 
 def demo(
@@ -15,6 +16,7 @@ def demo(
 ) -> None:
     """Run the main job: serve a batch, let the example client drive a P2AT, draw what it did."""
     with ErrorExit():
+        announce("starting a server, and a robot to drive in it ...")
         from usarmjx.cli.demo_run import run_demo
 
         sys.exit(run_demo(out, seconds))

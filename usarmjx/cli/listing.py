@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.tools import ErrorExit, IniOption, UnitOption, configure_from
+from usarmjx.cli.waiting import announce
 
 
 def list_everything(
@@ -16,6 +17,7 @@ def list_everything(
 ) -> None:
     """List robots, arenas, sensors and engines."""
     with ErrorExit():
+        announce("reading what there is ...")
         configure_from(ini, uu_per_metre)
         from usarmjx.base.errors import UsageError
         from usarmjx.cli.catalogue import catalogue, robots_table

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import announce
 
 
 def portraits(
@@ -14,6 +15,7 @@ def portraits(
 ) -> None:
     """Draw robots with the sensors' raycaster."""
     with ErrorExit():
+        announce("drawing robots ...")
         from usarmjx.models.robots import ROBOTS
         from usarmjx.plots.portrait import portraits as draw_all
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import announce
 
 
 def radio_map(
@@ -22,6 +23,7 @@ def radio_map(
 ) -> None:
     """Draw a map of the power that a radio's signal has all over an arena."""
     with ErrorExit():
+        announce(f"drawing the radio in arena {arena} ...")
         from usarmjx.comms.attenuation import RadioSettings, radio_settings
         from usarmjx.models.files.load import find_arena
         from usarmjx.plots.radio_map import parse_position, radio_picture

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import announce
 
 
 def sensor_plots(
@@ -14,6 +15,7 @@ def sensor_plots(
 ) -> None:
     """Draw what sensors see and how wrong they are: the pictures of docs/sensors.md."""
     with ErrorExit():
+        announce("drawing what sensors see ...")
         import usarmjx.plots.camera_plots  # noqa: F401 - adds its plots
         from usarmjx.plots.sensor_plots import PLOTS, plot
 

@@ -1,6 +1,5 @@
 """What the commands of all sub-applications share."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -34,16 +33,6 @@ PortOffsetOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Added to this port and all others, for a second server.")
 ]
 UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
-
-
-def announce(text: str) -> None:
-    """Say what takes a while, before JAX is imported, on the standard error stream; nothing if it is already.
-
-    The import alone takes a second or two, so even a wrong name is found later than that; in a process
-    that has it behind itself it is found at once.
-    """
-    if "jax" not in sys.modules:
-        typer.echo(f"usarmjx: {text}", err=True)
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.waiting import announce
 from usarmjx.server.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
@@ -51,11 +52,12 @@ def train(
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
-        if processes > 1:
-            from usarmjx.train.processes.launch import process_info, spawn
+        from usarmjx.train.processes.launch import process_info, spawn
 
-            if process_info(os.environ) is None:
-                raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
+        joined = process_info(os.environ)
+        if processes > 1 and joined is None:
+            raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
+        announce(f"building worlds for {task} ...", aloud=joined is None or joined.index == 0)
         from usarmjx.train.processes.group import distributed_run
 
         with distributed_run() as process, _served(out, port, serve and process.index == 0):
@@ -145,6 +147,7 @@ def export(
 ) -> None:
     """Write the policy of a run to a file that NumPy alone can run."""
     with ErrorExit():
+        announce(f"reading {run} ...")
         from usarmjx.train.policies.export import export_run
 
         export_run(run, out, checkpoint, half)
@@ -160,6 +163,7 @@ def curves(
 ) -> None:
     """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
     with ErrorExit():
+        announce("drawing curves ...")
         from usarmjx.plots.training_plots import plot_curves
 
         plot_curves(sources, out)

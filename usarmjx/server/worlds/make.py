@@ -1,10 +1,6 @@
 """The worlds that `usarmjx serve` serves, by engine."""
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
-
-import jax
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
@@ -34,13 +30,6 @@ def parse_roster(text: str) -> list[str]:
     return names
 
 
-def enable_compilation_cache() -> None:
-    """Keep what JAX compiles in the user's cache folder, so that the next start is quick."""
-    root = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    jax.config.update("jax_compilation_cache_dir", str(root / "usarmjx" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-
-
 def make_worlds(
     arena: str,
     *,
@@ -68,7 +57,6 @@ def make_worlds(
         UnknownNameError: Unknown arena, engine or robot class.
         EngineError: The engine cannot run here.
     """
-    enable_compilation_cache()
     check_instances(instances, worlds)
     if choose_engine(engine, "serve") == "c":
         spec, classes = find_arena(arena), dict.fromkeys(parse_roster(roster))

@@ -1,0 +1,139 @@
+"""What a command says while one waits for it: at once, and while it compiles."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import dev
+from usarmjx.cli.waiting import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch
+
+COMMANDS = (
+    "list",
+    "arena list",
+    "arena draw yellow --png x.png",
+    "arena check yellow",
+    "arena generate",
+    "arena gallery x",
+    "portraits x.png",
+    "radio-map yellow x.png --from 0,0",
+    "sensor-plots x",
+    "demo --out x",
+    "serve --port 0 --no-wireless --no-images",
+    "play wander --out x.png",
+    "play wander --serve --port 0",
+    "eval wander",
+    "train --task wander --out x",
+    "export x x.npz",
+    "curves x",
+    "bench radio",
+    "bench rays",
+    "bench camera",
+    "bench step",
+    "bench train x",
+)
+WITHOUT_JAX = """
+import contextlib, io, json, sys, threading
+from importlib.abc import MetaPathFinder
+
+class Met(BaseException):
+    pass
+
+class Gate(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "jax" and threading.current_thread() is threading.main_thread():
+            raise Met
+
+sys.meta_path.insert(0, Gate())
+from usarmjx.cli.app import app
+found = {}
+for command in json.loads(sys.argv[1]):
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            app(command.split(), standalone_mode=False)
+        found[command] = "no JAX"
+    except Met:
+        found[command] = said.getvalue()
+print(json.dumps(found))
+"""
+
+
+def test_every_command_says_something_before_it_imports_jax(tmp_path):
+    """That import takes a second or two; here it ends the command."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_JAX, json.dumps(COMMANDS)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(dev.ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert [command for command in COMMANDS if not said[command].startswith("usarmjx: ")] == []
+    assert all(text.count("\n") == 1 and text.endswith(" ...\n") for text in said.values()), said
+
+
+class Talk:
+    """A watch that hears of compilations at times of a clock of its own."""
+
+    def __init__(self):
+        self.said, self.now = [], 0.0
+        self.watch = CompilationWatch(self.said.append)
+
+    def wait(self, seconds):
+        """Look twice a second, as the command does."""
+        for _ in range(round(2 * seconds)):
+            self.now += 0.5
+            self.watch.look(self.now)
+
+    def hear(self, event, duration=0.0, thread=0):
+        self.watch.heard(f"/jax/core/compile/{event}", duration, self.now, thread)
+
+
+@pytest.fixture
+def talk():
+    return Talk()
+
+
+def test_a_long_compilation_is_spoken_of_until_it_ends(talk):
+    talk.wait(20)
+    talk.hear(LOWERED, 1.0)
+    talk.wait(24)
+    talk.hear(COMPILED, 24.0)
+    talk.wait(60)
+    assert talk.said == ["compiling ... 3 s", "compiling ... 10 s", "compiling ... 20 s", "compiled, 25 s"]
+
+
+def test_many_short_ones_in_a_row_are_one(talk):
+    for _ in range(4):
+        talk.wait(1.5)
+        talk.hear("jaxpr_trace_duration", 1.5)
+    assert talk.said == ["compiling ... 3 s"]
+    talk.wait(10)
+    assert talk.said[1:] == ["compiled, 6 s"]
+
+
+def test_nothing_is_said_of_short_ones_nor_of_other_events(talk):
+    for _ in range(5):
+        talk.hear(LOWERED)
+        talk.wait(1)
+        talk.hear(COMPILED, 1.0)
+        talk.wait(30)
+    talk.watch.heard("/jax/compilation_cache/cache_misses", 50.0, talk.now)
+    talk.wait(30)
+    assert talk.said == []
+
+
+def test_one_thread_may_wait_for_another(talk):
+    talk.hear(LOWERED, thread=1)
+    talk.hear(LOWERED, thread=2)
+    talk.wait(FIRST)
+    talk.hear(COMPILED, FIRST, thread=1)
+    talk.wait(INTERVAL)
+    assert talk.said == ["compiling ... 3 s", "compiling ... 10 s"]
+    talk.hear(COMPILED, FIRST + INTERVAL, thread=2)
+    talk.wait(10)
+    assert talk.said[2:] == ["compiled, 13 s"]

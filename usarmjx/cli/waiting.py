@@ -1,0 +1,116 @@
+"""What a command says while it starts and compiles, on the standard error stream, terminal or not."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import typer
+
+from usarmjx.base.compilation_cache import JAX_FOLDER, keep_compilations, tell_once_of_broken_entries
+
+FIRST, INTERVAL = 3.0, 10.0
+"""After so long something is said of a compilation, and then again and again [s]."""
+GAP = 2.0
+"""What comes so soon after another compilation belongs to it [s]."""
+COMPILATION = "/jax/core/compile/"
+LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
+
+
+class CompilationWatch:
+    """Says now and then that JAX is compiling, and when it is over.
+
+    JAX tells of each part of a compilation when it ends: that a function was traced, lowered, compiled.
+    Between the last two XLA is at work, for minutes perhaps.
+
+    Args:
+        say: Takes a line.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._compiling: dict[int, float] = {}  # threads in which XLA is at work
+        self._begun, self._last, self._next = 0.0, -1e9, FIRST
+        self._lock = threading.Lock()
+
+    def heard(self, event: str, duration: float, now: float, thread: int = 0) -> None:
+        """Take note of an event of JAX's.
+
+        Args:
+            event: Its name.
+            duration: How long what it tells of has taken [s].
+            now: The time [s].
+            thread: Where that was.
+        """
+        if not event.startswith(COMPILATION):
+            return
+        with self._lock:
+            if not self._compiling and now - duration - self._last > GAP:
+                self._begun, self._next = now - duration, FIRST
+            self._last = now
+            self._compiling.pop(thread, None)
+            if event.endswith(LOWERED):
+                self._compiling[thread] = now
+
+    def look(self, now: float) -> None:
+        """Say what there is to say at a time [s]."""
+        with self._lock:
+            length = (now if self._compiling else self._last) - self._begun
+            if self._compiling or now - self._last <= GAP:
+                if length >= self._next:
+                    self._say(f"compiling ... {length:.0f} s")
+                    self._next = length - length % INTERVAL + INTERVAL
+            elif self._next > FIRST:
+                self._say(f"compiled, {length:.0f} s")
+                self._next = FIRST
+
+
+def say(text: str) -> None:
+    """Write a line to the standard error stream."""
+    typer.echo(f"usarmjx: {text}", err=True)
+
+
+def announce(text: str, *, keep: bool = True, aloud: bool = True) -> None:
+    """Say what takes a while, and go on saying so while it compiles; what is compiled is kept.
+
+    The first line comes before JAX is imported, which takes a second or two. Nothing happens in a process
+    that has it behind itself: it compiles, and keeps what it compiles, as it likes.
+
+    Args:
+        text: What is begun.
+        keep: Whether compilations are kept, and those of before used.
+        aloud: Whether anything is said; of several processes that do the same, one is enough.
+    """
+    if "jax" in sys.modules:
+        return
+    tell = say if aloud else _say_nothing
+    tell(text)
+    if keep:
+        if complaint := keep_compilations():
+            tell(f"note: {complaint}")
+        if folder := os.environ.get(JAX_FOLDER):
+            tell_once_of_broken_entries(tell, Path(folder))
+    threading.Thread(target=_watch, args=(tell,), name="compilations", daemon=True).start()
+
+
+def _say_nothing(text: str) -> None:
+    del text
+
+
+def _watch(tell: Callable[[str], None]) -> None:
+    """Tell of compilations from the moment on that somebody imports JAX."""
+    while "jax" not in sys.modules:
+        time.sleep(0.1)
+    from jax import monitoring
+
+    watch = CompilationWatch(tell)
+
+    def hear(event: str, duration_secs: float, **_: object) -> None:
+        watch.heard(event, duration_secs, time.monotonic(), threading.get_ident())
+
+    monitoring.register_event_duration_secs_listener(hear)
+    while True:
+        time.sleep(0.5)
+        watch.look(time.monotonic())
