@@ -2,14 +2,16 @@
 
 import logging
 import math
+import time
 from collections.abc import Callable
 
 from usarmjx.base.arrays import ArrayLike
-from usarmjx.base.errors import PeerError, UnknownNameError, UsageError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import STEER_SUFFIX, RobotSpec
 from usarmjx.sensors.rfid import Rfid
+from usarmjx.server.fault_log import INTERVAL, FaultLog, summary
 from usarmjx.server.messages.sensors import (
     configuration,
     geometry,
@@ -22,9 +24,9 @@ from usarmjx.server.messages.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
-from usarmjx.server.protocol.grammar import Message, four_decimals, to_vector
+from usarmjx.server.protocol.grammar import Message, clip, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
-from usarmjx.server.protocol.session import RobotSession
+from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
@@ -33,8 +35,6 @@ from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
 
-LOG_INTERVAL = 1.0
-"""A client's faults are collected for this long, so that junk does not fill the disk with log lines [s]."""
 BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
 RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
@@ -47,14 +47,16 @@ class Client:
     Args:
         world: The served world.
         peer: The peer's address, for the log.
+        fault_log: Where its faults are logged; None: in a log of its own.
     """
 
-    def __init__(self, world: ServedWorld, peer: str) -> None:
+    def __init__(self, world: ServedWorld, peer: str, fault_log: FaultLog | None = None) -> None:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
         self.next_report = 0.0
         self._trace_state: RobotTrace | None = None
-        self._next_log = 0.0
+        self._fault_log = fault_log or FaultLog(log)
+        self._next_log, self._logged = 0.0, 0
         self._world = world
         self._peer = peer
         self._handlers: dict[type, Callable[..., None]] = {
@@ -79,23 +81,24 @@ class Client:
         if not self.lost:
             self._handlers[type(command)](command)
 
-    def log_faults(self) -> None:
-        """Log what was wrong with the client's lines, at most once a second of the world's time."""
-        if self._world.time < self._next_log:
-            return
-        self._next_log = self._world.time + LOG_INTERVAL
-        for fault in self.session.take_faults():
-            log.warning("%s: %s", self._peer, fault)
+    def log_faults(self, *, is_last: bool = False) -> None:
+        """Log what was wrong with the client's lines, in a line at most once a second; the last one at once."""
+        now = time.monotonic()
+        count = self.session.fault_count - self._logged
+        if count and (is_last or now >= self._next_log):
+            self._next_log, self._logged = now + INTERVAL, self.session.fault_count
+            faults = self.session.take_faults()[:MAX_FAULTS]
+            self._fault_log.warning("%s: %s", self._peer, summary(faults, count))
 
     # INIT comes in two halves, so that the server can prepare the class in a thread.
 
     def class_of(self, init: wire.Init) -> RobotSpec | None:
-        """Return the robot class that an INIT asks for; None, logged, when there is no such class."""
-        try:
+        """Return the robot class that an INIT asks for; None when there is no such class."""
+        if init.class_name in ROBOTS:
             return ROBOTS.get(init.class_name)
-        except UnknownNameError as error:
-            log.warning("%s: %s", self._peer, error)
-            return None
+        known = ", ".join(ROBOTS.names())
+        self.session.note_refusal(f"unknown robot {clip(init.class_name)}; known: {known}")
+        return None
 
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
@@ -104,7 +107,7 @@ class Client:
             tile = self._world.free_tile(spec)
             robot = self._world.spawn_at(spec, init.name or self._free_name(spec), poses)
         except UsageError as error:
-            log.warning("%s: INIT refused: %s", self._peer, error)
+            self.session.note_refusal(str(error))
             return False
         robot.tile, self.robot = tile, robot
         self.next_report = robot.spawn_time + spec.msg_timer
@@ -116,9 +119,8 @@ class Client:
         arena = self._world.arena
         tags = {start.tag.lower(): start for start in arena.starts}
         if init.start and init.start.lower() not in tags:
-            raise UsageError(
-                f"no start pose {init.start!r}; known: {', '.join(s.tag for s in tags.values())}"
-            )
+            known = ", ".join(start.tag for start in tags.values())
+            raise UsageError(f"no start pose {clip(init.start)}; known: {known}")
         angles = flip_wire_angles(init.rotation) if init.rotation else None
         if init.location is not None and not init.start:
             return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
@@ -193,7 +195,7 @@ class Client:
         full = robot.spec.drive.full_scale
         unknown = [key for key in values if key not in full]
         if unknown:
-            log.warning("%s: %s has no DRIVE {%s}", self._peer, robot.spec.name, "} {".join(unknown))
+            self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         flip_until = self._world.time + FLIP_TIME if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
@@ -222,9 +224,9 @@ class Client:
     def _set_named_joint(self, name: str, order: int, value: float) -> None:
         joint = self._present.plan.joint_index(name)
         if joint is None:
-            log.warning("%s: %s has no joint %r", self._peer, self._present.spec.name, name)
+            self.session.add_fault(f"{self._present.spec.name} has no joint {clip(name)}")
         elif not self._set_joint_mode(joint, order, value):
-            log.warning("%s: no such order as %d for joint %s", self._peer, order, name)
+            self.session.add_fault(f"no such order as {order} for joint {clip(name)}")
 
     def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
         if command.value is not None:
@@ -244,9 +246,9 @@ class Client:
         for link in command.links:
             joint = link_joint(self._present.spec, command.name, link.link)
             if joint is None:
-                log.warning("%s: no link %d in package %r", self._peer, link.link, command.name)
+                self.session.add_fault(f"no link {link.link} in package {clip(command.name)}")
             elif not self._set_joint_mode(joint, link.order, link.value):
-                log.warning("%s: MISPKG order %d is not supported", self._peer, link.order)
+                self.session.add_fault(f"MISPKG order {link.order} is not supported")
 
     def _set(self, command: wire.Set) -> None:
         robot = self._present
@@ -290,7 +292,7 @@ class Client:
         for name, fov in command.cameras:
             camera = robot.camera_index(name)
             if camera is None:
-                log.warning("%s: %s has no camera %r", self._peer, robot.spec.name, name)
+                self.session.add_fault(f"{robot.spec.name} has no camera {clip(name)}")
             else:
                 statuses[camera] = STATUS_OK if self._world.zoom(robot, camera, fov) else STATUS_FAILED
         names = [camera.mount.name for camera in robot.cameras]
@@ -315,7 +317,7 @@ class Client:
         try:
             self._world.view_bindings.bind(command.client, command.robot, command.name)
         except PeerError as error:
-            log.warning("%s: %s", self._peer, error)
+            self.session.add_fault(str(error))
 
     def _trace(self, command: wire.Trace) -> None:
         self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
@@ -352,7 +354,7 @@ class Client:
         try:
             return to_vector(params)
         except PeerError as error:
-            log.warning("%s: %s", self._peer, error)
+            self.session.add_fault(str(error))
             return None
 
     def _geometry(self, command: wire.GetGeo) -> None:

@@ -25,6 +25,7 @@ class BotServerSettings:
         max_connections: Most clients at once (BotAPI.ini: MaxConnections).
         init_timeout: Who has no robot and asks for nothing for so long makes room, and who only asks
             does when no seat is left; 0: nobody has to [s].
+        max_faults: A client is dropped after so many lines in a row that could not be used; 0: never.
         access: Who may connect.
     """
 
@@ -32,6 +33,7 @@ class BotServerSettings:
     port: int = BOT_PORT
     max_connections: int = 16
     init_timeout: float = 60.0
+    max_faults: int = 1000
     access: AccessRules = EVERYBODY
 
 

@@ -13,17 +13,19 @@ from typing import Protocol
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.adapter import Client
 from usarmjx.server.bot_server import BotServerSettings, Tally
+from usarmjx.server.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
+from usarmjx.server.fault_log import FaultLog
 from usarmjx.server.gate import Gate
 from usarmjx.server.protocol.commands import Command, Init
-from usarmjx.server.wireless.sockets import listen
+from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
 
-READ_SIZE = 4096
-"""Most bytes taken from a socket at once."""
-MAX_SLICE = 1e-3
-"""Once a client's lines have taken this long in a control step, the rest of them wait for the next [s]."""
+READ_SIZE = 256
+"""Most bytes taken at once of what a client says: between two such pieces it is another one's turn."""
+RECEIVE_BUFFER = 32 * 1024
+"""The system keeps so much of what a client says beyond that, and then lets it wait [bytes]."""
 MAX_WRITE_BUFFER = 64 * 1024
 """While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
 
@@ -37,9 +39,8 @@ class RobotConnection:
         reader: What it says.
         writer: What it is told.
         peer: What the log calls it.
+        budget: What its lines may cost.
         last_asked: When it gave a command that was legal last [s].
-        step: World time of the control step that `spent` is about [s].
-        spent: How long its lines have taken in that step [s].
         since: When it connected [s].
     """
 
@@ -47,9 +48,8 @@ class RobotConnection:
     reader: asyncio.StreamReader
     writer: asyncio.StreamWriter
     peer: str
+    budget: ClientBudget
     last_asked: float = field(default_factory=time.monotonic)
-    step: float = -1.0
-    spent: float = 0.0
     since: float = field(default_factory=time.monotonic)
 
     @property
@@ -57,6 +57,11 @@ class RobotConnection:
         """Whether it has no robot, and waits for none."""
         client = self.client
         return client.robot is None and not client.session.awaits_answer and not self.writer.is_closing()
+
+    @property
+    def has_left(self) -> bool:
+        """Whether either side has closed the connection, however much of it is still to be read."""
+        return self.writer.is_closing() or has_hung_up(self.writer.get_extra_info("socket"))
 
     def flush(self) -> None:
         """Write what waits to be sent, if the socket can take it."""
@@ -130,6 +135,8 @@ class BotServer:
         )
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
+        self._budgets, self._joins = BudgetPool(world.period), BudgetPool(world.period, JOIN_SHARE)
+        self._fault_log = FaultLog(log)
         self._stepped = asyncio.Event()
         self._joining = asyncio.Lock()
         # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
@@ -173,6 +180,9 @@ class BotServer:
             self._attend(connection, now)
         for service in self.services:
             service.tick()
+        self._fault_log.flush()
+        self._budgets.refill()
+        self._joins.refill()
         self._stepped.set()
         self._stepped.clear()
 
@@ -193,15 +203,19 @@ class BotServer:
             log.warning("a client's robot is gone: its connection is closed")
             connection.writer.close()
         elif patience and now > connection.last_asked + patience and connection.is_idle:
-            log.warning("%s: no INIT for %g s: its connection is closed", connection.peer, patience)
+            self._fault_log.warning(
+                "%s: no INIT for %g s: its connection is closed", connection.peer, patience
+            )
             connection.hang_up()
+        if connection.budget.balance <= 0.0 and connection.has_left:
+            connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
 
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
             action()
         except PeerError as error:
-            log.warning("dropping a client: %s", error)
+            self._fault_log.warning("%s: dropped: %s", self._connections[client].peer, error)
             self._connections[client].writer.transport.abort()
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -212,20 +226,22 @@ class BotServer:
             self._gate.refuse(peer, f"{len(self._connections)} connections are open")
             writer.close()
             return
-        client = Client(self.world, peer)
-        connection = self._connections[client] = RobotConnection(client, reader, writer, peer)
+        limit_receive_buffer(writer, RECEIVE_BUFFER)
+        client, budget = Client(self.world, peer, self._fault_log), ClientBudget(self._budgets)
+        connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
         self.tally.connections += 1
         log.info("%s: connected", peer)
         try:
             connection.flush()
             await self._listen(connection)
         except (ConnectionError, PeerError) as error:
-            log.warning("%s: %s", peer, error)
+            self._fault_log.warning("%s: %s", peer, error)
         except asyncio.CancelledError:
             log.info("%s: the server stops", peer)  # the end of this task; nobody waits for its result
         finally:
             del self._connections[client]
             self.tally.faults += client.session.fault_count
+            client.log_faults(is_last=True)
             client.leave()
             connection.hang_up()
             log.info("%s: disconnected", peer)
@@ -242,7 +258,7 @@ class BotServer:
         ]
         if idle:
             longest = min(idle, key=lambda connection: connection.since)
-            log.warning("%s: makes room, it has no robot", longest.peer)
+            self._fault_log.warning("%s: makes room, it has no robot", longest.peer)
             longest.hang_up()
         return bool(idle)
 
@@ -250,22 +266,15 @@ class BotServer:
         client = connection.client
         while not connection.writer.is_closing():
             data = await connection.reader.read(READ_SIZE)
-            began = time.perf_counter()
-            commands = client.session.receive_data(data) if data else client.session.receive_eof()
-            await self._charge(connection, began)
+            async with connection.budget:
+                commands = client.session.receive_data(data) if data else client.session.receive_eof()
             await self._obey(connection, commands)
             client.log_faults()
             connection.flush()
             if not data:
                 return
-
-    async def _charge(self, connection: RobotConnection, began: float) -> None:
-        """Let a client that has used up its slice wait: no one may keep the world from stepping."""
-        if connection.step != self.world.time:
-            connection.step, connection.spent = self.world.time, 0.0
-        connection.spent += time.perf_counter() - began
-        if connection.spent > MAX_SLICE:
-            await self._stepped.wait()
+            if 0 < self.settings.max_faults <= client.session.faults_in_a_row:
+                raise PeerError(f"dropped: {client.session.faults_in_a_row} faults in a row")
 
     async def _obey(self, connection: RobotConnection, commands: list[Command]) -> None:
         client = connection.client
@@ -273,25 +282,36 @@ class BotServer:
             for command in commands:
                 self.tally.commands[type(command)] += 1
                 if not isinstance(command, Init):
-                    began = time.perf_counter()
-                    client.handle(command)
-                    await self._charge(connection, began)
+                    async with connection.budget:
+                        client.handle(command)
             last, connection.last_asked = commands[-1], time.monotonic()
             if not (client.session.awaits_answer and isinstance(last, Init)):
                 return
-            commands = client.session.answer_init(await self._init(connection, last))
+            accepted = await self._init(connection, last)
+            async with connection.budget:
+                commands = client.session.answer_init(accepted)
             connection.last_asked = time.monotonic()
 
     async def _init(self, connection: RobotConnection, init: Init) -> bool:
         client = connection.client
-        spec = client.class_of(init)
+        async with connection.budget:
+            connection.budget.charge(INIT_COST)
+            spec = client.class_of(init)
         if spec is None:
             return False
         try:
             await asyncio.get_running_loop().run_in_executor(self._executor, self.world.prepare, spec)
         except UsageError as error:
-            log.warning("%s: INIT refused: %s", connection.peer, error)
+            client.session.note_refusal(str(error))
             return False
         async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
             await self._stepped.wait()
-            return client.spawn(init, spec)
+            while self._joins.is_spent:
+                await self._stepped.wait()
+            began = self._joins.clock()
+            accepted = client.spawn(init, spec)
+            cost = self._joins.clock() - began
+            self._joins.spend(cost)
+            if not accepted:
+                connection.budget.charge(cost)
+            return accepted

@@ -2,6 +2,8 @@
 
 import re
 
+from usarmjx.base.errors import PeerError
+
 # The longest line that a known client can send is a few hundred bytes, and the largest line buffer
 # seen in one (Player's drivers) is 4096 bytes. Twice that leaves room and stays a small allocation.
 DEFAULT_LIMIT = 8192
@@ -9,6 +11,22 @@ DEFAULT_LIMIT = 8192
 # Controllers end lines with CR LF, LF CR, LF or CR. Any run of them is one end, which also drops
 # blank lines.
 _END = re.compile(rb"[\r\n]+")
+# The first line of any HTTP request, whatever its method, and what follows first in those of browsers.
+_HTTP = re.compile(r"[a-z-]+ +[^ {}]+ +HTTP/[0-9]|Host:", re.IGNORECASE)
+
+
+class HttpRequestError(PeerError):
+    """A peer speaks HTTP: it may be a browser in which somebody else's page sends our commands."""
+
+
+def refuse_http(line: str) -> None:
+    """Do nothing unless a line is of an HTTP request.
+
+    Raises:
+        HttpRequestError: It is; hang up before anything that follows is carried out.
+    """
+    if _HTTP.match(line):
+        raise HttpRequestError("an HTTP request: it is hung up on, as this port is not for browsers")
 
 
 class LineBuffer:
@@ -29,12 +47,18 @@ class LineBuffer:
         self._too_long = 0
 
     def feed(self, data: bytes) -> list[str]:
-        """Return the lines that `data` completes, without their ends; blank ones are left out."""
+        """Return the lines that `data` completes, without their ends; blank ones are left out.
+
+        Raises:
+            HttpRequestError: One of them is of an HTTP request; none of them counts.
+        """
         *complete, rest = _END.split(data)
         lines: list[str] = []
         for piece in complete:
             self._append(piece)
             lines.extend(self.end())
+        for line in lines:
+            refuse_http(line)
         self._append(rest)
         return lines
 

@@ -40,6 +40,7 @@ from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
 # A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
 SEND_LIMIT = 1 << 20
 MAX_FAULTS = 32  # kept for the log between two `take_faults`; the rest is only counted
+MAX_FAULT_SIZE = 1000  # characters of a fault: room for the names of all robot classes
 MAX_WAITING = 256  # lines kept while an INIT is not answered yet
 
 
@@ -83,6 +84,7 @@ class RobotSession:
     Attributes:
         phase: Where the dialogue stands.
         fault_count: How many faults there were so far.
+        faults_in_a_row: How many lines could not be used since the last that could.
     """
 
     def __init__(
@@ -93,8 +95,9 @@ class RobotSession:
         self._send_limit = send_limit
         self._outgoing = bytearray()
         self._faults: list[str] = []
-        self._more_faults = self.fault_count = 0
+        self._more_faults = self.fault_count = self.faults_in_a_row = 0
         self._awaits_answer = False
+        self._refusal = ""
         self._waiting: deque[str] = deque()
         self.send(greeting)
 
@@ -108,6 +111,9 @@ class RobotSession:
 
         An Init is the last command of the list, whatever follows it in the data: those lines wait
         for `answer_init`, because their legality depends on the answer.
+
+        Raises:
+            HttpRequestError: The peer speaks HTTP; hang up.
         """
         if self.phase is SessionPhase.CLOSED:
             return []
@@ -133,10 +139,23 @@ class RobotSession:
             return []
         self._awaits_answer = False
         if accepted:
-            self.phase = SessionPhase.ACTIVE
+            self.phase, self.faults_in_a_row = SessionPhase.ACTIVE, 0
         else:
-            self._fault("INIT is refused")
+            self._fault(f"INIT refused: {self._refusal}" if self._refusal else "INIT is refused")
+        self._refusal = ""
         return self._take([])
+
+    def note_refusal(self, reason: str) -> None:
+        """Say why the last Init is about to be refused, for the log."""
+        self._refusal = reason
+
+    def add_fault(self, reason: str) -> None:
+        """Add what was wrong with a legal command, for the log."""
+        self.fault_count += 1
+        if len(self._faults) < MAX_FAULTS:
+            self._faults.append(reason if len(reason) <= MAX_FAULT_SIZE else f"{reason[:MAX_FAULT_SIZE]}...")
+        else:
+            self._more_faults += 1
 
     def take_faults(self) -> list[str]:
         """Return what was wrong with lines since the last call, for the log."""
@@ -198,11 +217,10 @@ class RobotSession:
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
+        if not isinstance(command, Init):  # whose answer tells whether it was of any use
+            self.faults_in_a_row = 0
         return command
 
     def _fault(self, reason: str) -> None:
-        self.fault_count += 1
-        if len(self._faults) < MAX_FAULTS:
-            self._faults.append(reason)
-        else:
-            self._more_faults += 1
+        self.faults_in_a_row += 1
+        self.add_fault(reason)

@@ -4,6 +4,7 @@ import asyncio
 import errno
 import logging
 import os
+import select
 import socket
 import time
 from collections.abc import Callable
@@ -32,6 +33,8 @@ CONNECT_TIMEOUT = 5.0
 """How long a peer may take to accept a connection [s]."""
 CONNECT_PENDING = (errno.EINPROGRESS, errno.EWOULDBLOCK)
 """What a connect that does not wait returns."""
+HUNG_UP: int = getattr(select, "POLLRDHUP", 0)
+"""What `poll` reports of a peer that has hung up; 0 where systems cannot tell."""
 LINGER = 5.0
 """How long what was written before a connection ends may take to leave [s]."""
 
@@ -222,3 +225,21 @@ def close_gracefully(writer: asyncio.StreamWriter) -> None:
 def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
     """Keep the system from holding megabytes of answers for a peer that does not read them."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MAX_WRITE_BUFFER // 4)
+
+
+def limit_receive_buffer(writer: asyncio.StreamWriter, size: int) -> None:
+    """Keep the system from taking more than so many bytes of a peer that nobody has read yet."""
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
+
+
+def has_hung_up(connection: socket.socket) -> bool:
+    """Return whether a peer has closed a connection, also while there is more to be read; False if unknown.
+
+    Args:
+        connection: The open connection.
+    """
+    if not HUNG_UP:
+        return False
+    poll = select.poll()
+    poll.register(connection, HUNG_UP)
+    return bool(poll.poll(0))

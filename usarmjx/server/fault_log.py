@@ -1,0 +1,57 @@
+"""What clients do wrong, in the log: by rate and in sums, so that nobody fills a disk with lines."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+
+INTERVAL = 1.0
+"""A client's faults are collected for so long, and then logged as one line [s]."""
+MAX_LINES = 20
+"""Most lines about all clients together in that time; how many more there were is logged then."""
+MAX_SHOWN = 3
+"""Most different faults that a line tells."""
+
+
+class FaultLog:
+    """Logs what clients do wrong, and only so many lines of it in a second.
+
+    Args:
+        log: Where to.
+        clock: The time [s].
+    """
+
+    def __init__(self, log: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
+        self._log, self._clock = log, clock
+        self._ends, self._lines, self._left_out = 0.0, 0, 0
+
+    def warning(self, text: str, *args: object) -> None:
+        """Log a line as `logging` does, or only count it."""
+        self.flush()
+        if self._lines < MAX_LINES:
+            self._lines += 1
+            self._log.warning(text, *args)
+        else:
+            self._left_out += 1
+
+    def flush(self) -> None:
+        """Say how many lines were left out, once the second is over; to be called now and then."""
+        now = self._clock()
+        if now < self._ends:
+            return
+        if self._left_out:
+            self._log.warning("%d more lines about clients' faults are left out", self._left_out)
+        self._ends, self._lines, self._left_out = now + INTERVAL, 0, 0
+
+
+def summary(faults: Sequence[str], count: int) -> str:
+    """Return one line about many faults.
+
+    Args:
+        faults: The first of them, at least one.
+        count: How many there were in all.
+    """
+    distinct = list(dict.fromkeys(faults))
+    shown = distinct[:MAX_SHOWN]
+    more = count - len(shown)
+    alike = " like it" if len(distinct) == 1 else ""
+    return "; ".join(shown) + (f" (and {more:,} more{alike})" if more else "")
