@@ -65,6 +65,15 @@ class Message:
         return pose[0], pose[1], pose[2]
 
 
+def _connect(host: str, port: int, timeout: float, token: str, auth: str = "AUTH {Token %s}\r\n"):
+    """Return a connection; a server that asks for its token hangs up on anything else before."""
+    connection = socket.create_connection((host, port), timeout)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if token:
+        connection.sendall((auth % token).encode("latin-1"))
+    return connection
+
+
 def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(number) for number in text.split(",") if number)
 
@@ -94,15 +103,15 @@ class UsarsimClient(AbstractContextManager):
         host: Where the server runs.
         port: Its Gamebots port.
         timeout: How long to wait for a connection or an answer [s of real time]; then TimeoutError.
+        token: The server's token, if it asks for one.
 
     Attributes:
         greeting: The server's first line; its "Level" is the arena.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0):
+    def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0, token: str = ""):
         self.timeout = timeout
-        self._socket = socket.create_connection((host, port), timeout)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = _connect(host, port, timeout, token)
         self._bytes = b""
         self._messages = deque()  # received, not yet handed out
         try:
@@ -284,13 +293,13 @@ class Door(AbstractContextManager):
 
 
 class _Control(AbstractContextManager):
-    """A control connection: questions, and answers that end in `end`."""
+    """A control connection: questions, and answers that end in `end`; `auth` says the token."""
 
-    end = b""
+    end, auth = b"", "AUTH {Token %s}\r\n"
 
-    def __init__(self, host: str, port: int, timeout: float = 10.0):
+    def __init__(self, host: str, port: int, timeout: float, token: str):
         self.host, self.timeout = host, timeout
-        self._socket = socket.create_connection((host, port), timeout)
+        self._socket = _connect(host, port, timeout, token, self.auth)
         self.address = self._socket.getsockname()[0]
         self._bytes = b""
 
@@ -325,10 +334,10 @@ class WirelessA(_Control):
     Every method raises RadioError when the server says no, without a signal for instance.
     """
 
-    end = b";"
+    end, auth = b";", "AUTH %s;"
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 5874, timeout: float = 10.0):
-        super().__init__(host, port, timeout)
+    def __init__(self, host: str = "127.0.0.1", port: int = 5874, timeout: float = 10.0, token: str = ""):
+        super().__init__(host, port, timeout, token)
 
     def order(self, text: str) -> str:
         """Send a message; return what follows the OK."""
@@ -375,8 +384,10 @@ class WirelessB(_Control):
 
     end = b"\r\n"
 
-    def __init__(self, robot: str, host: str = "127.0.0.1", port: int = 50000, timeout: float = 10.0):
-        super().__init__(host, port, timeout)
+    def __init__(
+        self, robot: str, host="127.0.0.1", port: int = 50000, timeout: float = 10.0, token: str = ""
+    ):
+        super().__init__(host, port, timeout, token)
         self.door = Door(False, host=self.address)
         try:
             self.order("INIT", Robot=robot, Port=self.door.port)
@@ -435,9 +446,8 @@ class ImageClient(AbstractContextManager):
     Which camera it is of is set by `view` of the robot's client.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0):
-        self._socket = socket.create_connection((host, port), timeout)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def __init__(self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0, token: str = ""):
+        self._socket = _connect(host, port, timeout, token)
         self.name = "{}:{}".format(*self._socket.getsockname()[:2])
         self._first = True
 

@@ -1,4 +1,4 @@
-"""Options that say who may connect: to which servers they lead, what is refused, and when a warning is due."""
+"""Options that say who may connect: which servers they lead to, what is refused, when a warning is due."""
 
 import ipaddress
 from types import SimpleNamespace

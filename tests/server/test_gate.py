@@ -25,7 +25,7 @@ from tests.server.all_ports import (
     server_side,
 )
 from tests.server.peers import PATIENCE, Peer, serving
-from tests.server.radio_servers import wait_until
+from tests.server.radio_servers import client, wait_until
 from tests.server.still_world import StillWorld, init
 from usarmjx.server import gate, ports
 from usarmjx.server.access import AccessRules, parse_networks
@@ -185,6 +185,20 @@ def test_strangers_take_no_seats(monkeypatch):
         assert peer.until(b"STA")
         for other in (*strangers, peer):
             other.close()
+
+
+def test_the_bundled_client_says_the_token(locked):
+    ports = locked.ports
+    with client().UsarsimClient(port=ports["robots"], token=TOKEN) as robot:
+        assert robot.start_poses()
+    with client().WirelessA(port=ports["wss"], token=TOKEN) as radio:
+        radio.register("R1")
+    with client().WirelessB("R1", port=ports["wss2"], token=TOKEN) as radio:
+        assert radio.door.port
+    with client().ImageClient(port=ports["pictures"], token=TOKEN) as camera:
+        assert camera.picture().width == 8
+    with pytest.raises(ConnectionError):
+        client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])
 
 
 def page_of(locked, path, **headers):
