@@ -12,6 +12,10 @@ from usarmjx.server.access import AccessRules, check_token, parse_networks, read
 
 TOKEN_VARIABLE = "USARMJX_TOKEN"
 
+AllowHostOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Name under which browsers may ask for the page, beside localhost; may be repeated."),
+]
 AllowOption = Annotated[
     list[str] | None,
     typer.Option(

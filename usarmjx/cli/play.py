@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.cli.access_options import (
+    AllowHostOption,
     AllowOption,
     PerAddressOption,
     TokenFileOption,
@@ -152,12 +153,13 @@ def play(
         int | None,
         typer.Option(min=0, max=65535, help="With --serve: show the world on a page of this port, too."),
     ] = None,
+    allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, or serve it."""
     with ErrorExit():
         if serve:
-            pages = [] if spectator_port is None else [PageChoice(spectator_port)]
+            pages = [] if spectator_port is None else [PageChoice(spectator_port, allow_host or ())]
             first = {"--port": port} | {key: n for page in pages for key, n in page.ports.items()}
             numbers = parse_instances(instances, worlds)
             rules = access_rules(allow, token, token_file, connections_per_address)

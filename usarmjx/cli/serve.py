@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.cli.access_options import (
+    AllowHostOption,
     AllowOption,
     PerAddressOption,
     TokenFileOption,
@@ -129,6 +130,7 @@ def serve(
         int | None,
         typer.Option(min=0, max=65535, help="Show the world on a page of this port; else no page."),
     ] = None,
+    allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
@@ -159,7 +161,7 @@ def serve(
             shared = (ini or ()) if multi_view else None
             choices.append(ImageChoice(image_port, image_size, image_fps, image_format, shared))
         if spectator_port is not None:
-            choices.append(PageChoice(spectator_port))
+            choices.append(PageChoice(spectator_port, allow_host or ()))
         first = {"--port": settings.port} | {key: n for choice in choices for key, n in choice.ports.items()}
         with (
             bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,

@@ -146,9 +146,11 @@ class PageChoice:
 
     Attributes:
         port: Its port.
+        names: What browsers may call the server, as typed.
     """
 
     port: int
+    names: Sequence[str] = ()
 
     @property
     def ports(self) -> dict[str, int]:
@@ -157,11 +159,14 @@ class PageChoice:
 
     def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Return what makes the page of a world."""
+        from usarmjx.server.host_names import check_names
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+
+        settings = SpectatorSettings(host, access=rules, names=check_names(self.names))
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--spectator-port"]
-            return SpectatorServer(world, SpectatorSettings(host, port_of(bound), access=rules), bound)
+            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound)
 
         return make
 

@@ -82,7 +82,7 @@ class Client:
             self._handlers[type(command)](command)
 
     def log_faults(self, *, is_last: bool = False) -> None:
-        """Log what was wrong with the client's lines, in a line at most once a second; the last one at once."""
+        """Log what was wrong with the client's lines, in a line at most once a second; the last at once."""
         now = time.monotonic()
         count = self.session.fault_count - self._logged
         if count and (is_last or now >= self._next_log):

@@ -20,6 +20,7 @@ from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
 from usarmjx.server.ports import IMAGE_PORT
 from usarmjx.server.protocol.images import ImageSession, Region, encode_frame
+from usarmjx.server.protocol.lines import HttpRequestError
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.wireless.sockets import (
     READ_SIZE,
@@ -226,6 +227,8 @@ class ImageServer:
                 client.last_received = time.monotonic()
                 client.session.receive_data(data)
                 await self._stepped.wait()  # so much per control step: no one may keep the world from it
+        except HttpRequestError as error:
+            self._gate.refuse(f"{address}:{port}", str(error))
         except OSError as error:
             log.info("%s:%d: %s", address, port, error)
         except asyncio.CancelledError:

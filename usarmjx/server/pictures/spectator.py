@@ -5,6 +5,7 @@ if there is one. The right button returns to the free view, which mouse and keyb
 what an attached robot's cameras see and a chase camera.
 """
 
+import json
 import math
 from dataclasses import dataclass, field
 from typing import cast
@@ -12,6 +13,7 @@ from typing import cast
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.errors import PeerError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
@@ -29,6 +31,8 @@ MAX_MOVE, MAX_TURN = 5.0, math.pi
 """The free view moves [m] and turns [rad] by no more than this at once."""
 CHASE_BEHIND, CHASE_ABOVE = (1.0, 1.6), (0.6, 0.9)
 """The chase camera is so far behind and above a robot's origin: [m], and lengths of the robot (chosen)."""
+MAX_BRACKETS, MAX_DIGITS = 8, 20
+"""A message has no more opening brackets than this, and its whole numbers no more digits."""
 LOOK_DOWN = math.radians(30.0)
 """It looks down by so much [rad]."""
 
@@ -51,6 +55,21 @@ def viewpoint_at(pos: Array, yaw: float, pitch: float) -> Viewpoint:
         hidden_geoms=np.zeros(HIDDEN_GEOMS_MULTIPLE, bool),
         lens="pinhole",
     )
+
+
+def read_message(text: str | bytes) -> object:
+    """Return what a page says; None if it is not JSON.
+
+    Raises:
+        PeerError: It is nothing that our page says: nested, or with endless numbers.
+    """
+    text = text if isinstance(text, str) else text.decode("utf-8", "replace")
+    if text.count("[") + text.count("{") > MAX_BRACKETS:
+        raise PeerError(f"a message has at most {MAX_BRACKETS} opening brackets")
+    try:
+        return json.loads(text, parse_int=_whole)
+    except ValueError:
+        return None
 
 
 def start_position(arena: ArenaSpec) -> np.ndarray:
@@ -104,7 +123,7 @@ class Spectator:
             self._next()
         elif message.get("click") == "right":
             self.robot, self.show_multi_view = None, False
-        if str(message.get("key", "")).lower() == "c":
+        if message.get("key") in ("c", "C"):
             self.chase = not self.chase
         if self.robot is None and not self.show_multi_view:
             self._move(*_numbers(message.get("move"), 3, MAX_MOVE))
@@ -167,6 +186,12 @@ class Spectator:
     def _turn(self, left: float, down: float) -> None:
         self.yaw = math.remainder(self.yaw + left, 2 * math.pi)
         self.pitch = min(max(self.pitch + down, -STEEPEST), STEEPEST)
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise PeerError(f"a number has at most {MAX_DIGITS} digits")
+    return int(digits)
 
 
 def _numbers(given: object, count: int, most: float) -> list[float]:

@@ -11,17 +11,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.access import EVERYBODY, AccessRules
 from usarmjx.server.gate import Gate
+from usarmjx.server.host_names import for_own_names
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
-from usarmjx.server.pictures.spectator import Spectator
+from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
@@ -48,6 +48,7 @@ class SpectatorSettings:
         fps: Most pictures per second of real time for each page.
         max_connections: Most pages at once.
         access: Who may connect.
+        names: What browsers may call this server, beside localhost and its IP addresses.
     """
 
     host: str = "127.0.0.1"
@@ -56,6 +57,7 @@ class SpectatorSettings:
     fps: float = 20.0
     max_connections: int = 8
     access: AccessRules = EVERYBODY
+    names: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)
@@ -111,7 +113,9 @@ class SpectatorServer:
             self._server = await serve(
                 self._accept,
                 sock=bound,
-                process_request=asking_token(self._gate, _answer),
+                process_request=for_own_names(
+                    {host, *self._settings.names}, asking_token(self._gate, _answer)
+                ),
                 create_connection=gated_connection(self._gate),
                 max_size=MAX_MESSAGE_SIZE,
                 compression=None,
@@ -162,22 +166,17 @@ class SpectatorServer:
         log.info("%s: watches", socket.remote_address)
         try:
             async for text in socket:
-                message = _read(text)
+                message = read_message(text)
                 page.ready |= isinstance(message, dict) and bool(message.get("ready"))
                 page.spectator.handle_message(message)
                 await self._stepped.wait()  # a message per control step: no page may keep the world from it
         except ConnectionClosed:
             pass
+        except PeerError as error:
+            self._gate.refuse("{}:{}".format(*socket.remote_address[:2]), str(error))
+            await socket.close(1008, str(error))
         finally:
             self._pages.remove(page)
-
-
-def _read(text: str | bytes) -> object:
-    """Return a message of a page; None if it is none."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return None
 
 
 def _jpegs(views: Sequence[CompositeView], wholes: ViewImages) -> list[bytes]:
@@ -193,7 +192,8 @@ def _answer(connection: ServerConnection, request: Request) -> Response | None:
         return response
     if request.path != "/view":
         return connection.respond(HTTPStatus.NOT_FOUND, "there is / and /view\n")
-    origin = request.headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc != request.headers.get("Host"):
+    # There is one host: `for_own_names` has seen to that.
+    host = request.headers.get_all("Host")
+    if any([origin.partition("://")[2]] != host for origin in request.headers.get_all("Origin")):
         return connection.respond(HTTPStatus.FORBIDDEN, "this page is from elsewhere\n")
     return None

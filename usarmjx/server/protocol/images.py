@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.lines import LineBuffer
 
 FORMATS = ("raw", "super", "good", "normal", "average", "bad")
 """Names of the picture types, in the order of their numbers."""
@@ -100,13 +101,18 @@ class ImageSession:
         self._asked = self._sent = False
         self._due = self.began + FIRST_FRAME_DELAY
         self._pending = b""
+        self._text = LineBuffer()
 
     def receive_data(self, data: bytes) -> None:
         """Take bytes: `OK` asks for the next picture, `U` and four numbers of 4 bytes for a part of it.
 
         Any other byte is skipped. Who asks again before the picture was sent gets one. A part is an extension
         of the image server of later versions; one that does not overlap the picture is not answered.
+
+        Raises:
+            HttpRequestError: The peer speaks HTTP; hang up.
         """
+        self._text.feed(data)  # acknowledgements have no lines, but HTTP has
         data = self._pending + data
         self._pending = b""
         at = 0

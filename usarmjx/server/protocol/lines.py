@@ -26,7 +26,7 @@ def refuse_http(line: str) -> None:
         HttpRequestError: It is; hang up before anything that follows is carried out.
     """
     if _HTTP.match(line):
-        raise HttpRequestError("an HTTP request: it is hung up on, as this port is not for browsers")
+        raise HttpRequestError("it speaks HTTP, and this port is not for browsers")
 
 
 class LineBuffer:

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from usarmjx.server.protocol.grammar import two_decimals
+from usarmjx.server.protocol.lines import LineBuffer
 from usarmjx.server.wireless.comserver import (
     INCORRECT,
     NO_CONNECTION,
@@ -105,6 +106,7 @@ class DialectASession:
         self._names: deque[str] = deque(maxlen=MAX_NAMES)
         self._pending = bytearray()
         self._skipping = False
+        self._text = LineBuffer()
         self._waiting: deque[str | None] = deque()  # None: a message that was too long
         self._pending_link: EndpointPair | None = None
         self._outgoing = bytearray()
@@ -118,7 +120,11 @@ class DialectASession:
         """Take bytes; return a link that has to be opened before anything else is answered, or None.
 
         Until `answer_open` messages wait, without a bound: read no more from the peer.
+
+        Raises:
+            HttpRequestError: The peer speaks HTTP; hang up.
         """
+        self._text.feed(data)  # messages have no lines, but HTTP has
         *complete, rest = data.split(MESSAGE_END)
         for piece in complete:
             self._append(piece)

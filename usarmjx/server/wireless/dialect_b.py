@@ -99,7 +99,11 @@ class DialectBSession:
         return bool(self.name)
 
     def receive_data(self, data: bytes) -> bytes:
-        """Return the answers to the lines that `data` completes."""
+        """Return the answers to the lines that `data` completes.
+
+        Raises:
+            HttpRequestError: The peer speaks HTTP; hang up.
+        """
         return b"".join(self._answer(line) for line in self._lines.feed(data))
 
     def _answer(self, line: str) -> bytes:

@@ -18,6 +18,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.server.access import EVERYBODY, AccessRules
 from usarmjx.server.gate import LINE_ENDS, Gate, peer_address
 from usarmjx.server.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.protocol.lines import HttpRequestError
 from usarmjx.server.wireless.dialect_a import MESSAGE_END
 from usarmjx.server.wireless.net_a import DataLinkServer
 from usarmjx.server.wireless.net_b import ProxyServer
@@ -224,6 +225,8 @@ class WirelessService:
             self._connections.append(connection)
             try:
                 await _converse(connection, reader)
+            except HttpRequestError as error:
+                self._gate.refuse(f"{address}:{port}", str(error))
             except (OSError, PeerError) as error:
                 log.info("%s:%d: %s", address, port, error)
             except asyncio.CancelledError:

@@ -69,7 +69,11 @@ class PositionSession:
         self._lines = LineBuffer(MAX_LINE_SIZE)
 
     def receive_data(self, data: bytes) -> bytes:
-        """Return the answers to the lines that `data` completes."""
+        """Return the answers to the lines that `data` completes.
+
+        Raises:
+            HttpRequestError: The peer speaks HTTP; hang up.
+        """
         answers = [self._answer(line) for line in self._lines.feed(data)]
         return b"".join(answer.encode("latin-1", "replace") + b"\r\n" for answer in answers if answer)
 
