@@ -443,7 +443,9 @@ def test_the_port_is_announced(world, painter, capfd):
 def served(monkeypatch, *words):
     """The services and the result of a command line that is not carried out."""
     box = {"services": []}
-    monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace()])
+    monkeypatch.setattr(
+        "usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace(period=0.02)]
+    )
     monkeypatch.setattr(
         "usarmjx.server.loop.serve", lambda servers, *_: box.update(services=servers[0].services)
     )
