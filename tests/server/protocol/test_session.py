@@ -35,6 +35,7 @@ from usarmjx.server.protocol.session import (
     LEGAL_COMMANDS,
     MAX_FAULTS,
     MAX_WAITING,
+    REFUSAL_FAULTS,
     SEND_LIMIT,
     RobotSession,
     SessionPhase,
@@ -328,3 +329,13 @@ def test_a_closed_session_is_silent_and_deaf():
     assert session.receive_data(b"GETSTARTPOSES\r\n") == []
     assert session.receive_eof() == []
     assert session.phase is SessionPhase.CLOSED
+
+
+def test_a_refused_init_counts_as_many_faults_in_a_row_until_one_is_accepted():
+    session = RobotSession(GREETING)
+    session.receive_data(b"NONSENSE\r\n" + INIT_LINE)
+    session.answer_init(False)
+    assert (session.fault_count, session.faults_in_a_row) == (2, 1 + REFUSAL_FAULTS)
+    session.receive_data(INIT_LINE)
+    session.answer_init(True)
+    assert (session.fault_count, session.faults_in_a_row) == (2, 0)

@@ -41,6 +41,7 @@ from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
 SEND_LIMIT = 1 << 20
 MAX_FAULTS = 32  # kept for the log between two `take_faults`; the rest is only counted
 MAX_FAULT_SIZE = 1000  # characters of a fault: room for the names of all robot classes
+REFUSAL_FAULTS = 50  # in a row, that a refused INIT counts as: who has left may have many more under way
 MAX_WAITING = 256  # lines kept while an INIT is not answered yet
 
 
@@ -142,6 +143,7 @@ class RobotSession:
             self.phase, self.faults_in_a_row = SessionPhase.ACTIVE, 0
         else:
             self._fault(f"INIT refused: {self._refusal}" if self._refusal else "INIT is refused")
+            self.faults_in_a_row += REFUSAL_FAULTS - 1
         self._refusal = ""
         return self._take([])
 
