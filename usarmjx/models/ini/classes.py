@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 from usarmjx.models.ini.items import Settings, WarningLog, kind_of, merged, read_settings
 from usarmjx.models.ini.parse import IniFile, Line, Section
-from usarmjx.models.ini.read import as_class
+from usarmjx.models.ini.read import as_class, fail
 from usarmjx.models.spec.robot import Options
 
 PREFIX = "usarbot."
 BASE_KEY = "BaseClass"
+MOST_ROUNDS = 32
+"""Item classes of a file that are based on each other in a row."""
 
 
 class ItemClass(NamedTuple):
@@ -51,7 +53,13 @@ def read_classes(
     waiting = {name: parts for name, parts in _based(files).items() if name not in taken}
     found: dict[str, ItemClass] = {}
     # Round by round: those whose base is known by now. What is left over has another base, or none.
+    rounds = 0
     while ready := {name: base for name in waiting if (base := _base(waiting[name], found, settings))}:
+        rounds += 1
+        if rounds > MOST_ROUNDS:
+            line = _base_line(waiting[next(iter(ready))])
+            assert line is not None
+            fail(line, f"item classes are based on each other {rounds} in a row", f"at most {MOST_ROUNDS}")
         for name, base in ready.items():
             own = _options(base.kind, waiting.pop(name), settings, notes)
             found[name] = ItemClass(base.kind, merged(base.options, own))

@@ -22,6 +22,7 @@ Unreal's array prefixes act within one section of one file: `+key=` and `.key=` 
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
@@ -33,6 +34,10 @@ _HEADER = re.compile(r"\[([^\[\]]*)\]")
 _KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s*([0-9]{1,9})\s*\])?")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _REMOVES = ("-", "!")
+MOST_BYTES = 4_000_000
+"""Of an ini file."""
+MOST_LINES = 50_000
+"""Of one, blank ones and comments left out."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +90,16 @@ class IniFile:
 
     def section(self, name: str) -> Section:
         """Return all lines under that name in order, case ignored; no lines if there is no such section."""
-        parts = [part for part in self.sections if part.name.lower() == name.lower()]
+        parts = self._by_name.get(name.lower(), [])
         written = parts[0].name if parts else name
         return Section(written, tuple(line for part in parts for line in part.lines))
+
+    @cached_property
+    def _by_name(self) -> dict[str, list[Section]]:
+        found: dict[str, list[Section]] = {}
+        for part in self.sections:
+            found.setdefault(part.name.lower(), []).append(part)
+        return found
 
 
 def read_ini(path: Path) -> IniFile:
@@ -97,6 +109,9 @@ def read_ini(path: Path) -> IniFile:
         SpecError: The file cannot be read, is not what its byte order mark says, or see `parse_ini`.
     """
     try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise SpecError(f"{path}: has {size} bytes; an ini file has at most {MOST_BYTES}")
         text = _decode(path.read_bytes())
     except OSError as error:
         raise SpecError(f"{path}: cannot be read: {error.strerror}") from error
@@ -127,24 +142,28 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
         SpecError: A line has none of the module's forms; the message names the file, the line's number,
             what was wrong and what was expected.
     """
-    blocks: list[tuple[str, list[Line]]] = []
+    blocks = _Blocks()
+    count = 0
     for number, text_line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
         bare = text_line.strip()
         if not bare or bare.startswith((";", "//")):
             continue
         cursor = LineParser(text_line, f"{path}:{number}")
+        count += 1
+        if count > MOST_LINES:
+            cursor.fail(f"this is line {count} with something in it", f"at most {MOST_LINES}")
         if bare.startswith("["):
-            blocks.append((_header(cursor), []))
+            blocks.begin(_header(cursor))
             continue
-        if not blocks:
+        if not blocks.begun:
             cursor.fail(f"{quote_short(bare)} stands before the first section", "a [Section] above it")
         prefix, key, index = _key(cursor)
         line = Line(key, cursor.value(), path, number, index)
         if prefix in _REMOVES:
-            _remove(blocks, line, everything=prefix == "!")
+            blocks.remove(line, everything=prefix == "!")
         else:
-            blocks[-1][1].append(line)
-    return IniFile(path, tuple(Section(name, tuple(lines)) for name, lines in blocks))
+            blocks.add(line)
+    return IniFile(path, blocks.sections())
 
 
 def _header(cursor: LineParser) -> str:
@@ -174,18 +193,46 @@ def _key(cursor: LineParser) -> tuple[str, str, int | None]:
     return prefix, key, int(index) if index else None
 
 
-def _remove(blocks: list[tuple[str, list[Line]]], order: Line, *, everything: bool) -> None:
-    """Take out what a `-` or a `!` line names, from every block of its section."""
+class _Blocks:
+    """The sections of a file so far; what is removed is found without looking at all lines."""
 
-    def is_meant(line: Line) -> bool:
-        if line.key.lower() != order.key.lower():
-            return False
-        if everything:
-            return order.index in (None, line.index)
+    def __init__(self) -> None:
+        self._blocks: list[tuple[str, list[Line | None]]] = []
+        # By section and key: by index: by how the value is written: where such lines stand.
+        self._places: dict[tuple[str, str], dict[int | None, dict[str, list[tuple[int, int]]]]] = {}
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a section."""
+        return bool(self._blocks)
+
+    def begin(self, name: str) -> None:
+        """Begin a section."""
+        self._blocks.append((name, []))
+
+    def add(self, line: Line) -> None:
+        """Add a line to the last section."""
+        lines = self._blocks[-1][1]
+        by_index = self._places.setdefault(self._key(line), {})
         # To Python True == 1 == 1.0; how the values are written tells them apart.
-        return line.index == order.index and repr(line.value) == repr(order.value)
+        by_value = by_index.setdefault(line.index, {})
+        by_value.setdefault(repr(line.value), []).append((len(self._blocks) - 1, len(lines)))
+        lines.append(line)
 
-    section = blocks[-1][0].lower()
-    for name, lines in blocks:
-        if name.lower() == section:
-            lines[:] = [line for line in lines if not is_meant(line)]
+    def remove(self, order: Line, *, everything: bool) -> None:
+        """Take out what a `-` or a `!` line names, from every block of its section."""
+        by_index = self._places.get(self._key(order), {})
+        if everything:
+            indices = list(by_index) if order.index is None else [order.index]
+            found = [places for index in indices for places in by_index.pop(index, {}).values()]
+        else:
+            found = [by_index.get(order.index, {}).pop(repr(order.value), [])]
+        for block, place in (one for places in found for one in places):
+            self._blocks[block][1][place] = None
+
+    def sections(self) -> tuple[Section, ...]:
+        """Return what is left."""
+        return tuple(Section(name, tuple(filter(None, lines))) for name, lines in self._blocks)
+
+    def _key(self, line: Line) -> tuple[str, str]:
+        return self._blocks[-1][0].lower(), line.key.lower()

@@ -21,6 +21,9 @@ from usarmjx.models.ini.spec import BuildContext, RobotSection, build_robot
 from usarmjx.models.ini.tracks import read_tracks
 from usarmjx.models.spec.robot import Options, RobotSpec
 
+MOST_BASES = 32
+"""Classes of a file that are based on each other in a row."""
+
 
 @dataclass(frozen=True)
 class LoadedRobots:
@@ -135,6 +138,8 @@ class _Builder:
             name = as_class(line, line.value, "BaseClass")
             if name.lower() in waiting:
                 fail(line, f"{name} is based on itself", "another class")
+            if len(waiting) > MOST_BASES:
+                fail(line, f"{name} is the base of {len(waiting)} classes in a row", f"at most {MOST_BASES}")
             if name.lower() in self.orders:
                 return self.build(name.lower(), waiting)
             if name not in robots:

@@ -13,6 +13,9 @@ MAX_DEPTH = 32
 # `Union`, so that `IniValue | None` can be evaluated: a quoted alias would be a plain str then.
 IniValue: TypeAlias = Union[str, int, float, bool, "Struct", "Reference", tuple["IniValue", ...]]
 
+MOST_DIGITS = 400
+"""Characters of a whole number: more than the largest float has; Python reads at most 4300."""
+
 _NAME = re.compile(r"[^\W\d]\w*")
 _WORD = re.compile(r"[^,()\"'=]*")
 _REFERENCE = re.compile(r"([^\W\d]\w*)\s*'([^']*)'")
@@ -211,6 +214,8 @@ class LineParser:
         number = float(found.group(1))
         if not math.isfinite(number):
             self.fail(f"{quote_short(text)} is too large for a number", "at most 1.8e308")
+        if _INTEGER.fullmatch(text) and len(text) > MOST_DIGITS:
+            self.fail(f"a whole number of {len(text)} characters", f"at most {MOST_DIGITS}")
         return int(text) if _INTEGER.fullmatch(text) else number
 
     def _unclosed(self, opening: int) -> NoReturn:

@@ -9,9 +9,10 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.network import Fault, point_name
 
-COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-NUMBERED = re.compile(r"\d+(\.\d+)*")
+NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """The first word of a line without a keyword: 1.2.3, or a plain number."""
+MOST_BYTES = 16_000_000
+"""Of a file."""
 
 
 class RoadLines:
@@ -32,11 +33,14 @@ class RoadLines:
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
             try:
+                size = Path(source).stat().st_size
+                if size > MOST_BYTES:
+                    raise SpecError(f"{source}: {size} bytes are too many; at most {MOST_BYTES}")
                 text = Path(source).read_text(encoding="utf-8-sig", errors="replace")
             except OSError as error:
                 raise SpecError(f"{source}: {error.strerror or error}") from error
         self.fault_lines: dict[tuple[object, ...], int] = {}
-        text = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n") or " ", text)
+        text = _without_comments(text)
         lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
         self._lines = [(number, words) for number, words in lines if words]
         self._end = self._lines[-1][0] if self._lines else 1
@@ -166,6 +170,16 @@ class RoadLines:
         """Raise the first fault that a check of the whole has found, at its line."""
         for where, text in faults:
             raise self.fault(text, self.fault_lines.get(where, self._end))
+
+
+def _without_comments(text: str) -> str:
+    """Return a text with a space, or line breaks, in place of each comment; one without its end stays."""
+    parts: list[str] = []
+    at = 0
+    while (start := text.find("/*", at)) >= 0 and (end := text.find("*/", start + 2)) >= 0:
+        parts += [text[at:start], "\n" * text.count("\n", start, end) or " "]
+        at = end + 2
+    return "".join([*parts, text[at:]])
 
 
 Row = tuple[str | int | float | tuple[int, ...] | None, ...]

@@ -8,6 +8,7 @@ DARPA's revision of December 2006 (manual 10.13). Widths are feet and speeds mil
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 from usarmjx.models.roads.geodesy import LatLon
 
@@ -15,6 +16,8 @@ FOOT = 0.3048
 """Metres."""
 WIDEST = 1e3
 """Widest lane or spot that is taken for one [feet]."""
+LISTED = 100
+"""Numbers that a message lists."""
 FASTEST = 1e3
 """Highest speed that is taken for one [miles per hour]."""
 BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
@@ -112,6 +115,12 @@ class RouteNetwork:
             for point, checkpoint in part.checkpoints
         }
 
+    @cached_property
+    def entries(self) -> frozenset[PointId]:
+        """The points to which exits lead."""
+        parts = [part for _, part in self.parts()]
+        return frozenset(to for part in parts if not isinstance(part, Spot) for _, to in part.exits)
+
     def lane(self, segment: int, lane: int) -> Lane:
         """Return a lane by its numbers."""
         return self.segments[segment - 1].lanes[lane - 1]
@@ -172,7 +181,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
     Checkpoints, stop signs and exits are at points that their lane, zone or spot has; exits lead to points
     that there are; no two checkpoints have one number; figures are in their ranges.
     """
-    known = network.points()
+    known, last = network.points(), {owner: len(_points(part)) for owner, part in network.parts()}
     faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
     taken: set[int] = set()
     for owner, part in network.parts():
@@ -183,7 +192,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
                 there = f"{point_name(owner)} has points 1 to {len(_points(part))}"
                 faults.append((where, f"{kind} at {point_name((*owner, point))}: {there}"))
             if isinstance(other, tuple) and other not in known:
-                there = f"{point_name(other[:2])} has {_extent(known, other)}"
+                there = f"{point_name(other[:2])} has {_extent(last, other)}"
                 faults.append((where, f"exit to {point_name(other)}: {there}"))
             if isinstance(other, int):
                 if other in taken or other < 1:
@@ -222,9 +231,9 @@ def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId |
         yield from (("exit", point, entry) for point, entry in part.exits)
 
 
-def _extent(known: dict[PointId, LatLon], lost: PointId) -> str:
-    last = max((point[2] for point in known if point[:2] == lost[:2]), default=0)
-    return f"points 1 to {last}" if last else "no points"
+def _extent(last: dict[tuple[int, int], int], lost: PointId) -> str:
+    count = last.get(lost[:2], 0)
+    return f"points 1 to {count}" if count else "no points"
 
 
 def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> list[Fault]:
@@ -249,16 +258,17 @@ def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> lis
 def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault]:
     """Iterate over what a mission refers to and its network has not."""
     known = network.checkpoints() if network else {}
+    there = _listed(known) if network else "1 and up"
     areas = len(network.segments) + len(network.zones) if network else None
     for checkpoint in mission.checkpoints:
         if checkpoint < 1 or (network and checkpoint not in known):
-            there = _listed(known) if network else "1 and up"
             yield ("checkpoint", checkpoint), f"no checkpoint {checkpoint}; there are: {there}"
     for limit in mission.speed_limits:
         if limit.id < 1 or (areas is not None and limit.id > areas):
-            there = "1 and up" if areas is None else f"1 to {areas}"
-            yield ("speed_limit", limit.id), f"no segment or zone {limit.id}; there are: {there}"
+            allowed = "1 and up" if areas is None else f"1 to {areas}"
+            yield ("speed_limit", limit.id), f"no segment or zone {limit.id}; there are: {allowed}"
 
 
 def _listed(numbers: Iterable[int]) -> str:
-    return ", ".join(map(str, sorted(numbers))) or "none"
+    found = sorted(numbers)
+    return ", ".join(map(str, found[:LISTED])) + (", ..." if len(found) > LISTED else "") or "none"

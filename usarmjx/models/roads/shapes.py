@@ -69,8 +69,7 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> 
     """Return the paths of a lane between crossings, x, y [m] (points, 2), each of two points at least."""
     lane = network.lane(*owner)
     left = {point for point, _ in lane.exits}
-    parts = [part for _, part in network.parts()]
-    entries = {to for part in parts if not isinstance(part, Spot) for _, to in part.exits}
+    entries = network.entries
     path = lane_path(lane, origin)
     ends = [i for i in range(1, len(path)) if i in left and (*owner, i + 1) in entries]
     return [run for run in np.split(path, ends) if len(run) > 1]

@@ -6,7 +6,6 @@ the weights in half. This module imports neither JAX nor anything that needs it.
 """
 
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -14,12 +13,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
+from usarmjx.train.policies.held import FORMAT, check_about, check_shapes, read_arrays
 
 if TYPE_CHECKING:
     from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
     from usarmjx.train.learning.record import RunRecord
 
-FORMAT = 1
 MAX_NORMALISED = 10.0  # as in `statistics`
 MIN_STD = 0.01  # as in `networks`
 
@@ -81,12 +81,12 @@ class NumpyPolicy:
     """
 
     def __init__(self, file: str | Path) -> None:
+        about, arrays = read_arrays(Path(file))
         try:
-            with np.load(file, allow_pickle=False) as held:
-                about = json.loads(str(held["about"]))
-                arrays = {name: held[name].astype(np.float32) for name in held.files if name != "about"}
             if about["format"] != FORMAT:
                 raise UsageError(f"{file} was written by another version of usarmjx")
+            check_about(about)
+            check_shapes(about, arrays)
             self.task, self.period = about["task"], about["period"]
             self.overrides: dict[str, str] = about["overrides"]
             self.groups: list[dict[str, Any]] = about["groups"]
@@ -94,15 +94,7 @@ class NumpyPolicy:
             self.mean = [arrays[f"mean/{g}"] for g in range(len(self.groups))]
             self.std = [arrays[f"std/{g}"] for g in range(len(self.groups))]
             self.weights = [_tree(arrays, f"weights/{g}/") for g in range(len(self.groups))]
-        except (
-            OSError,
-            KeyError,
-            ValueError,
-            TypeError,
-            AttributeError,
-            EOFError,
-            zipfile.BadZipFile,
-        ) as error:
+        except (KeyError, ValueError, TypeError) as error:
             raise UsageError(f"{file} is no policy of usarmjx: {error}") from error
 
     def group(self, name: str) -> int:
@@ -187,7 +179,7 @@ def save_policy(
         half: Write weights as numbers of 16 bits, rounded by up to 2^-11 of themselves.
 
     Raises:
-        UsageError: The file cannot be written.
+        WriteError: The file cannot be written.
     """
     about = {
         "format": FORMAT,
@@ -204,11 +196,8 @@ def save_policy(
         weights = _flat(params.weights[g]["params"], f"weights/{g}/")
         arrays |= {name: array.astype(np.float16) if half else array for name, array in weights.items()}
     names: Sequence[str] = sorted(arrays)
-    try:
-        with Path(file).open("wb") as out:
-            np.savez_compressed(out, **{name: arrays[name] for name in names})
-    except OSError as error:
-        raise UsageError(f"cannot write {file}: {error}") from error
+    with write_beside(Path(file)) as fresh, fresh.open("wb") as out:
+        np.savez_compressed(out, **{name: arrays[name] for name in names})
 
 
 def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:

@@ -82,7 +82,8 @@ def task_settings(
 ) -> tuple[dict[str, Any], list[str]]:
     """Return fields of a task as a policy was trained and as asked for, and notes on those left out.
 
-    Fields that are not words, numbers or lists of them (`physics`, `radio`, `vary`) cannot be read back.
+    Fields that are not words, numbers or lists of them (`radio`, `vary`) cannot be read back. Whatever the
+    physics was in training, it is the reference's here unless asked for: scores are compared.
 
     Raises:
         UsageError: A setting that does not read.
@@ -98,7 +99,9 @@ def task_settings(
         for name, text in trained.items()
         if name not in simple
     ]
-    before = [f"{name}={text}" for name, text in trained.items() if name in simple]
+    if "physics" in trained:
+        notes.append(f"trained with physics={trained['physics']}; what follows is on the reference's, or --set")
+    before = [f"{name}={text}" for name, text in trained.items() if name in simple and name != "physics"]
     return parse_settings([*before, *settings], simple, task), notes
 
 
