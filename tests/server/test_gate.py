@@ -9,7 +9,7 @@ import socket
 import time
 
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.server.all_ports import (
@@ -21,6 +21,7 @@ from tests.server.all_ports import (
     TOKEN,
     all_ports,
     begins,
+    black,
     hear,
     server_side,
 )
@@ -30,6 +31,7 @@ from tests.server.still_world import StillWorld, init
 from usarmjx.server import gate, ports
 from usarmjx.server.access import AccessRules, parse_networks
 from usarmjx.server.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
+from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.web_gate import COOKIE
 from usarmjx.server.wireless import sockets
@@ -329,6 +331,23 @@ def test_who_waits_for_an_answer_or_has_a_robot_does_not_yield():
         assert Peer(port).line() == b""
         first.sta_times(1)
         first.close()
+
+
+def test_a_page_that_asks_for_nothing_is_closed_and_one_that_waits_is_not():
+    world = StillWorld()
+
+    def develop(shots):
+        time.sleep(3 * TIMEOUT)
+        return [black(shot) for shot in shots]
+
+    world.snapshot = lambda shots: lambda: develop(shots)
+    page = SpectatorServer(world, SpectatorSettings(port=0, idle_timeout=TIMEOUT))
+    with serving(world, [page]), connect(f"ws://{HOST}:{page.port}/view") as watcher:
+        watcher.send('{"ready": true}')
+        assert "caption" in watcher.recv(timeout=PATIENCE)
+        assert watcher.recv(timeout=PATIENCE)
+        with pytest.raises(ConnectionClosed):
+            watcher.recv(timeout=PATIENCE)
 
 
 # Dialling out

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import socket
 import time
 from collections.abc import Sequence
@@ -47,6 +48,7 @@ class SpectatorSettings:
         size: Width and height of the pictures [pixels].
         fps: Most pictures per second of real time for each page.
         max_connections: Most pages at once.
+        idle_timeout: A page that asks for no picture for so long is closed; one that is open does [s].
         access: Who may connect.
         names: What browsers may call this server, beside localhost and its IP addresses.
     """
@@ -56,6 +58,7 @@ class SpectatorSettings:
     size: tuple[int, int] = (320, 240)
     fps: float = 20.0
     max_connections: int = 8
+    idle_timeout: float = 60.0
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
 
@@ -69,12 +72,14 @@ class Page:
         spectator: What it looks at.
         ready: Whether it waits for a picture.
         due: When it gets the next one at the earliest [s].
+        idle_since: Since when it has asked for nothing [s]; infinite while it waits for a picture.
     """
 
     socket: ServerConnection
     spectator: Spectator
     ready: bool = False
     due: float = field(default_factory=time.monotonic)
+    idle_since: float = field(default_factory=time.monotonic)
 
 
 class SpectatorServer:
@@ -130,6 +135,10 @@ class SpectatorServer:
         self._stepped.set()
         self._stepped.clear()
         now = time.monotonic()
+        for page in self._pages:
+            if now - page.idle_since > self._settings.idle_timeout:
+                log.info("%s: dropped, it does not look", page.socket.remote_address)
+                page.socket.transport.abort()
         waiting = [page for page in self._pages if page.ready and now >= page.due]
         if waiting and self._render_thread.is_ready(now):
             self._render_thread.begin(self._show(waiting, now))
@@ -156,6 +165,7 @@ class SpectatorServer:
             with contextlib.suppress(ConnectionClosed):
                 await page.socket.send(json.dumps({"caption": captions[page], "time": shown}))
                 await page.socket.send(picture)
+                page.idle_since = time.monotonic()
 
     async def _accept(self, socket: ServerConnection) -> None:
         if len(self._pages) >= self._settings.max_connections:
@@ -168,6 +178,7 @@ class SpectatorServer:
             async for text in socket:
                 message = read_message(text)
                 page.ready |= isinstance(message, dict) and bool(message.get("ready"))
+                page.idle_since = math.inf if page.ready else max(page.idle_since, time.monotonic())
                 page.spectator.handle_message(message)
                 await self._stepped.wait()  # a message per control step: no page may keep the world from it
         except ConnectionClosed:
