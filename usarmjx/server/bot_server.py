@@ -25,8 +25,8 @@ class BotServerSettings:
         max_connections: Most clients at once (BotAPI.ini: MaxConnections).
         init_timeout: Who has no robot and asks for nothing for so long makes room, and who only asks
             does when no seat is left; 0: nobody has to [s].
-        max_faults: A client is dropped after so many lines in a row that could not be used, of which a refused
-            INIT counts as `session.REFUSAL_FAULTS`; 0: never.
+        max_faults: A client is dropped after so many lines in a row that could not be used, of which a
+            refused INIT counts as `session.REFUSAL_FAULTS`; 0: never.
         access: Who may connect.
     """
 
