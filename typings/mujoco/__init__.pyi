@@ -388,6 +388,7 @@ class mjtBias(_Enum):
 
 class mjtCone(_Enum):
     mjCONE_ELLIPTIC: ClassVar[mjtCone]
+    mjCONE_PYRAMIDAL: ClassVar[mjtCone]
 
 class mjtDisableBit(_Enum):
     mjDSBL_MIDPHASE: ClassVar[mjtDisableBit]

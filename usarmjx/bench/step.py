@@ -8,7 +8,7 @@ Rates count robots times physics steps. The share of the sensors is from the sam
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, choose_engine
 from usarmjx.engines.c import c_model
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.compose import PHYSICS
 from usarmjx.models.generate import generate_many
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.worlds.make import parse_roster
@@ -34,6 +34,8 @@ from usarmjx.sim.site import moved_geom_poses
 
 RESET_SHARE = 0.01
 """Share of worlds that are reset at each control step of the whole step."""
+CONTROL_STEP = 0.05
+"""[s]"""
 BASELINE_STEPS = 400
 SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
@@ -42,6 +44,8 @@ SAMPLE_ARENAS = 64
 @dataclass(frozen=True, kw_only=True)
 class StepCase:
     """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
+
+    Without `substeps`, control steps take 50 ms.
 
     With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
     worlds share one: the one with the most loose objects, and then solids, of `SAMPLE_ARENAS`, for a fair
@@ -54,7 +58,8 @@ class StepCase:
     generated: int = 0
     engine: str = "auto"
     radio: bool = False
-    substeps: int = 10
+    physics: str = "reference"
+    substeps: int | None = None
     steps: int = 20
     repeats: int = 5
     seed: int = 0
@@ -176,7 +181,9 @@ def measure_step(case: StepCase, file: Path | None = None) -> str:
     """
     engine = choose_engine(case.engine, "train")
     kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
-    scene = build_scene(_arena(case), parse_roster(case.roster), Physics(substeps=case.substeps), **kept)
+    physics = PHYSICS.get(case.physics)
+    substeps = case.substeps or round(CONTROL_STEP / physics.timestep)
+    scene = build_scene(_arena(case), parse_roster(case.roster), replace(physics, substeps=substeps), **kept)
     batch = Batch(scene, case.worlds, engine=engine, seed=case.seed, shuffle=True)
     key = jax.random.key(case.seed + 1)
     state = batch.reset()
@@ -185,13 +192,13 @@ def measure_step(case: StepCase, file: Path | None = None) -> str:
     whole_first, whole, state = run(_loop(batch, _full_step(batch, key), case.steps), state)
     _, blind, state = run(_loop(batch, _full_step(batch, key, sensing=False), case.steps), state)
     batch.check_overflow(state)
-    work = case.worlds * scene.num_robots * case.substeps * case.steps
+    work = case.worlds * scene.num_robots * substeps * case.steps
     status = jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.faults))
     rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)
     bare_rate, whole_rate = work / statistics.median(bare), work / statistics.median(whole)
     record = {
         **record_header("step", host=engine == "c"),
-        "case": {**asdict(case), "engine": engine},
+        "case": {**asdict(case), "engine": engine, "substeps": substeps},
         "robots_per_world": scene.num_robots,
         "arena_geoms": len(scene.fixed_geoms.kind) + len(scene.moved_geom_table.kind),
         "loose_objects": len(scene.arena.loose),
@@ -206,6 +213,7 @@ def measure_step(case: StepCase, file: Path | None = None) -> str:
         "rays_when_all_are_due": rays * case.worlds,
         "bare_robot_steps_per_s": bare_rate,
         "robot_steps_per_s": whole_rate,
+        "robots_in_real_time": whole_rate * physics.timestep,
         "whole_to_bare": whole_rate / bare_rate,
         "sensors": {
             group.robot.name: [sensor.kind for sensor in group.suite.sensors] for group in scene.groups
@@ -229,6 +237,7 @@ def _summary(record: dict[str, Any]) -> str:
             f"{case['worlds']} worlds x {case['roster']}, engine {case['engine']} on {record['device']}",
             f"bare physics  {record['bare_robot_steps_per_s']:12,.0f} robot-steps/s",
             f"whole step    {record['robot_steps_per_s']:12,.0f} robot-steps/s  ({record['in_the_step']})",
+            f"in real time  {record['robots_in_real_time']:12,.0f} robots",
             f"ratio         {record['whole_to_bare']:12.2f}",
             f"sensors       {record['sensors_share']:12.1%} of the whole step",
             f"mj_step       {record['cpu_mujoco_robot_steps_per_s']:12,.0f} robot-steps/s, bare, one core",

@@ -150,6 +150,24 @@ def bench_train(
             typer.echo(record_run(run, baseline, json))
 
 
+@app.command("physics")
+def bench_physics(
+    robot: Annotated[
+        list[str] | None, typer.Option(help="Class that is driven; may be repeated. Else all.")
+    ] = None,
+    physics: Annotated[str, typer.Option(help="Settings beside the reference's.")] = "fast",
+    jobs: Annotated[int, typer.Option(min=1, help="Processes at once.")] = 1,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Drive every class through manoeuvres under settings of the physics and under the reference's."""
+    with ErrorExit():
+        announce("driving ...", keep=False)
+        from usarmjx.bench.fidelity.scorecard import write_scorecard
+        from usarmjx.models.build.compose import PHYSICS
+
+        typer.echo(write_scorecard(robot, jobs, PHYSICS.get(physics), json))
+
+
 @app.command("step")
 def bench_step(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 4,
@@ -160,7 +178,10 @@ def bench_step(
     ] = 0,
     engine: EngineOption = "auto",
     radio: Annotated[bool, typer.Option("--radio", help="Evaluate all radio links too.")] = False,
-    substeps: Annotated[int, typer.Option(min=1, help="Physics steps per control step.")] = 10,
+    physics: Annotated[str, typer.Option(help="Settings of the physics: reference or fast.")] = "reference",
+    substeps: Annotated[
+        int | None, typer.Option(min=1, help="Physics steps per control step; else those of 50 ms.")
+    ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Control steps per repeat.")] = 20,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
     seed: SeedOption = 0,
@@ -181,6 +202,7 @@ def bench_step(
             generated=generated,
             engine=engine,
             radio=radio,
+            physics=physics,
             substeps=substeps,
             steps=steps,
             repeats=repeats,

@@ -244,14 +244,13 @@ class WarpEngine(MjxEngine):
 
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
-        # A contact of the elliptic cone with sliding friction has three constraint rows. Rows are counted
-        # per world, contacts over all worlds, so a world has room for three times the average.
+        # Rows are counted per world, contacts over all worlds, so a world has room for three times the average.
         return mjx.make_data(
             self.model,
             impl=self.impl,
             device=own_device(),
             naconmax=self.worlds * contacts,
-            njmax=3 * 3 * contacts,
+            njmax=3 * self.physics.rows_per_contact * contacts,
         )
 
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:

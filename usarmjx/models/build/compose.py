@@ -12,6 +12,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.build.compose_arena import add_arena
 from usarmjx.models.build.geoms import add_geom
@@ -72,6 +73,11 @@ class Physics:
         beside the reference settings, and what they are not for.
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5, cone="pyramidal")
+
+
+PHYSICS: Registry[Physics] = Registry("physics")
+PHYSICS.add("reference", Physics())
+PHYSICS.add("fast", Physics.fast())
 
 
 def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:

@@ -6,7 +6,7 @@ truly is.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -19,7 +19,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, MessageSettings
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.compose import PHYSICS, Physics
 from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.build.victims import VictimTable
 from usarmjx.models.drives.state import RobotState
@@ -136,7 +136,7 @@ class Task(ABC):
         arena: Its arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a
             kind of generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
-        physics: Solver and time settings.
+        physics: Solver and time settings, or their name in `PHYSICS`.
         repeat: Control steps per action.
         episode_steps: Actions until the time is up.
         radio: Constants of the robots' radios; None: they have none.
@@ -149,7 +149,7 @@ class Task(ABC):
 
     arena: Arenas = "floor"
     sensors: tuple[str | Mount, ...] | None = None
-    physics: Physics = field(default_factory=Physics)
+    physics: Physics | str = "reference"
     repeat: int = 10
     episode_steps: int = 100
     radio: RadioSettings | None = None
@@ -187,7 +187,8 @@ class Task(ABC):
         arenas = self.arenas
         if isinstance(arenas, GeneratedArenas):
             arenas = arenas.arenas()
-        return build_scene(arenas, robots, self.physics, radio=self.radio, mail=self.mail, vary=self.vary)
+        physics = PHYSICS.get(self.physics) if isinstance(self.physics, str) else self.physics
+        return build_scene(arenas, robots, physics, radio=self.radio, mail=self.mail, vary=self.vary)
 
     def agent_groups(self, scene: Scene) -> tuple[int, ...]:
         """Return which of `scene.groups` are agents, by index."""

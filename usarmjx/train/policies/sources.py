@@ -100,7 +100,7 @@ def task_settings(
         if name not in simple
     ]
     if "physics" in trained:
-        notes.append(f"trained with physics={trained['physics']}; what follows is on the reference's, or --set")
+        notes.append(f"trained with physics={trained['physics']}; here it is the reference's")
     before = [f"{name}={text}" for name, text in trained.items() if name in simple and name != "physics"]
     return parse_settings([*before, *settings], simple, task), notes
 
