@@ -19,6 +19,8 @@ JOIN_SHARE = 0.5
 """To join the world may take so much of the time, for all who do [s per simulated second]."""
 BURST = 0.05
 """A client that was silent has saved up so much [s]."""
+MEMORY = 0.98
+"""So much of what a client has used still counts a control step later, where the next one is chosen."""
 INIT_COST = 0.02
 """What an INIT costs its sender at least, whether it is accepted or not [s]."""
 
@@ -83,13 +85,12 @@ class BudgetPool:
             called.set_exception(PeerError(reason))
 
     def _call_next(self) -> None:
-        """Call the client that has most left of its budget: who asks for little hardly waits."""
+        """Call the client that has used least of late: who asks for little hardly waits."""
         if self.is_spent:
             return
-        uncalled = [budget for budget, called in self._waiting.items() if not called.done()]
-        first = max(uncalled, key=lambda budget: budget.balance, default=None)
-        if first is not None and first.balance > 0.0:
-            self._waiting[first].set_result(None)
+        able = [one for one, called in self._waiting.items() if not called.done() and one.balance > 0.0]
+        if able:
+            self._waiting[min(able, key=lambda budget: budget.used)].set_result(None)
 
 
 class ClientBudget:
@@ -101,16 +102,22 @@ class ClientBudget:
 
     def __init__(self, pool: BudgetPool) -> None:
         self._pool = pool
-        self._balance, self._step, self._began = BURST, pool.steps, 0.0
+        self._balance, self._used, self._step, self._began = BURST, 0.0, pool.steps, 0.0
 
     @property
     def balance(self) -> float:
         """What is left of it; below zero it waits [s]."""
         return min(BURST, self._balance + (self._pool.steps - self._step) * self._pool.growth)
 
+    @property
+    def used(self) -> float:
+        """What the client has used of late [s]."""
+        return self._used * MEMORY ** (self._pool.steps - self._step)
+
     def charge(self, cost: float) -> None:
         """Take a price beside what the work has cost [s]."""
-        self._balance, self._step = self.balance - cost, self._pool.steps
+        self._balance, self._used = self.balance - cost, self.used + cost
+        self._step = self._pool.steps
 
     def dismiss(self, reason: str) -> None:
         """If the client waits, let it wait no longer: what it waits for raises PeerError."""

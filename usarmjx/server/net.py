@@ -274,7 +274,7 @@ class BotServer:
             if not data:
                 return
             if 0 < self.settings.max_faults <= client.session.faults_in_a_row:
-                raise PeerError(f"dropped: {client.session.faults_in_a_row} faults in a row")
+                raise PeerError("dropped: too many faults in a row")
 
     async def _obey(self, connection: RobotConnection, commands: list[Command]) -> None:
         client = connection.client
