@@ -172,6 +172,23 @@ def test_each_part_of_a_query_matters_here(worlds):
     np.testing.assert_array_equal(nobody.distance, plain.distance)
 
 
+@pytest.mark.parametrize(("arena", "reach"), [("everything", 0.4), ("everything", 5.0), ("yellow", 3.0)])
+def test_a_reach_leaves_out_nothing_that_is_within_it(worlds, arena, reach):
+    """To the bit, for single rays, narrow cones and rays all round: planes and hills too."""
+    cast, _ = casters(worlds(arena))
+    origin, along = some_rays(worlds(arena), cast)
+    apart = np.repeat([0.0, 0.1, 0.5, 9.0], RAYS // 4)[:, None]
+    along = along[::BEAMS].repeat(BEAMS, 0) + apart * np.random.default_rng(4).normal(size=along.shape)
+    rays = origin, (along / np.linalg.norm(along, axis=-1, keepdims=True)).astype(np.float32)
+    query = RayQuery(exclude_owner=np.int32(0), incidence=True)
+    far = cast(*rays, query)
+    near = far.distance <= reach
+    assert 0.05 < near.mean() < 0.95
+    ours = cast(*rays, query.replace(max_distance=reach))
+    np.testing.assert_array_equal(ours.distance, np.where(near, far.distance, np.inf))
+    np.testing.assert_array_equal(ours.cosine, np.where(near, far.cosine, 0.0))
+
+
 def test_rays_leave_the_model_as_it_was(worlds):
     world = worlds("everything")
     cast, _ = casters(world)

@@ -4,6 +4,7 @@ What `sensors.rays.raycast` promises holds here too (materials, the robot's own 
 fenders, which C MuJoCo does not know, are cast by their kernel.
 """
 
+import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -26,7 +27,11 @@ HIDDEN_GROUP = len(MATERIALS)
 """The geom group of what rays pass, as the robot that looks; the groups before are the materials."""
 
 FEW_RAYS = 12
-"""Fewer rays from a point are cast one by one: to cast them together begins with all geoms' bounds."""
+"""Fewer rays from a point are cast one by one at all geoms: to cast them together begins with all bounds."""
+MARGIN = 1e-4
+"""By how much a geom's bounding sphere counts as larger than it is, against what is rounded [m]."""
+MIN_COSINE = 0.1
+"""Rays from a point are in a cone about their mean if all are nearer to it than this cosine."""
 
 
 class CRayCaster:
@@ -101,47 +106,85 @@ class CRayCaster:
     def _without(self, hidden: np.ndarray) -> Generator[None]:
         """Put geoms (n,) into a group of their own, for a while."""
         groups = self._model.geom_group
-        before = groups[hidden]
+        before = groups.copy()
         groups[hidden] = HIDDEN_GROUP
         try:
             yield
         finally:
-            groups[hidden] = before
+            groups[:] = before
 
     def _cast(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,)."""
-        count = len(start)
-        groups = np.zeros(mujoco.mjNGROUP, np.uint8)
-        groups[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
-        distance, normal = np.empty(count), np.zeros((count, 3))
-        geom = np.empty(count, np.int32)
-        bounds = [0, *(np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1), count]
-        for first, end in pairwise(bounds):  # rays from one point at a time
-            if end - first < FEW_RAYS:
+        model, data, count = self._model, self._data, len(start)
+        distance, normal, geom = np.full(count, np.inf), np.zeros((count, 3)), np.full(count, -1, np.int32)
+        solid = np.zeros(mujoco.mjNGROUP, np.uint8)
+        solid[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
+        firsts = np.flatnonzero(np.append(True, (start[1:] != start[:-1]).any(-1)))[:count]
+        lines, normals = along.reshape(-1), normal.reshape(-1)
+        groups, geoms, shown, few = model.geom_group, np.zeros(0, int), None, FEW_RAYS
+        before = groups.copy()
+        if count and math.isfinite(query.max_distance):
+            geoms, near = self._near(start, along, firsts, query.max_distance)
+            shown, few = np.where(near, before[geoms], HIDDEN_GROUP), 1
+            groups[:] = HIDDEN_GROUP
+        for i, (first, end) in enumerate(pairwise([*firsts.tolist(), count])):  # rays from one point
+            if shown is not None:
+                groups[geoms] = shown[i]
+            if end - first < few:
                 for ray in range(first, end):
-                    rays = geom[ray : ray + 1], normal[ray]
-                    distance[ray] = mujoco.mj_ray(
-                        self._model, self._data, start[ray], along[ray], groups, 1, -1, *rays
-                    )
+                    out = geom[ray : ray + 1], normal[ray]
+                    distance[ray] = mujoco.mj_ray(model, data, start[ray], along[ray], solid, 1, -1, *out)
                 continue
-            rays = slice(first, end)
             mujoco.mj_multiRay(
-                self._model,
-                self._data,
+                model,
+                data,
                 start[first],
-                along[rays].reshape(-1),
-                groups,
+                lines[3 * first : 3 * end],
+                solid,
                 1,
                 -1,
-                geom[rays],
-                distance[rays],
-                normal[rays].reshape(-1) if query.incidence else None,
-                int(end - first),
+                geom[first:end],
+                distance[first:end],
+                normals[3 * first : 3 * end] if query.incidence else None,
+                end - first,
                 mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
             )
+        groups[:] = before
         return np.where(geom >= 0, distance, np.inf), normal, geom
+
+    def _near(
+        self, start: np.ndarray, along: np.ndarray, firsts: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which geoms rays from each point might meet: by bounding spheres, and cones about the rays.
+
+        Args:
+            start: Where rays start [m] (rays, 3), point by point.
+            along: Unit vectors (rays, 3).
+            firsts: The first ray from each point (points,).
+            reach: How far they go [m].
+
+        Returns:
+            Geoms that any might meet (n,), and whether those from each point might meet them (points, n).
+        """
+        point = start[firsts] - start[0]
+        middle, bound = self._data.geom_xpos - start[0], self._model.geom_rbound
+        most = reach + MARGIN + np.sqrt((point * point).sum(-1).max())
+        square = (middle * middle).sum(-1)
+        geoms = np.flatnonzero((square <= (most + bound) ** 2) | (bound == 0))  # planes have no bound
+        middle, square, bound = middle[geoms], square[geoms], bound[geoms]
+        axis = np.add.reduceat(along, firsts)
+        axis /= np.maximum(np.sqrt((axis * axis).sum(-1, keepdims=True)), 1e-9)
+        rays = np.diff(firsts, append=len(along))
+        cosine = np.minimum.reduceat((along * axis.repeat(rays, 0)).sum(-1), firsts)[:, None]
+        ahead = axis @ middle.T - (axis * point).sum(-1, keepdims=True)
+        far = (point * point).sum(-1, keepdims=True) + square - 2 * (point @ middle.T)
+        aside, radius = np.sqrt(np.maximum(far - ahead * ahead, 0.0)), bound + MARGIN
+        # How far the middle is from the side of the cone.
+        outside = aside * cosine - ahead * np.sqrt(np.maximum(1 - cosine * cosine, 0.0)) > radius
+        missed = (far > (reach + radius) ** 2) | (outside & (cosine > MIN_COSINE))
+        return geoms, ~missed | (bound == 0)
 
     def _with_fenders(
         self,
