@@ -5,6 +5,8 @@ import http.client
 import io
 import json
 import math
+import re
+import socket
 
 import numpy as np
 import pytest
@@ -181,12 +183,20 @@ def watched(world, **settings):
         yield port, service.port
 
 
-def ask(port, path):
-    """Status, type and text of what HTTP answers."""
+def ask(port, path, *headers):
+    """Status, type and text of what HTTP answers; further headers stand in place of the usual Host."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
-    connection.request("GET", path)
+    connection.putrequest("GET", path, skip_host=bool(headers))
+    for header in headers:
+        connection.putheader(*header)
+    connection.endheaders()
     answer = connection.getresponse()
     return answer.status, answer.headers["Content-Type"], answer.read().decode()
+
+
+def view_as(port, host, **how):
+    """A connection for pictures under a name that leads to this machine."""
+    return connect(f"ws://{host}/view", sock=socket.create_connection(("127.0.0.1", port)), **how)
 
 
 def look(socket, **told):
@@ -232,6 +242,62 @@ def test_pages_from_elsewhere_and_too_many_are_turned_away(world):
             with connect(address) as second, pytest.raises(ConnectionClosed, match="1 pages are open"):
                 second.recv(timeout=PATIENCE)
             look(first)
+
+
+def test_another_sites_name_gets_nothing(world, caplog):
+    """Who makes a name of his own lead here (DNS rebinding) has the browser say that name."""
+    with watched(world, names=("sim.example.org", "192.0.2.7")) as (_, page):
+        own = ["localhost", "LOCALHOST.", f"a.localhost:{page}", f"127.0.0.1:{page}", "Sim.Example.org:80"]
+        for host in (*own, "192.0.2.7"):
+            assert ask(page, "/", ("Host", host))[0] == 200, host
+        wrong = ["evil.example", f"evil.example:{page}", "192.0.2.8", "localhost.evil.example", "[::1]", ""]
+        for host in (*wrong, "evil@localhost", "localhost/x"):
+            assert ask(page, "/", ("Host", host))[0] == 403, host
+        assert "--allow-host" in ask(page, "/view", ("Host", "evil.example"))[2]
+        assert ask(page, "/", ("Host", "localhost"), ("Host", "evil.example"))[0] == 403
+        assert ask(page, "/view", ("Host", "localhost"), *[("Origin", "http://localhost")] * 2)[0] != 500
+        for host in ("evil.example", f"evil.example:{page}"):
+            with pytest.raises(InvalidStatus, match="403"):
+                view_as(page, host, origin=f"http://{host}")
+        with view_as(page, f"localhost:{page}", origin=f"http://localhost:{page}") as socket:
+            look(socket)
+        with pytest.raises(InvalidStatus, match="403"):
+            view_as(page, f"localhost:{page}", origin="http://[")
+    assert not [record for record in caplog.records if record.exc_info]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 1000,
+        "[" * 500 + "]" * 500,
+        '{"key": ' + "[" * 400 + "]" * 400 + "}",
+        '{"move": [%s, 0, 0]}' % ("9" * 400),
+        '{"turn": [0, -%s]}' % ("9" * 400),
+        b'{"move": [%s, 0, 0]}' % (b"9" * 400),
+    ],
+    ids=["open", "nested", "key", "move", "turn", "bytes"],
+)
+def test_messages_that_no_page_sends_end_the_connection(world, caplog, text):
+    with watched(world) as (_, page):
+        with connect(f"ws://127.0.0.1:{page}/view") as socket:
+            socket.send(text)
+            with pytest.raises(ConnectionClosed) as closed:
+                socket.recv(timeout=PATIENCE)
+        assert closed.value.rcvd.code == 1008
+        assert re.search("at most .* (brackets|digits)", closed.value.rcvd.reason)
+        with connect(f"ws://127.0.0.1:{page}/view") as socket:
+            look(socket, move=[1, 0, 0.5], turn=[0.1, 0])
+    (record,) = caplog.records
+    assert "a message has at most" in record.getMessage() or "a number has at most" in record.getMessage()
+    assert not record.exc_info
+
+
+def test_a_name_that_is_none_is_one_clear_line():
+    options = ["--port", "0", "--spectator-port", "0", "--allow-host", "http://sim.example.org"]
+    done = CliRunner().invoke(app, ["serve", *options])
+    assert done.exit_code == 2
+    assert "--allow-host: 'http://sim.example.org' is no host; expected a name" in done.output
 
 
 def test_a_taken_port_is_one_clear_line(world):
