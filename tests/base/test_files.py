@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.base.files import disk_fault, write_beside, writing
+from usarmjx.base.files import AppendedFile, disk_fault, write_beside, writing
 
 
 @contextmanager
@@ -94,3 +94,16 @@ def test_what_is_no_fault_of_the_disk_is_none(tmp_path):
     assert disk_fault(above) == "Read-only file system"
     with pytest.raises(UsageError, match="no disk"), writing(tmp_path):
         raise UsageError("it was no disk")
+
+
+def test_a_line_that_does_not_fit_is_not_half_there(tmp_path):
+    file = AppendedFile(tmp_path / "lines")
+    file.append(b"first\n")
+    with largest_file(10), pytest.raises(WriteError, match="File too large"):
+        file.append(b"second\n")
+    assert (tmp_path / "lines").read_bytes() == b"first\n"
+    assert file.waiting == 1
+    file.append(b"third\n")
+    file.close()
+    assert (tmp_path / "lines").read_bytes() == b"first\nsecond\nthird\n"
+    assert file.waiting == 0

@@ -1,14 +1,18 @@
 """`usarmjx train` and `usarmjx export`, on the smallest robot task."""
 
+import errno
 import json
 import os
 import sys
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
+from usarmjx.base.errors import WriteError
 from usarmjx.cli.app import app
+from usarmjx.cli.tools import ErrorExit
 from usarmjx.train.policies.export import NumpyPolicy
 
 SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
@@ -69,6 +73,32 @@ def test_a_mistake_is_one_line_and_exit_code_2(words, message, tmp_path, monkeyp
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(errno.ENOSPC, "as Python has it"), "usarmjx: the output: No space left on device\n"),
+        (OSError(errno.EROFS, "", "runs/x"), "usarmjx: runs/x: Read-only file system\n"),
+    ],
+)
+def test_a_disk_that_refuses_what_a_command_shows_is_one_line(error, told, capsys):
+    with pytest.raises(typer.Exit) as caught, ErrorExit():
+        raise error
+    assert caught.value.exit_code == 2
+    assert capsys.readouterr().err == told
+    with pytest.raises(FileNotFoundError), ErrorExit():
+        open("nowhere/x")  # a fault of ours, with its trace
+
+
+def test_what_was_trained_but_cannot_be_kept_is_the_exit_code(monkeypatch, tmp_path):
+    def train(*_, **__):
+        raise WriteError("cannot write x: No space left on device; the last checkpoint is missing")
+
+    monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
+    result = invoke("train", *SMALL, "--out", tmp_path / "x")
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].endswith("No space left on device; the last checkpoint is missing")
 
 
 def test_several_processes_run_the_same_command(monkeypatch):

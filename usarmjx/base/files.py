@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 
 from usarmjx.base.errors import WriteError
@@ -77,3 +78,53 @@ def write_beside(path: Path) -> Generator[Path]:
         finally:
             with suppress(OSError):
                 fresh.unlink(missing_ok=True)
+
+
+class AppendedFile:
+    """A file that always ends with a whole record; what could not be appended waits for the next one.
+
+    Args:
+        path: The file, which may be there already; its folder is made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._waiting: list[bytes] = []
+        self._file: FileIO | None = None
+        self._size = 0
+
+    @property
+    def waiting(self) -> int:
+        """How many records could not be appended yet."""
+        return len(self._waiting)
+
+    def append(self, record: bytes) -> None:
+        """Append a record.
+
+        Raises:
+            WriteError: Nothing was appended; the record waits.
+        """
+        self._waiting.append(record)
+        with writing(self.path):
+            file = self._file or self._open()
+            left = memoryview(b"".join(self._waiting))
+            end = self._size + len(left)
+            try:
+                while left:
+                    left = left[file.write(left) :]
+            except OSError:
+                file.truncate(self._size)
+                raise
+        self._waiting, self._size = [], end
+
+    def _open(self) -> FileIO:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = FileIO(self.path, "a")
+        self._size = os.fstat(self._file.fileno()).st_size
+        return self._file
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()

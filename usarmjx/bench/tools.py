@@ -12,6 +12,8 @@ from typing import Any
 
 import jax
 
+from usarmjx.base.files import AppendedFile
+
 
 def versions() -> dict[str, str]:
     """Return the versions of what decides the figures."""
@@ -53,9 +55,9 @@ def record_header(benchmark: str, *, host: bool = False) -> dict[str, Any]:
 def append_record(record: Mapping[str, Any], file: Path | None) -> None:
     """Append a record to a file as a line of JSON; None: do not."""
     if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("a") as lines:
-            lines.write(json.dumps(record) + "\n")
+        lines = AppendedFile(file)
+        lines.append(json.dumps(record).encode() + b"\n")
+        lines.close()
 
 
 def time_repeats(run: Callable[[Any], Any], state: Any, repeats: int) -> tuple[float, list[float], Any]:  # noqa: ANN401

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
 from usarmjx.cli.tools import ErrorExit, SeedOption
 from usarmjx.cli.waiting import announce
 
@@ -115,7 +116,8 @@ def generate(
         if xml is not None:
             spec = new_spec(arena, Physics())
             spec.compile()
-            xml.write_text(spec.to_xml(), encoding="utf-8")
+            with write_beside(xml) as fresh:
+                fresh.write_text(spec.to_xml(), encoding="utf-8")
             typer.echo(f"wrote {xml}")
 
 

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from usarmjx.base.errors import UsarmjxError
+from usarmjx.base.files import writing
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import ArenaSpec
@@ -167,7 +168,9 @@ def running_server(errors: Path, console: Console) -> Iterator[int]:
     command = [sys.executable, "-m", "usarmjx", "serve", "--worlds", str(WORLDS), "--instance", "0"]
     command += ["--host", "127.0.0.1", "--port", "0", "--engine", "auto", "--realtime-factor", "0"]
     command += ["--no-wireless", "--no-images"]  # it needs neither, and the usual ports may be taken
-    with errors.open("w", encoding="utf-8") as log:
+    with writing(errors):
+        log = errors.open("w", encoding="utf-8")
+    with log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT)
     try:
         with console.status(f"starting a server of {WORLDS} worlds"):
@@ -276,7 +279,8 @@ def run_demo(out: Path, seconds: float = 20.0) -> int:
     """
     if not CONTROLLER.exists():
         raise DemoError(f"{CONTROLLER} is missing: the demonstration needs a checkout with examples/")
-    out.mkdir(parents=True, exist_ok=True)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
     console = Console()
     record, picture = out / "wander.json", out / "wander.png"
     with running_server(out / "server.log", console) as port:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from usarmjx.base.files import write_beside
 from usarmjx.cli.access_options import (
     AllowHostOption,
     AllowOption,
@@ -111,7 +112,8 @@ def evaluate_policy(
         if json is not None:
             what = {"task": found.task, "policy": found.name, "checkpoint": checkpoint, "engine": engine}
             setup = {"worlds": many, "level": level, "settings": [*settings] if settings else []}
-            json.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")
+            with write_beside(json) as fresh:
+                fresh.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")
 
 
 @app.command()

@@ -1,25 +1,34 @@
 """What the commands of all sub-applications share."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from usarmjx.base.errors import UsarmjxError
+from usarmjx.base.files import disk_fault
 
 
 class ErrorExit:
-    """Turns our own exceptions into one line and exit code 2; anything else is a bug and shows itself."""
+    """Turns our own exceptions, and a disk's, into one line and exit code 2; anything else is a bug.
+
+    A disk is met here where what a command shows goes to a file.
+    """
 
     def __enter__(self) -> None:
         """Begin."""
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
-        """End the command if the error is one of ours."""
-        if isinstance(error, UsarmjxError):
-            typer.echo(f"usarmjx: {error}", err=True)
-            raise typer.Exit(2)
-        return False
+        """End the command if the error is one of ours, or a disk's."""
+        text = str(error) if isinstance(error, UsarmjxError) else None
+        if isinstance(error, OSError) and (reason := disk_fault(error)):
+            text = f"{error.filename or 'the output'}: {reason}"
+        if text is None:
+            return False
+        with suppress(OSError):  # the error stream may go to the same disk
+            typer.echo(f"usarmjx: {text}", err=True)
+        raise typer.Exit(2)
 
 
 SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]

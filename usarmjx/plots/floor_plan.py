@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Patch, Polygon, Rectangle
 
+from usarmjx.base.files import write_beside
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.build.tags import tag_ids
 from usarmjx.models.build.victims import segment_poses, victim_table
@@ -49,8 +50,8 @@ def floor_plan_picture(arena: ArenaSpec, path: Path) -> None:
     figure.suptitle("\n".join([title, *about]), x=0.01, ha="left", fontsize=10)
     keys = draw_plan(axes, arena)
     figure.legend(handles=keys, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="png")
+    with write_beside(path) as fresh:
+        figure.savefig(fresh, format="png")
 
 
 def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool = True) -> list[Any]:

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from usarmjx.base.files import write_beside
 from usarmjx.cameras.paint import WATER_RGB, WATER_TRANSPARENCY, labels_of
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
@@ -65,8 +66,8 @@ def perspective(
         render_picture(arena_render_geoms(shown), eye, target, 2 * width, 2 * height, setting)
     )
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        imsave(path, picture)
+        with write_beside(path) as fresh:
+            imsave(fresh, picture)
     return picture
 
 
@@ -153,6 +154,6 @@ def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, colu
         axes.set_title(title, fontsize=9, loc="left")
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
-    path.parent.mkdir(parents=True, exist_ok=True)
     few = np.minimum(255, (pixels + COLOUR_STEP // 2) // COLOUR_STEP * COLOUR_STEP).astype(np.uint8)
-    imsave(path, few, pil_kwargs={"optimize": True})
+    with write_beside(path) as fresh:
+        imsave(fresh, few, pil_kwargs={"optimize": True})

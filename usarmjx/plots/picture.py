@@ -17,6 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from usarmjx.base.files import write_beside
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
 from usarmjx.plots.outlines import height_range, outline
@@ -115,7 +116,8 @@ def run_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
     _draw_run(axes, log)
     axes.spines[:].set_visible(False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
-    figure.savefig(path, format="png")
+    with write_beside(path) as fresh:
+        figure.savefig(fresh, format="png")
 
 
 def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:

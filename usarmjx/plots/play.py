@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
@@ -201,8 +202,8 @@ def save_recording(shown: EpisodeRecording, path: Path) -> None:
         UsageError: Another ending.
     """
     check_suffix(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    WRITERS[path.suffix.lower()](shown, path)
+    with write_beside(path) as fresh:
+        WRITERS[path.suffix.lower()](shown, fresh)
 
 
 def check_suffix(path: Path) -> None:

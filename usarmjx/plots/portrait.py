@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from usarmjx.base.files import write_beside
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.robots import ROBOTS
@@ -64,5 +65,5 @@ def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:
         length, width, height = robot.dimensions
         axes.set_title(f"{robot.name}  {length:.2f} x {width:.2f} x {height:.2f} m", y=-0.13, fontsize=9)
         axes.set_axis_off()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="png")
+    with write_beside(path) as fresh:
+        figure.savefig(fresh, format="png")

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Wedge
 
+from usarmjx.base.files import write_beside
 from usarmjx.base.registry import Registry
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
@@ -61,9 +62,9 @@ def plot(name: str, folder: Path) -> Path:
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     draw(figure)
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"sensor-{name}.png"
-    figure.savefig(path, format="png", pil_kwargs={"optimize": True})
+    with write_beside(path) as fresh:
+        figure.savefig(fresh, format="png", pil_kwargs={"optimize": True})
     return path
 
 

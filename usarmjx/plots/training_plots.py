@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
 
@@ -187,6 +188,6 @@ def plot_curves(sources: Sequence[Path], out: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     draw_curves(figure, curves)
     canvas.draw()
-    out.parent.mkdir(parents=True, exist_ok=True)
     picture = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # all of it is opaque
-    Image.fromarray(picture).save(out, format="png", optimize=True)
+    with write_beside(out) as fresh:
+        Image.fromarray(picture).save(fresh, format="png", optimize=True)

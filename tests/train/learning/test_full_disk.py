@@ -15,7 +15,6 @@ from tests.train.learning.test_training import on_the_board
 from tests.train.runs import checksums, lines, run
 from usarmjx.base.errors import WriteError
 from usarmjx.train.learning.checkpoint import Checkpoints
-from usarmjx.train.learning.log_files import AppendedFile
 from usarmjx.train.processes.group import ProcessGroup
 
 
@@ -86,19 +85,6 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_anything_is_traine
     monkeypatch.setattr(os, "mkdir", read_only)
     with pytest.raises(WriteError, match=rf"^cannot write {tmp_path}/run: Read-only file system$"):
         run(tmp_path / "run")
-
-
-def test_a_line_that_does_not_fit_is_not_half_there(tmp_path):
-    file = AppendedFile(tmp_path / "lines")
-    file.append(b"first\n")
-    with largest_file(10), pytest.raises(WriteError, match="File too large"):
-        file.append(b"second\n")
-    assert (tmp_path / "lines").read_bytes() == b"first\n"
-    assert file.waiting == 1
-    file.append(b"third\n")
-    file.close()
-    assert (tmp_path / "lines").read_bytes() == b"first\nsecond\nthird\n"
-    assert file.waiting == 0
 
 
 class TwoProcesses(ProcessGroup):

@@ -35,6 +35,10 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(reference, cache, tmp_pa
     """Bit for bit: all that was learned, all worlds, all that was written down."""
     folder = tmp_path / "run"
     with started([sys.executable, *PROGRAM, str(folder)], cache) as process:
+        wait_for_lines(folder, 1, process)
+        for resume in (True, False):
+            with pytest.raises(UsageError, match=f"^process {process.pid} on .* trains in "):
+                run(folder, resume=resume)
         wait_for_lines(folder, 4, process)
         process.send_signal(signal.SIGKILL)
         assert process.wait(10) == -signal.SIGKILL
@@ -72,6 +76,14 @@ def test_a_run_that_is_over_is_over(copy):
     before = lines(copy)
     assert run(copy, resume=True).last_metrics["iteration"] == 10
     assert lines(copy) == before
+
+
+def test_a_run_is_not_resumed_to_fewer_steps_than_it_has_done(copy):
+    """It says so, and changes nothing, not even what is written down of its settings."""
+    before = lines(copy), (copy / "config.json").read_text()
+    with pytest.raises(UsageError, match="has 24,000 agent steps behind it, more than the 12,000 that"):
+        run(copy, replace(CONFIG, steps=12_000), resume=True)
+    assert (lines(copy), (copy / "config.json").read_text()) == before
 
 
 def spoil_data(path):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.files import write_beside
 from usarmjx.models.files.values import read_bytes
 
 FORMATS = ("PNG", "PPM", "BMP", "JPEG", "GIF")
@@ -44,7 +45,8 @@ def write_heights(path: Path, heights: np.ndarray) -> float:
 
     top = float(np.max(heights))
     steps = np.rint(np.asarray(heights, float) / (top or 1.0) * 65535).astype(np.uint16)
-    Image.fromarray(np.ascontiguousarray(steps[::-1])).save(path)
+    with write_beside(path) as fresh:
+        Image.fromarray(np.ascontiguousarray(steps[::-1])).save(fresh)
     return top
 
 

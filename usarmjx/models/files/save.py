@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.files import write_beside
 from usarmjx.models.files.images import write_heights
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import HeightField, Mesh
@@ -23,19 +24,18 @@ def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
     65535th of the highest one. All numbers else are kept to the last digit.
 
     Raises:
-        ArenaFileError: A name that does not end in .yaml, or a folder that cannot be written to.
+        ArenaFileError: A name that does not end in .yaml, or a folder that is not there.
+        WriteError: The folder cannot be written to.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise ArenaFileError(f"{path}: arenas are saved as .yaml files")
-    try:
-        plain = _Files(path).plain(arena)
-        text = yaml.safe_dump(
-            plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=False
-        )
-        path.write_text(HEADER + text, encoding="utf-8")
-    except OSError as error:
-        raise ArenaFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    if not path.parent.is_dir():
+        raise ArenaFileError(f"{path}: cannot be written: No such file or directory")
+    plain = _Files(path).plain(arena)
+    text = yaml.safe_dump(plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=False)
+    with write_beside(path) as fresh:
+        fresh.write_text(HEADER + text, encoding="utf-8")
     return path
 
 
@@ -85,7 +85,8 @@ def _write_mesh(mesh: Mesh, path: Path, number: int) -> str:
         first, second = (b, c) if normal @ outward > 0 else (c, b)
         lines.append(f"f {a + 1} {first + 1} {second + 1}")
     name = f"{path.stem}-mesh-{number}.obj"
-    (path.parent / name).write_text("\n".join(lines) + "\n", encoding="ascii")
+    with write_beside(path.parent / name) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="ascii")
     return name
 
 

@@ -11,11 +11,13 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -149,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--steps", type=int, help="actions of an episode")
-    parser.add_argument("--json", help="file to write the rows to")
+    parser.add_argument("--json", type=Path, help="file to write the rows to")
     options = parser.parse_args(arguments)
     overrides = {} if options.steps is None else {"episode_steps": options.steps}
     rows = measure(options.task, options.worlds, range(options.seeds), options.engine, **overrides)
@@ -158,8 +160,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in holds.items()))
     if options.json:
         content = {"task": options.task, "rows": [vars(row) | {"score": vars(row.score)} for row in rows]}
-        with open(options.json, "w", encoding="utf-8") as file:
-            json.dump(content | {"holds": holds}, file, indent=1)
+        with write_beside(options.json) as fresh:
+            fresh.write_text(json.dumps(content | {"holds": holds}, indent=1), encoding="utf-8")
     return 0 if all(holds.values()) else 1
 
 

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.base.files import write_beside
-from usarmjx.train.learning.log_files import AppendedFile, Board
+from usarmjx.base.files import AppendedFile, write_beside
+from usarmjx.train.learning.board import Board
 
 PER_EPISODE = ("return", "score", "length")
 

@@ -1,12 +1,10 @@
-"""What a run writes as it goes on: lines of JSON, and TensorBoard's events. A full disk only delays them."""
+"""TensorBoard's file of a run."""
 
 import os
 import socket
 import struct
 import time
 from collections.abc import Mapping
-from contextlib import suppress
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -14,57 +12,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
-from usarmjx.base.files import writing
-
-
-class AppendedFile:
-    """A file that always ends with a whole record; what could not be appended waits for the next one.
-
-    Args:
-        path: The file, which may be there already; its folder is made.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._waiting: list[bytes] = []
-        self._file: FileIO | None = None
-        self._size = 0
-
-    @property
-    def waiting(self) -> int:
-        """How many records could not be appended yet."""
-        return len(self._waiting)
-
-    def append(self, record: bytes) -> None:
-        """Append a record.
-
-        Raises:
-            WriteError: Nothing was appended; the record waits.
-        """
-        self._waiting.append(record)
-        with writing(self.path):
-            file = self._file or self._open()
-            left = memoryview(b"".join(self._waiting))
-            end = self._size + len(left)
-            try:
-                while left:
-                    left = left[file.write(left) :]
-            except OSError:
-                file.truncate(self._size)
-                raise
-        self._waiting, self._size = [], end
-
-    def _open(self) -> FileIO:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = FileIO(self.path, "a")
-        self._size = os.fstat(self._file.fileno()).st_size
-        return self._file
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            with suppress(OSError):
-                self._file.close()
+from usarmjx.base.files import AppendedFile
 
 
 class Board(AppendedFile):
