@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.server.fault_log import FaultLog
 from usarmjx.server.gate import Gate, peer_address
 from usarmjx.server.ports import may_dial
 from usarmjx.server.wireless.comserver import normalize_address
@@ -56,6 +57,7 @@ class ProxyServer:
     def __init__(self, radio: RadioChannel, host: str, throttle: Throttle, gate: Gate) -> None:
         self._host, self._throttle, self._gate = host, throttle, gate
         self._board = Switchboard(radio, self._allocate, time.monotonic, may_dial)
+        self._fault_log = FaultLog(log)
         self._ports: dict[Route, ReservedPort] = {}
         self._connections: dict[Route, set[ProxyConnection]] = {}
         self._handlers: set[DialectBHandler] = set()
@@ -117,7 +119,7 @@ class ProxyServer:
         try:
             self._ports[route] = ReservedPort(self._host, partial(self._called, route), self._gate)
         except UsageError as error:
-            log.warning("%s", error)
+            self._fault_log.warning("%s", error)
             return None
         return self._ports[route].port
 
@@ -129,7 +131,7 @@ class ProxyServer:
             try:
                 await port.open()
             except UsageError as error:
-                log.warning("%s", error)
+                self._fault_log.warning("%s", error)
                 self._board.failed(route)
             # Meanwhile its caller may have left, or the signal.
             if self._ports.get(route) is not port:
