@@ -82,8 +82,8 @@ class WorldCollector(Collector):
         )
         bounds = [*map(str, GAP_BOUNDS), "+Inf"]
         for world, meter in self._meters.items():
-            for kind, count in meter.server.tally.commands.items():
-                commands.add_metric([world, kind.__name__], count)
+            for command, count in meter.server.tally.commands.items():
+                commands.add_metric([world, command.__name__], count)
             gaps.add_metric([world], list(zip(bounds, accumulate(meter.gaps), strict=True)), meter.gap_sum)
         yield commands
         yield gaps
