@@ -77,11 +77,11 @@ def server_side(connection):
     """The server's end of a connection, as the server is in this process; None until it has accepted it."""
     name = connection.getsockname()
     for number in map(int, os.listdir("/proc/self/fd")):
-        with contextlib.suppress(OSError):
-            copy = socket.socket(fileno=os.dup(number))
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):  # it is no socket, or closed
+            copy = stack.enter_context(socket.fromfd(number, socket.AF_INET, socket.SOCK_STREAM))
             if copy.getpeername() == name:
+                stack.pop_all()
                 return copy
-            copy.close()
     return None
 
 

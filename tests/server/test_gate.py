@@ -1,24 +1,21 @@
-"""Who gets in at each port, on real sockets: networks, tokens, so many of an address, and nobody for ever."""
+"""Who gets in at each port, on real sockets: networks, so many of an address, and nobody for ever."""
 
 import asyncio
 import contextlib
-import http.client
 import ipaddress
 import re
 import socket
 import time
 
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+import dev
 from tests.server.all_ports import (
     ELSEWHERE,
     HOST,
     KINDS,
-    LINE,
-    TCP_KINDS,
-    TOKEN,
     all_ports,
     begins,
     black,
@@ -26,15 +23,18 @@ from tests.server.all_ports import (
     server_side,
 )
 from tests.server.peers import PATIENCE, Peer, serving
-from tests.server.radio_servers import client, wait_until
+from tests.server.radio_servers import wait_until
 from tests.server.still_world import StillWorld, init
-from usarmjx.server import gate, ports
+from usarmjx.server import gate, metrics, ports
 from usarmjx.server.access import AccessRules, parse_networks
+from usarmjx.server.bot_server import BotServerSettings
 from usarmjx.server.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
+from usarmjx.server.pictures.image_server import ImageSettings
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.ports import bound_socket
-from usarmjx.server.web_gate import COOKIE
-from usarmjx.server.wireless import sockets
+from usarmjx.server.protocol.session import SEND_LIMIT
+from usarmjx.server.wireless import sockets, switchboard
+from usarmjx.server.wireless.net import WirelessSettings
 from usarmjx.server.wireless.sockets import ReservedPort
 
 TIMEOUT = 0.3  # s: what a test waits for
@@ -46,13 +46,6 @@ NOTHING = b""
 def guarded():
     """All ports, for one address only."""
     with all_ports(allow=parse_networks([ELSEWHERE])) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def locked():
-    """All ports, for those who know the token."""
-    with all_ports(token=TOKEN) as found:
         yield found
 
 
@@ -100,134 +93,6 @@ def test_refusals_are_logged_by_rate(caplog):
             assert not found.answers("robots", NOTHING)
     lines = [record.getMessage() for record in caplog.records if "is refused" in record.getMessage()]
     assert lines == [f"robots: {HOST} is refused: it is not in --allow"]
-
-
-# The token
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_nothing_is_obeyed_or_said_before_the_token(locked, kind):
-    said, question, answer = KINDS[kind]
-    if kind == "page":
-        assert begins(locked.connect(kind), said, answer)
-        assert hear_refusal(locked, question)
-        assert hear_refusal(locked, said.replace(TOKEN.encode(), b"open-sesame_43"))
-    else:
-        assert locked.answers(kind, said)
-        assert not locked.answers(kind, NOTHING)
-        assert not locked.answers(kind, said.replace(b"42", b"43"))
-        assert not locked.answers(kind, said.replace(TOKEN.encode(), NOTHING))
-
-
-def hear_refusal(locked, question):
-    """Whether a request to the page is forbidden."""
-    return begins(locked.connect("page"), question, b"HTTP/1.1 403 ")
-
-
-@pytest.mark.parametrize("kind", TCP_KINDS)
-def test_the_token_may_come_in_pieces(locked, kind):
-    said, question, answer = KINDS[kind]
-    connection = locked.connect(kind)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    connection.settimeout(0.05)
-    for piece in (said[:7], said[7:20]):
-        connection.sendall(piece)
-        with pytest.raises(TimeoutError):  # not a word
-            connection.recv(1)
-    connection.settimeout(PATIENCE)
-    assert begins(connection, said[20:] + question, answer)
-
-
-@pytest.mark.parametrize("ends", ["\n", "\r", "\n\r", "\r\n\r\n"])
-def test_the_line_of_the_token_ends_as_any_other(locked, ends):
-    peer = Peer(locked.ports["robots"])
-    peer.socket.sendall(f"\r\nauth {{token {TOKEN}}}{ends}{init('Reader')}{ends}".encode())
-    assert peer.line().startswith(b"NFO {Gametype")
-    assert peer.until(b"STA")
-    peer.close()
-
-
-@pytest.fixture
-def log(locked, caplog):
-    """The log, in which the next refusal at the robots' port has a line."""
-    locked.server._gate._next_log = 0.0
-    return caplog
-
-
-def test_who_keeps_the_token_to_himself_has_to_go(locked, monkeypatch, log):
-    monkeypatch.setattr(gate, "AUTH_TIMEOUT", TIMEOUT)
-    silent, slow = locked.connect("robots"), locked.connect("position")
-    slow.sendall(LINE[:9])
-    assert hear(silent, 1) == hear(slow, 1) == b""
-    assert f"no token for {TIMEOUT:g} s" in log.text
-
-
-def test_a_line_without_end_is_not_read_for_a_token(locked, log):
-    connection = locked.connect("robots")
-    connection.sendall(b"AUTH" + b" " * gate.MAX_AUTH_SIZE)
-    assert hear(connection, 1) == b""
-    assert f"its first line has more than {gate.MAX_AUTH_SIZE} bytes" in log.text
-
-
-def test_strangers_keep_nobody_out(locked, monkeypatch):
-    """Who owes the token longest yields."""
-    monkeypatch.setattr(gate, "MAX_STRANGERS", 3)
-    strangers = [locked.connect("robots") for _ in range(3)]
-    wait_until(lambda: len(locked.server._gate._strangers) == 3, "three strangers")
-    assert locked.answers("robots", LINE)
-    assert hear(strangers[0], 1) == b""
-    assert begins(strangers[1], LINE, KINDS["robots"][2])
-
-
-def test_strangers_take_no_seats(monkeypatch):
-    with serving(StillWorld(), max_connections=1, access=AccessRules(token=TOKEN)) as (port, server):
-        strangers = [Peer(port) for _ in range(4)]
-        wait_until(lambda: len(server._gate._strangers) == 4, "four strangers")
-        peer = Peer(port, f"AUTH {{Token {TOKEN}}}\r\n{init()}")
-        assert peer.until(b"STA")
-        for other in (*strangers, peer):
-            other.close()
-
-
-def test_the_bundled_client_says_the_token(locked):
-    ports = locked.ports
-    with client().UsarsimClient(port=ports["robots"], token=TOKEN) as robot:
-        assert robot.start_poses()
-    with client().WirelessA(port=ports["wss"], token=TOKEN) as radio:
-        radio.register("R1")
-    with client().WirelessB("R1", port=ports["wss2"], token=TOKEN) as radio:
-        assert radio.door.port
-    with client().ImageClient(port=ports["pictures"], token=TOKEN) as camera:
-        assert camera.picture().width == 8
-    with pytest.raises(ConnectionError):
-        client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])
-
-
-def page_of(locked, path, **headers):
-    """What the page's port answers: status, headers."""
-    connection = http.client.HTTPConnection(HOST, locked.ports["page"], timeout=PATIENCE)
-    connection.request("GET", path, headers=headers)
-    answer = connection.getresponse()
-    answer.read()
-    return answer.status, answer.headers
-
-
-def test_a_browser_says_the_token_once_and_has_a_cookie_then(locked):
-    status, headers = page_of(locked, f"/?token={TOKEN}")
-    cookie, *attributes = headers["Set-Cookie"].split("; ")
-    assert status == 200
-    assert set(attributes) == {"Path=/", "HttpOnly", "SameSite=Strict"}
-    assert TOKEN not in cookie
-    assert (headers["Referrer-Policy"], headers["Cache-Control"]) == ("no-referrer", "no-store")
-    assert page_of(locked, "/", Cookie=f"a=b; {cookie}; c=d")[0] == 200
-    assert page_of(locked, "/")[0] == page_of(locked, "/", Cookie=f"{COOKIE}={TOKEN}")[0] == 403
-    view = f"ws://{HOST}:{locked.ports['page']}/view"
-    for wrong in ({}, {"Cookie": cookie[:-1]}):
-        with pytest.raises(InvalidStatus, match="403"):
-            connect(view, additional_headers=wrong)
-    with connect(view, additional_headers={"Cookie": cookie}) as watcher:
-        watcher.send('{"ready": true}')
-        assert "caption" in watcher.recv(timeout=PATIENCE)
 
 
 # Connections of an address
@@ -413,3 +278,38 @@ def test_a_port_of_ours_on_another_machine_is_its_own_affair():
         assert not ports.may_dial(HOST, port)
         assert ports.may_dial("192.0.2.1", port)  # an address for documents
     assert ports.may_dial(HOST, port), "it is not ours any more"
+
+
+# What is written
+
+
+def test_the_page_on_security_has_the_limits_that_are_in_force():
+    text = (dev.ROOT / "docs/security.md").read_text(encoding="utf-8")
+    rows = dict(
+        re.findall(r"^\| ([^|]+?) \| ([^|]+?) \|[^|\n]*\|$", text.partition("## Limits")[2], re.MULTILINE)
+    )
+    told = {what: [int(number) for number in re.findall(r"\d+", rows[what])] for what in rows}
+    bots, air, calls = BotServerSettings(), WirelessSettings(), switchboard.MAX_CONNECTIONS
+    images, page = ImageSettings(), SpectatorSettings()
+    held = (bots.max_connections, air.max_connections, images.max_connections, page.max_connections)
+    quarters = [3 * room // 4 for room in (*held, calls, metrics.MAX_CONNECTIONS)]
+    found_out = KEEPALIVE_IDLE + KEEPALIVE_INTERVAL * KEEPALIVE_COUNT
+    expected = {
+        "connections for robots": [held[0]],
+        "without a robot and without asking for anything": [bots.init_timeout],
+        "without a robot, but asking, while no seat is left": [bots.init_timeout],
+        "connections to the wireless servers and for positions": [held[1]],
+        "silent on them, without a robot in the world": [air.idle_timeout],
+        "connections for pictures": [held[2]],
+        "pages": [held[3]],
+        "a page that asks for no picture": [page.idle_timeout],
+        "connections of one address to one kind of port, but from loopback": quarters,
+        "before the token is said": [gate.AUTH_TIMEOUT, gate.MAX_AUTH_SIZE, gate.MAX_STRANGERS],
+        "a peer that has vanished without a word": [
+            *(found_out, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_COUNT)
+        ],
+        "log lines about refused connections": [gate.LOG_INTERVAL],
+        "an unread answer": [SEND_LIMIT >> 20, sockets.STALL],
+    }
+    for what, numbers in expected.items():
+        assert [number for number in told[what] if number != 1 or what == "an unread answer"] == numbers, what

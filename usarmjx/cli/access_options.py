@@ -27,17 +27,17 @@ TokenOption = Annotated[
     str | None,
     typer.Option(
         envvar=TOKEN_VARIABLE,
-        help="What clients have to say first: AUTH {Token ...}; others see it in the list of processes, "
-        "but not the variable's.",
+        help="A secret that clients have to say first, as AUTH {Token ...}. Other users can see it in the "
+        "list of processes: better a file or the variable.",
     ),
 ]
-TokenFileOption = Annotated[Path | None, typer.Option(help="A file with the token in place of --token.")]
+TokenFileOption = Annotated[Path | None, typer.Option(help="A file that holds the token.")]
 PerAddressOption = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Most connections of one address to one kind of port, but for this machine's own; else three "
-        "quarters of what the port holds.",
+        help="Most connections of one address to one kind of port, loopback apart; else three quarters of "
+        "what the port holds.",
     ),
 ]
 

@@ -73,8 +73,8 @@ def serve(
         float,
         typer.Option(
             min=0.0,
-            help="Seconds after which a client goes that has no robot and asks for nothing, or for all it "
-            "asks if no seat is left; 0: never.",
+            help="Seconds after which a client without a robot goes if it asks for nothing, or if others "
+            "need its seat; 0: never.",
         ),
     ] = 60.0,
     allow: AllowOption = None,
