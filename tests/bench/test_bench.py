@@ -27,7 +27,7 @@ def test_the_record_says_what_was_measured_where(outcome):
     assert record["versions"]["mujoco"] == "3.17.0"
     assert record["case"] == {
         "worlds": 2, "roster": "P2AT", "arena": "yellow", "generated": 0, "engine": "c", "radio": False,
-        "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
+        "physics": "reference", "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):
         assert word in record["in_the_step"]
@@ -44,6 +44,7 @@ def test_the_rates_follow_from_the_times(outcome):
         record["robot_steps_per_s"] / record["bare_robot_steps_per_s"]
     )
     assert record["cpu_mujoco_robot_steps_per_s"] > 0
+    assert record["robots_in_real_time"] == pytest.approx(record["robot_steps_per_s"] * record["timestep"])
     assert not any(record["faults"].values())
 
 
