@@ -18,7 +18,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import surface_of
 from usarmjx.models.files.mesh_check import MESH_CHECKS, MOST_MESH_BYTES, broken, check_mesh
 from usarmjx.models.files.reader_process import MeshArrays, read_mesh_objects
-from usarmjx.models.files.values import read_bytes
+from usarmjx.models.files.values import FARTHEST, read_bytes
 from usarmjx.models.spec.shapes import Mesh, Shape
 
 MOST_VERTICES = 200
@@ -96,12 +96,21 @@ def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
     """Return the corners of a solid (n, 3) if they make one.
 
     Raises:
-        ArenaFileError: They lie in a plane, or are too many.
+        ArenaFileError: They lie in a plane or too far away, or are too many.
     """
     if len(vertices) > MOST_VERTICES:
         raise ArenaFileError(f"{name}: {len(vertices)} vertices; a solid has at most {MOST_VERTICES}")
+    _check_reach(vertices, name)
     _hull(vertices, name)
     return vertices
+
+
+def _check_reach(vertices: np.ndarray, name: str) -> None:
+    farthest = float(np.abs(vertices).max(initial=0.0))
+    if not farthest <= FARTHEST:
+        raise ArenaFileError(
+            f"{name} reaches {farthest:g} m from its origin, at most {FARTHEST:g}; mind `scale`"
+        )
 
 
 def convex_pieces(
@@ -110,6 +119,7 @@ def convex_pieces(
     """Return the connected pieces of a mesh (n, 3), (m, 3) as convex solids; see `load_convex_pieces`."""
     import trimesh
 
+    _check_reach(vertices, name)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices()
     every = np.arange(len(mesh.faces))

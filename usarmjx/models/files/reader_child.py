@@ -14,12 +14,10 @@ import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-MEMORY = 2_000_000_000
-"""What reading one file may take beyond what the readers take themselves [bytes]."""
-CPU_TIME = 20
-"""What reading one file may take [s]."""
 IDLE = 10.0
 """After so long without a file this process ends [s]."""
+UNKNOWN = "Caught an unknown exception"
+"""What MuJoCo says where it gets no memory."""
 MOST_GEOMS = 50_000
 """Geoms of a model."""
 LOADING: dict[str, dict[str, Any]] = {
@@ -27,6 +25,10 @@ LOADING: dict[str, dict[str, Any]] = {
     "stl": {"process": False},
 }
 """Kinds of mesh files, and how trimesh shall read them: as they are."""
+
+
+SEARCH_PATH, CPU_TIME, MEMORY = json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0)
+"""Where modules are, and what reading one file may take [s], [bytes]; see `reader_process`."""
 
 
 def limit() -> None:
@@ -101,12 +103,15 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into
-        return {"error": " ".join(str(error).split()) or type(error).__name__}, []
+        said = " ".join(str(error).split()) or type(error).__name__
+        if UNKNOWN in said:
+            said = f"MuJoCo gives no reason, as where {MEMORY // 1_000_000} MB of memory do not suffice"
+        return {"error": said}, []
 
 
 def main() -> None:
     """Answer line by line, until nobody asks any more."""
-    sys.path[:] = json.loads(sys.argv[1])
+    sys.path[:] = SEARCH_PATH
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the readers print is no answer
     while os.name == "nt" or select.select([0], [], [], IDLE)[0]:

@@ -20,8 +20,11 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files import reader_child
-from usarmjx.models.files.reader_child import CPU_TIME, MEMORY
 
+CPU_TIME = 20
+"""Of a processor, for reading one file [s]."""
+MEMORY = 2_000_000_000
+"""For reading one file, beyond what the readers take themselves [bytes]."""
 PATIENCE = 120.0
 """For one file, by the clock on the wall [s]: six times as long as its share of a processor."""
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
@@ -53,9 +56,16 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
 
 
 class ReaderProcess:
-    """The other process, which is there while it has something to do."""
+    """The other process, which is there while it has something to do.
 
-    def __init__(self) -> None:
+    Args:
+        cpu_time: Of a processor, for reading one file [s].
+        memory: For reading one file, beyond what the readers take themselves [bytes].
+        patience: For one file, by the clock on the wall [s].
+    """
+
+    def __init__(self, cpu_time: int = CPU_TIME, memory: int = MEMORY, patience: float = PATIENCE) -> None:
+        self._cpu_time, self._memory, self._patience = cpu_time, memory, patience
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
         self._owner = 0  # of the child: after a fork it is somebody else's
@@ -90,7 +100,7 @@ class ReaderProcess:
             return {"error": f"the process that reads it does not start: {error}"}, b""
         assert child.stdin is not None
         assert child.stdout is not None
-        late = threading.Timer(PATIENCE, child.kill)
+        late = threading.Timer(self._patience, child.kill)
         late.daemon = True
         late.start()
         try:
@@ -109,16 +119,16 @@ class ReaderProcess:
         self.close()
         if ended == 0:
             return None
-        return {"error": _why(ended, timed_out=timed_out)}, b""
+        return {"error": self._why(ended, timed_out=timed_out)}, b""
 
     def _started(self) -> subprocess.Popen[bytes]:
         """Return the process that is there, or a new one."""
         if self._child is not None and self._owner == os.getpid() and self._child.poll() is None:
             return self._child
         self.close()
-        program = [sys.executable, "-I", reader_child.__file__, json.dumps([p for p in sys.path if p])]
+        options = [[folder for folder in sys.path if folder], self._cpu_time, self._memory]
         self._child = subprocess.Popen(
-            program,
+            [sys.executable, "-I", reader_child.__file__, json.dumps(options)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -127,17 +137,15 @@ class ReaderProcess:
         self._owner = os.getpid()
         return self._child
 
-
-def _why(ended: int, *, timed_out: bool) -> str:
-    """Return why reading ended without an answer."""
-    if timed_out:
-        return f"reading it takes longer than {PATIENCE:g} s"
-    if ended == -getattr(signal, "SIGXCPU", 0):
-        return f"reading it takes more than {CPU_TIME} s of a processor"
-    if ended == -getattr(signal, "SIGKILL", 0):
-        return f"the process that read it was killed: mind its memory (at most {MEMORY // 1_000_000} MB)"
-    name = signal.Signals(-ended).name if ended < 0 else f"code {ended}"
-    return f"its reader crashed ({name})"
+    def _why(self, ended: int, *, timed_out: bool) -> str:
+        """Return why reading ended without an answer."""
+        if timed_out:
+            return f"reading it takes longer than {self._patience:g} s"
+        if ended == -getattr(signal, "SIGXCPU", 0):
+            return f"reading it takes more than {self._cpu_time} s of a processor"
+        if ended == -getattr(signal, "SIGKILL", 0):
+            return "the process that read it was killed: is there memory enough?"
+        return f"its reader crashed ({signal.Signals(-ended).name if ended < 0 else f'code {ended}'})"
 
 
 _READER = ReaderProcess()

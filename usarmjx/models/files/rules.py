@@ -6,6 +6,7 @@ from typing import Any
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.victim_table import build_table, check
+from usarmjx.models.files.values import FARTHEST
 from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
 from usarmjx.models.spec.shapes import FENDER, MATERIALS, SURFACES, Shape
 
@@ -18,10 +19,6 @@ SIZES = {
     "hfield": (3, "half lengths along x and y, and the ground's thickness below the lowest point"),
 }
 """How many numbers the size of a kind of solid has, and what they are; a mesh has none."""
-
-
-FARTHEST = 1e7
-"""Farthest place of an arena from its origin, and largest length [m]."""
 
 
 def problem(record: object) -> str:

@@ -17,6 +17,8 @@ MOST_DIGITS = 100
 MOST_KEY = 100
 """Characters of a key."""
 MERGE = "tag:yaml.org,2002:merge"
+FARTHEST = 1e7
+"""Farthest place of an arena from its origin, and largest length [m]."""
 SHOWN = 100
 """Characters of a value that errors quote, and of what leads to it."""
 

@@ -1,0 +1,219 @@
+"""Whatever is in a file: it loads, or one line says what is wrong with it.
+
+`dev.py fuzz` tries many more files than a run of the tests.
+"""
+
+import io
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dev
+from tests.mutations import edits, mutate
+from tests.train.handmade import policy_file
+from tests.valid_files import ARENA, BINARY_STL, INI, MAP, MISSION, MODEL, ROADS, TEXT_STL, picture
+from usarmjx.base.errors import UsageError
+from usarmjx.models.files.fields import hints_of
+from usarmjx.models.files.load import load_arena
+from usarmjx.models.files.meshes import load_convex_pieces
+from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.urdf import urdf_content
+from usarmjx.models.ini.parse import read_ini
+from usarmjx.models.ini.robots import load_robots
+from usarmjx.models.roads.mdf import read_mdf
+from usarmjx.models.roads.rndf import read_rndf
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import ArenaSpec, Door, HelpSound, LooseObject, StartPose, Victim
+from usarmjx.models.spec.shapes import Shape
+from usarmjx.train.policies.sources import load_exported
+
+MANY = settings.default.max_examples if settings.default else 0
+SOME = settings(max_examples=MANY if MANY > 100 else 20)
+"""A short run where examples are always the same ones."""
+EXAMPLES = dev.ROOT / "examples" / "arenas"
+MOST_SAID = 4000
+"""Characters of an error, which may list what is allowed."""
+
+LOADERS = {
+    "arena.yaml": (ARENA, load_arena),
+    "model.xml": (MODEL, mjcf_content),
+    "bench.urdf": ((EXAMPLES / "bench.urdf").read_bytes(), urdf_content),
+    "wedge.obj": ((EXAMPLES / "wedge.obj").read_bytes(), load_convex_pieces),
+    "text.stl": (TEXT_STL, load_convex_pieces),
+    "binary.stl": (BINARY_STL, load_convex_pieces),
+    "hill.png": (picture("PNG"), load_arena),
+    "robot.ini": (INI, read_ini),
+    "roads.txt": (ROADS, read_rndf),
+    "mission.txt": (MISSION, read_mdf),
+    "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),
+}
+"""A valid file of each kind, and what reads it."""
+
+
+def read(loader, path):
+    """Load a file, or be told in one line of bounded length what is wrong with it; anything else fails."""
+    said = "fine"
+    try:
+        loader(path)
+    except UsageError as error:
+        said = str(error)
+    assert 0 < len(said) < MOST_SAID
+    assert len(said.splitlines()) == 1
+    return said == "fine"
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_the_files_that_are_changed_are_valid(name, tmp_path):
+    whole, loader = LOADERS[name]
+    (tmp_path / name).write_bytes(whole)
+    assert read(loader, tmp_path / name)
+
+
+@pytest.mark.parametrize("name", LOADERS)
+@SOME
+@given(changes=edits)
+def test_a_changed_file_loads_or_is_refused_in_one_line(name, changes, tmp_path_factory):
+    whole, loader = LOADERS[name]
+    path = tmp_path_factory.getbasetemp() / f"fuzzed-{name}"
+    path.write_bytes(mutate(whole, changes))
+    read(loader, path)
+
+
+ODD = [0, 1, -1, 3, 1e9, -1e300, 1e-300, float("nan"), float("inf"), 10**30]
+numbers = st.sampled_from(ODD) | st.floats()
+scalars = st.none() | st.booleans() | st.integers() | numbers | st.text(max_size=5)
+words = st.sampled_from(
+    ["box", "mesh", "hfield", "wall", "mud", "glass", "90deg", "a", "fuzzed.obj", ".", "lying", "Head"]
+)
+KINDS = (ArenaSpec, Shape, LooseObject, Door, Victim, StartPose, HelpSound)
+KEYS = sorted({key for kind in KINDS for key in hints_of(kind)} | {"meshes", "file", "scale", "map", "urdf"})
+trees = st.recursive(
+    scalars | words | st.lists(numbers, max_size=4),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=6),
+    max_leaves=20,
+)
+
+
+@SOME
+@given(tree=st.dictionaries(st.sampled_from(KEYS), trees, max_size=6))
+def test_any_tree_of_known_keys_is_an_arena_or_refused(tree, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "fuzzed-tree.yaml"
+    path.write_text(yaml.safe_dump({"starts": [], **tree}), encoding="utf-8")
+    read(load_arena, path)
+
+
+INI_WORDS = [
+    "class'USARBot.SonarSensor'",
+    '"F1"',
+    "P2ATTire",
+    "KCarWheelJoint",
+    "KDHinge",
+    "W1",
+    "HARD",
+    "USARBot.P2AT",
+]
+INI_NAMES = [
+    "X",
+    "Y",
+    "Z",
+    "ItemName",
+    "ItemClass",
+    "PartName",
+    "JointClass",
+    "Number",
+    "PkgName",
+    "Size",
+    "Radius",
+    "Width",
+    "MaxRange",
+]
+INI_KEYS = [
+    "Sensors",
+    "AddSensors",
+    "Links",
+    "JointParts",
+    "MisPkgs",
+    "Wheels(0)",
+    "BaseClass",
+    "Dimensions",
+    "Weight",
+    "MaxTorque",
+    "batteryLife",
+    "Payload",
+    "CenterOfMass",
+    "bMountByUU",
+    "SteerSpeed",
+    "NumTires",
+    "MaxRange",
+]
+INI_SECTIONS = [
+    "USARBot.P2AT",
+    "USARBot.Cart",
+    "USARBot.Own",
+    "USARBot.RangeScanner",
+    "USARMisPkg.Arm",
+    "Engine",
+    "USARBot.Hummer",
+    "USARBot.TarantulaFrontTrack",
+    "USARBot.MySensor",
+]
+ini_sections = st.sampled_from(INI_SECTIONS)
+ini_values = st.recursive(
+    scalars.map(str) | words | st.sampled_from(INI_WORDS),
+    lambda inner: st.lists(
+        st.tuples(st.sampled_from(INI_NAMES), inner).map("=".join) | inner, max_size=5
+    ).map(lambda parts: f"({','.join(parts)})"),
+    max_leaves=8,
+)
+ini_lines = st.tuples(st.sampled_from(["", "+", "-", "!"]), st.sampled_from(INI_KEYS), ini_values).map(
+    lambda parts: f"{parts[0]}{parts[1]}={parts[2]}"
+)
+
+
+@SOME
+@given(blocks=st.lists(st.tuples(ini_sections, st.lists(ini_lines, max_size=4)), max_size=4))
+def test_any_lines_of_known_keys_are_robots_or_refused(blocks, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "fuzzed-robots.ini"
+    text = "\n".join("\n".join([f"[{name}]", *lines]) for name, lines in blocks)
+    path.write_text(text, encoding="utf-8", errors="replace")
+    read(lambda file: load_robots([file], ROBOTS), path)
+
+
+@SOME
+@given(changes=edits)
+def test_changed_robots_are_built_or_refused(changes, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "fuzzed-robot.ini"
+    path.write_bytes(mutate(INI, changes))
+    read(lambda file: load_robots([file], ROBOTS), path)
+
+
+ROAD_WORDS = ["1", "1.1", "1.1.1", "2.0.1", "34.1", "-117", "nan", "1e9", "double_yellow", "x", "9" * 30]
+road_words = st.sampled_from(ROAD_WORDS)
+road_keys = st.sampled_from(sorted({line.split()[0] for line in ROADS.decode().splitlines()}))
+
+
+@SOME
+@given(
+    rows=st.lists(st.tuples(st.integers(0, 40), road_keys, st.lists(road_words, max_size=3)), max_size=5),
+    gone=st.lists(st.integers(0, 40), max_size=3),
+)
+def test_any_lines_of_roads_are_a_network_or_refused(rows, gone, tmp_path_factory):
+    lines = ROADS.decode().splitlines()
+    for place, key, values in rows:
+        lines.insert(place, " ".join([key, *values]))
+    for place in gone:
+        del lines[place % len(lines)]
+    path = tmp_path_factory.getbasetemp() / "fuzzed-roads.txt"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    read(read_rndf, path)
+
+
+@SOME
+@given(changes=edits, pixels=edits)
+def test_a_changed_map_loads_or_is_refused(changes, pixels, tmp_path_factory):
+    folder = tmp_path_factory.getbasetemp()
+    (folder / "fuzzed.png").write_bytes(mutate(picture("PPM"), pixels))
+    (folder / "fuzzed-map.yaml").write_bytes(mutate(MAP, changes))
+    read(load_arena, folder / "fuzzed-map.yaml")
