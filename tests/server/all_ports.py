@@ -3,6 +3,7 @@
 import contextlib
 import os
 import socket
+import stat
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,11 +78,13 @@ def server_side(connection):
     """The server's end of a connection, as the server is in this process; None until it has accepted it."""
     name = connection.getsockname()
     for number in map(int, os.listdir("/proc/self/fd")):
-        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):  # it is no socket, or closed
-            copy = stack.enter_context(socket.fromfd(number, socket.AF_INET, socket.SOCK_STREAM))
-            if copy.getpeername() == name:
-                stack.pop_all()
-                return copy
+        with contextlib.suppress(OSError):  # it has no peer, or is closed
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                with contextlib.ExitStack() as stack:
+                    copy = stack.enter_context(socket.socket(fileno=os.dup(number)))
+                    if copy.family == socket.AF_INET and copy.getpeername() == name:
+                        stack.pop_all()
+                        return copy
     return None
 
 
