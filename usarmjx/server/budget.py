@@ -13,14 +13,16 @@ from usarmjx.base.errors import PeerError
 
 CLIENT_SHARE = 0.05
 """A client's budget grows by so much of the time [s per simulated second]."""
-TOTAL_SHARE = 0.4
+TOTAL_SHARE = 0.3
 """All clients of a world together get so much of the time of a control step [s per simulated second]."""
-JOIN_SHARE = 0.5
+JOIN_SHARE = 0.3
 """To join the world may take so much of the time, for all who do [s per simulated second]."""
 BURST = 0.05
 """A client that was silent has saved up so much [s]."""
 MEMORY = 0.98
 """So much of what a client has used still counts a control step later, where the next one is chosen."""
+TURN_COST = 1e-5
+"""What a turn costs beside the work that is done in it: reading, and waking the client's task [s]."""
 INIT_COST = 0.02
 """What an INIT costs its sender at least, whether it is accepted or not [s]."""
 
@@ -135,6 +137,6 @@ class ClientBudget:
         trace: TracebackType | None,
     ) -> None:
         """Pay."""
-        cost = self._pool.clock() - self._began
+        cost = self._pool.clock() - self._began + TURN_COST
         self.charge(cost)
         self._pool.spend(cost)
