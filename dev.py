@@ -289,6 +289,14 @@ VERBS = {
         "the documents' examples and links",
         lambda *args: [pytest("tests/test_docs.py", *args)],
     ),
+    "audit": Verb(
+        "known vulnerabilities of the pinned packages, where pip-audit can run (status 2: it cannot)",
+        lambda *args: [["dependencies.py", "audit", *args]],
+    ),
+    "sbom": Verb(
+        "the pinned packages as CycloneDX JSON, with licences; to the file that is named, if any",
+        lambda *args: [["dependencies.py", "sbom", *args]],
+    ),
 }
 
 

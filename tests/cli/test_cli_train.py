@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def test_a_disk_that_refuses_what_a_command_shows_is_one_line(error, told, capsy
     assert caught.value.exit_code == 2
     assert capsys.readouterr().err == told
     with pytest.raises(FileNotFoundError), ErrorExit():
-        open("nowhere/x")  # a fault of ours, with its trace
+        Path("nowhere/x").read_text()  # a fault of ours, with its trace
 
 
 def test_what_was_trained_but_cannot_be_kept_is_the_exit_code(monkeypatch, tmp_path):
@@ -96,7 +97,7 @@ def test_what_was_trained_but_cannot_be_kept_is_the_exit_code(monkeypatch, tmp_p
         raise WriteError("cannot write x: No space left on device; the last checkpoint is missing")
 
     monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
-    result = invoke("train", *SMALL, "--out", tmp_path / "x")
+    result = invoke("train", *SMALL, "--set", "minibatches=1", "--out", tmp_path / "x")
     assert result.exit_code == 2
     assert result.stderr.splitlines()[-1].endswith("No space left on device; the last checkpoint is missing")
 
