@@ -101,6 +101,19 @@ def test_what_is_included_or_attached_counts_as_often_as_it_is_there(tmp_path):
         refused(many, r"many\.xml: <geom> brings its elements to 50\d\d\d; at most 50000", check_model_size)
 
 
+@pytest.mark.parametrize(
+    ("size", "at", "says"),
+    [("1e308", "0", "geom_size up to 1e"), (".1", "nan", "contains a 'NaN'"), (".1", "1e9", "at most 1e.07")],
+)
+def test_numbers_that_nobody_can_compute_with_are_refused(size, at, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = (
+        f'<body name="b" pos="0 0 {at}"><freejoint/><geom type="cylinder" size="{size} .2" mass="1"/></body>'
+    )
+    refused(write(tmp_path / "a.xml", MODEL.format("", body)), says)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.xml"]  # and no log of MuJoCo's
+
+
 def test_comments_with_many_dashes_are_mujocos_business(tmp_path):
     text = MODEL.format("<!-- a -- b --->", '<geom type="plane" size="5 5 1"/>' + ROW.format(3, BALL))
     assert len(load_arena(write(tmp_path / "a.xml", text)).shapes) == 3

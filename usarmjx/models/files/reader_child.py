@@ -20,6 +20,13 @@ UNKNOWN = "Caught an unknown exception"
 """What MuJoCo says where it gets no memory."""
 MOST_GEOMS = 50_000
 """Geoms of a model."""
+LARGEST = {
+    **dict.fromkeys(
+        ("body_pos", "body_ipos", "geom_pos", "geom_size", "jnt_pos", "mesh_vert", "hfield_size"), 1e7
+    ),
+    **dict.fromkeys(("body_mass", "body_inertia", "dof_damping", "dof_armature", "jnt_range"), 1e25),
+}
+"""Arrays of a model, and what their numbers may be: finite, and so that their cubes are."""
 LOADING: dict[str, dict[str, Any]] = {
     "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
     "stl": {"process": False},
@@ -38,6 +45,8 @@ def limit() -> None:
     except ImportError:
         return
     end = int(time.process_time()) + 1 + CPU_TIME
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (end if most < 0 else min(end, most), most))
     with contextlib.suppress(OSError, ValueError):  # no such file, or a system that has not this limit
@@ -53,9 +62,18 @@ def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
     import mujoco
 
     limit()
+    warned: list[str] = []
+    # MuJoCo would write them to a file; its stubs do not know the function.
+    mujoco.set_mju_user_warning(warned.append)  # type: ignore[attr-defined]
     model = mujoco.MjSpec.from_file(path).compile()
+    if wrong := [text for text in warned if "NaN" in text]:
+        raise ValueError(wrong[0])
     if model.ngeom > MOST_GEOMS:
         raise ValueError(f"it makes {model.ngeom} geoms; at most {MOST_GEOMS}")
+    for name, most in LARGEST.items():
+        array = getattr(model, name)
+        if array.size and not abs(array).max() <= most:
+            raise ValueError(f"it has {name} up to {abs(array).max():g}; at most {most:g}")
     mujoco.MjData(model)
     return {}, []
 

@@ -1,0 +1,59 @@
+"""Ini files that would take long to read, or do not end: bounded, and said in one line."""
+
+import time
+
+import pytest
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.ini.parse import MOST_BYTES, MOST_LINES, parse_ini, read_ini
+from usarmjx.models.ini.robots import MOST_BASES, load_robots
+from usarmjx.models.robots import ROBOTS
+
+BRIEFLY = 10.0
+"""Seconds of a processor; looking at all lines for each takes minutes."""
+
+
+def test_many_lines_are_removed_one_by_one():
+    count = MOST_LINES // 2 - 10
+    lines = [f"Key={i}" for i in range(count)] + [f"-Key={i + 2}" for i in range(count)]
+    start = time.process_time()
+    left = parse_ini("\n".join(["[A]", *lines])).section("a").lines
+    assert time.process_time() - start < BRIEFLY
+    assert [line.value for line in left] == [0, 1]
+
+
+def test_many_sections_are_looked_up_by_name():
+    count = MOST_LINES // 2 - 10
+    file = parse_ini("\n".join(f"[S{i % (count // 2)}]\nkey={i}" for i in range(count)))
+    start = time.process_time()
+    found = [file.section(f"s{i}").lines[-1].value for i in range(count // 2)]
+    assert time.process_time() - start < BRIEFLY
+    assert found == [i + count // 2 for i in range(count // 2)]
+
+
+def test_a_file_has_so_many_lines_and_bytes(tmp_path):
+    with pytest.raises(SpecError, match=rf"<text>:{MOST_LINES + 1}: this is line .* at most {MOST_LINES}"):
+        parse_ini("[A]\n" + "a=1\n" * MOST_LINES)
+    path = tmp_path / "a.ini"
+    path.write_bytes(b"\n" * (MOST_BYTES + 1))
+    with pytest.raises(SpecError, match=rf"a\.ini: has {MOST_BYTES + 1} bytes; an ini file has at most"):
+        read_ini(path)
+
+
+def test_a_whole_number_with_more_digits_than_python_reads_is_refused():
+    with pytest.raises(SpecError, match="a whole number of 5000 characters; expected at most 400"):
+        parse_ini("[A]\na=" + "0" * 4999 + "1")
+
+
+@pytest.mark.parametrize("own", ["", "ChassisMass=9.0\n"])
+def test_classes_that_are_based_on_each_other_without_end_are_refused(own, tmp_path):
+    """Robots, and items: the bases come last, so that each round finds one."""
+    root = "P2AT" if own else "RangeScanner"
+    bases = [root, *(f"C{i}" for i in range(1499))]
+    text = "".join(
+        f"[USARBot.C{i}]\nBaseClass=class'USARBot.{base}'\n{own}" for i, base in reversed([*enumerate(bases)])
+    )
+    path = tmp_path / "a.ini"
+    path.write_text(text)
+    with pytest.raises(SpecError, match=rf"a\.ini:\d+: .* in a row; expected at most {MOST_BASES}"):
+        load_robots([path], ROBOTS)

@@ -1,0 +1,53 @@
+"""Road files that would take long to read: in linear time, and what is wrong in one short line."""
+
+import time
+
+import pytest
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.roads.lines import MOST_BYTES
+from usarmjx.models.roads.mdf import read_mdf
+from usarmjx.models.roads.network import Lane, RoadSegment, RouteNetwork, mission_faults, network_faults
+from usarmjx.models.roads.rndf import read_rndf
+
+BRIEFLY = 10.0
+"""Seconds of a processor; looking for each one's end to the end of the file takes an hour."""
+
+
+def test_comments_that_begin_without_end_are_looked_for_once():
+    start = time.process_time()
+    with pytest.raises(SpecError, match="text:1: a comment without its end"):
+        read_rndf("/* " * 500_000 + "\n")
+    assert time.process_time() - start < BRIEFLY
+
+
+def test_what_is_wrong_many_times_is_said_once():
+    count = 20_000
+    exits = tuple((1, (9, 9, i)) for i in range(count))
+    lane = Lane(waypoints=((1.0, 2.0),) * count, exits=exits)
+    network = RouteNetwork(name="n", segments=(RoadSegment(lanes=(lane,)),))
+    start = time.process_time()
+    assert len(network_faults(network)) == count
+    assert time.process_time() - start < BRIEFLY
+
+
+def test_a_mission_to_nowhere_lists_some_of_what_there_is():
+    marks = tuple((i, i) for i in range(1, 5001))
+    lane = Lane(waypoints=((1.0, 2.0),) * 5000, checkpoints=marks)
+    network = RouteNetwork(name="n", segments=(RoadSegment(lanes=(lane,)),))
+    order = "\n".join(map(str, range(6000, 16_000)))
+    text = f"MDF_name m\nRNDF n\ncheckpoints\nnum_checkpoints 10000\n{order}\nend_checkpoints\nend_file\n"
+    start = time.process_time()
+    with pytest.raises(SpecError, match=r"text:5: no checkpoint 6000; there are: 1, .* 100, \.\.\.$"):
+        read_mdf(text, network)
+    assert len(mission_faults(read_mdf(text), network)) == 10_000
+    assert time.process_time() - start < BRIEFLY
+
+
+def test_numbers_and_files_have_an_end(tmp_path):
+    with pytest.raises(SpecError, match=r"text:2: .*expected 1 whole numbers"):
+        read_rndf("RNDF_name n\nnum_segments " + "9" * 5000 + "\n")
+    path = tmp_path / "a.txt"
+    path.write_bytes(b" " * (MOST_BYTES + 1))
+    with pytest.raises(SpecError, match=rf"{MOST_BYTES + 1} bytes are too many; at most {MOST_BYTES}"):
+        read_rndf(path)
