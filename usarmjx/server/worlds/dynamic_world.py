@@ -9,6 +9,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.memory import return_freed_memory
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.cameras.picture import Picture
 from usarmjx.cameras.programs import PicturePrograms
@@ -95,6 +96,7 @@ class DynamicWorld(ServedWorld):
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
             self._single.remove(robot.slot)
+            return_freed_memory()
 
     def step(self) -> None:
         """Advance by one control step; robots whose physics goes bad are put back where they appeared."""
