@@ -74,7 +74,7 @@ def test_all_servers_of_a_world_have_the_rules(serve, command, tmp_path):
         ),
         (
             ("--token", "two words"),
-            "--token or USARMJX_TOKEN: a token has 1 to 256 letters, digits and ._~+/=-",
+            "--token or USARMJX_TOKEN: a token has 1 to 128 letters, digits and ._~+/=-",
         ),
         (("--token", ""), "--token or USARMJX_TOKEN: a token has"),
         (("--token-file", "/nowhere"), "--token-file: cannot read /nowhere: "),

@@ -57,7 +57,7 @@ def test_what_is_no_network_is_one_clear_line(text):
 def test_a_token_is_one_that_lines_and_cookies_can_carry(tmp_path):
     assert check_token("aZ09._~+/=-", "--token") == "aZ09._~+/=-"
     for wrong in ("", "two words", "semi;colon", "bra{ce", "x" * (MAX_TOKEN_SIZE + 1), "käse"):
-        with pytest.raises(UsageError, match="--token: a token has 1 to 256 letters, digits and ") as error:
+        with pytest.raises(UsageError, match="--token: a token has 1 to 128 letters, digits and ") as error:
             check_token(wrong, "--token")
         assert not wrong or wrong not in str(error.value)
     path = tmp_path / "token"

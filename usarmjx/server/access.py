@@ -18,7 +18,7 @@ IPNetwork: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 AUTH = "AUTH"
 """What the first line begins with where a token is asked for."""
-MAX_TOKEN_SIZE = 256
+MAX_TOKEN_SIZE = 128
 """Longest token [bytes]."""
 _TOKEN = re.compile(rf"[A-Za-z0-9._~+/=-]{{1,{MAX_TOKEN_SIZE}}}")
 

@@ -19,7 +19,7 @@ LINE_ENDS = b"\r\n"
 """Either ends a line."""
 AUTH_TIMEOUT = 10.0
 """Who connects has so long to say the token [s]."""
-MAX_AUTH_SIZE = 512
+MAX_AUTH_SIZE = 192
 """Longest line with a token [bytes]."""
 MAX_STRANGERS = 64
 """So many connections to one kind of port may owe the token; for one more the oldest is closed."""
