@@ -54,6 +54,7 @@ BaseClass=class'USARBot.RangeScanner'
 MaxRange=9.0 ; metres
 [USARBot.Cart]
 Dimensions=(X=0.5,Y=0.4,Z=0.3)
+Weight=20.0
 ChassisMass=9.0
 JointParts=(PartName="W1",JointClass=class'KCarWheelJoint',bSteeringLocked=True,ParentPos=(X=0.1,Y=0.2,Z=0.1),ParentAxis2=(Y=1.0),Radius=0.1,Width=0.05)
 JointParts=(PartName="W2",JointClass=class'KCarWheelJoint',bSteeringLocked=True,ParentPos=(X=0.1,Y=-0.2,Z=0.1),ParentAxis2=(Y=1.0),Radius=0.1,Width=0.05)

@@ -45,6 +45,7 @@ LOADERS = {
     "binary.stl": (BINARY_STL, load_convex_pieces),
     "hill.png": (picture("PNG"), load_arena),
     "robot.ini": (INI, read_ini),
+    "robots.ini": (INI, lambda path: load_robots([path], ROBOTS)),
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),
@@ -178,14 +179,6 @@ def test_any_lines_of_known_keys_are_robots_or_refused(blocks, tmp_path_factory)
     path = tmp_path_factory.getbasetemp() / "fuzzed-robots.ini"
     text = "\n".join("\n".join([f"[{name}]", *lines]) for name, lines in blocks)
     path.write_text(text, encoding="utf-8", errors="replace")
-    read(lambda file: load_robots([file], ROBOTS), path)
-
-
-@SOME
-@given(changes=edits)
-def test_changed_robots_are_built_or_refused(changes, tmp_path_factory):
-    path = tmp_path_factory.getbasetemp() / "fuzzed-robot.ini"
-    path.write_bytes(mutate(INI, changes))
     read(lambda file: load_robots([file], ROBOTS), path)
 
 

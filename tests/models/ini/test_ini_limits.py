@@ -57,3 +57,24 @@ def test_classes_that_are_based_on_each_other_without_end_are_refused(own, tmp_p
     path.write_text(text)
     with pytest.raises(SpecError, match=rf"a\.ini:\d+: .* in a row; expected at most {MOST_BASES}"):
         load_robots([path], ROBOTS)
+
+
+def test_a_robot_has_so_many_parts_and_a_package_so_many_links(tmp_path):
+    path, joint = tmp_path / "a.ini", "JointClass=KDHinge,Size=(X=0.1,Y=0.1,Z=0.1)"
+    path.write_text(
+        "[USARBot.A]\n" + "".join(f"JointParts({i})=(PartName=P{i},{joint})\n" for i in range(501))
+    )
+    with pytest.raises(SpecError, match=r"a\.ini:502: this is part 501; expected a robot of at most 500"):
+        load_robots([path], ROBOTS)
+    path.write_text("[USARMisPkg.A]\n" + "".join(f"+Links=(Number={i})\n" for i in range(1, 202)))
+    with pytest.raises(SpecError, match=r"a\.ini:202: this is link 201 of a package; expected at most 200"):
+        load_robots([path], ROBOTS)
+
+
+def test_numbers_that_nobody_can_compute_with_are_refused(tmp_path):
+    path = tmp_path / "a.ini"
+    path.write_text("[USARBot.P2AT]\nWeight=1e300\n")
+    with pytest.raises(
+        SpecError, match=r"a\.ini:2: Weight is 1e\+300; expected a number above 0, at most 1e\+12"
+    ):
+        load_robots([path], ROBOTS)

@@ -35,6 +35,8 @@ LINK_FIELDS = (
 )  # fmt: skip
 SYNONYMS = {"linknumber": "Number", "parentlinknumber": "Parent"}
 """The original's names of two fields (KRobot.uc)."""
+MOST_LINKS = 200
+"""Of a package."""
 JOINT_TYPES = ("Revolute", "Prismatic")
 # A link that nothing is known of: captured figures of CameraPanTilt; size and mass chosen.
 DEFAULT_LINK = Link(
@@ -103,6 +105,8 @@ def _check_tree(links: Sequence[LinkLine]) -> None:
     """Refuse a link of a number that was there before, or with a parent that was not."""
     known = {-1}
     for link in links:
+        if len(known) > MOST_LINKS:
+            fail(link.line, f"this is link {len(known)} of a package", f"at most {MOST_LINKS}")
         if link.number in known:
             fail(link.line, f"link {link.number} is there twice", "one line for each link")
         parent = link.fields.get("Parent")

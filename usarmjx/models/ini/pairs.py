@@ -39,6 +39,8 @@ JOINT_CLASSES = {
     "kdhinge": "hinge",
     "kslider": "slide",
 }
+MOST_PARTS = 500
+"""Of a robot."""
 CHASSIS_NAMES = ("", "none", CHASSIS.lower())
 
 
@@ -94,6 +96,8 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> li
     """
     pairs: dict[str, JointPair] = {}
     for number, (line, units) in sorted(lines.items()):
+        if len(pairs) == MOST_PARTS:
+            fail(line, f"this is part {len(pairs) + 1}", f"a robot of at most {MOST_PARTS}")
         struct = as_struct(line)
         reject_unknown(line, struct, (*FIELDS, *OURS))
         for key, _ in struct.fields:

@@ -10,6 +10,8 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.parse import IniValue, Line, Reference, Struct
 from usarmjx.models.ini.values import quote_short
 
+LARGEST = 1e12
+"""Of numbers, so that their cubes can be worked with."""
 UU_PER_METRE = 250.0
 UU_PER_RADIAN = 32768 / math.pi
 """Unreal units (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5 to the metre."""
@@ -56,8 +58,8 @@ def as_number(line: Line, value: IniValue | None, name: str, *, above: float = -
     """Return a finite number, which must be greater than `above`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         fail(line, f"{name} is {_say(value)}", "a number")
-    if not (math.isfinite(value) and value > above):
-        fail(line, f"{name} is {value}", f"a number above {above:g}")
+    if not (abs(value) <= LARGEST and value > above):
+        fail(line, f"{name} is {value:g}", f"a number above {max(above, -LARGEST):g}, at most {LARGEST:g}")
     return float(value)
 
 
