@@ -121,7 +121,7 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into
-        said = " ".join(str(error).split()) or type(error).__name__
+        said = " ".join(str(error).split())[:500] or type(error).__name__
         if UNKNOWN in said:
             said = f"MuJoCo gives no reason, as where {MEMORY // 1_000_000} MB of memory do not suffice"
         return {"error": said}, []

@@ -48,7 +48,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return " ".join(str(error)[:200].split()) or type(error).__name__
 
 
 def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
