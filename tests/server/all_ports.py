@@ -9,11 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 
 from tests.server.fake_radio import FakeRadio
-from tests.server.peers import PATIENCE, serving
+from tests.server.peers import PATIENCE, looping
 from tests.server.still_world import StillWorld
 from usarmjx.server.access import AccessRules
+from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.metrics import MetricsServer
+from usarmjx.server.net import BotServer
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+from usarmjx.server.ports import bound_socket
 from usarmjx.server.wireless.net import WirelessService, WirelessSettings
 
 HOST, ELSEWHERE = "127.0.0.1", "127.0.0.2"
@@ -31,9 +35,14 @@ KINDS = {
         f"GET / HTTP/1.1\r\nHost: {HOST}\r\n\r\n".encode(),
         b"HTTP/1.1 200 OK\r\n",
     ),
+    "figures": (
+        f"GET /metrics?token={TOKEN} HTTP/1.1\r\nHost: {HOST}\r\n\r\n".encode(),
+        f"GET /metrics HTTP/1.1\r\nHost: {HOST}\r\n\r\n".encode(),
+        b"HTTP/1.1 200 OK\r\n",
+    ),
 }
 """How each port is told the token, a question to it, and how the answer begins."""
-TCP_KINDS = [kind for kind in KINDS if kind != "page"]
+TCP_KINDS = [kind for kind in KINDS if kind not in ("page", "figures")]
 
 
 class AllPorts:
@@ -103,8 +112,12 @@ def all_ports(**rules):
     )
     images = ImageServer(world, ImageSettings(port=0, size=(8, 6), format=0, access=access))
     page = SpectatorServer(world, SpectatorSettings(port=0, access=access))
-    with serving(world, [radio, images, page], access=access) as (port, server):
-        found = AllPorts({"robots": port, **radio.ports, "pictures": images.port, "page": page.port}, server)
+    server = BotServer(world, BotServerSettings(port=0, access=access), [radio, images, page])
+    figures = bound_socket(HOST, 0)
+    server.services.append(MetricsServer([server], 1.0, figures))
+    with looping([server]):
+        web = {"page": page.port, "figures": figures.getsockname()[1]}
+        found = AllPorts({"robots": server.port, **radio.ports, "pictures": images.port, **web}, server)
         try:
             yield found
         finally:
