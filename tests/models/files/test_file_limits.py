@@ -10,7 +10,7 @@ from PIL import Image
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.files import reader_child, values
+from usarmjx.models.files import geoms, reader_child, values
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.reader_process import ReaderProcess
@@ -204,6 +204,31 @@ def test_a_reader_that_crashes_takes_nobody_along(program, says, tmp_path, monke
     monkeypatch.setattr(reader_child, "__file__", str(write(tmp_path / "child.py", program)))
     reader = ReaderProcess()
     assert re.search(says, reader.read("model", tmp_path / "a.xml")[0]["error"])
+
+
+def test_a_mesh_that_many_geoms_have_is_cut_into_pieces_once(tmp_path, monkeypatch):
+    made = []
+    true = geoms.convex_pieces
+    monkeypatch.setattr(geoms, "convex_pieces", lambda *args, **kinds: made.append(1) or true(*args, **kinds))
+    tent = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
+    floor = '<geom type="plane" size="5 5 1"/>'
+    path = write(
+        tmp_path / "a.xml", MODEL.format(tent, floor + ROW.format(50, '<geom type="mesh" mesh="m"/>'))
+    )
+    assert len(load_arena(path).shapes) == 50
+    assert len(made) == 1
+
+
+def test_so_many_bodies_may_move(tmp_path):
+    ball = '<body><freejoint/><geom size=".1"/></body>'
+    refused(
+        write(tmp_path / "a.xml", MODEL.format("", ball * 1001)), "has 1001 bodies that move; at most 1000"
+    )
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", ".."])
+def test_what_is_no_plain_file_is_no_image(name, tmp_path):
+    refused(write(tmp_path / "a.yaml", f"image: {name}\nresolution: 1"), "it is no plain file")
 
 
 def test_numbers_in_base_60_are_not_worked_out(tmp_path):

@@ -7,14 +7,50 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles, flip_vector
-from usarmjx.models.files.meshes import convex_pieces
+from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
 from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Pose, usarsim_angles, usarsim_vector, volume
 from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 
 GeomType = mujoco.mjtGeom
 
 
-def geom_shapes(model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name: str) -> list[Shape]:
+class MeshPieces:
+    """The convex pieces of a model's meshes, each found once however many geoms have it.
+
+    Args:
+        model: The compiled model.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._known: dict[tuple[int, bool], list[ConvexPiece] | str] = {}
+
+    def of(self, geom: int, name: str, *, hull: bool = False) -> list[ConvexPiece]:
+        """Return the pieces of a geom's mesh, in the geom's axes.
+
+        Args:
+            geom: The geom's id.
+            name: What errors call it.
+            hull: Whether to take the hulls of pieces that are not convex.
+
+        Raises:
+            ArenaFileError: See `convex_pieces`.
+        """
+        key = int(self._model.geom_dataid[geom]), hull
+        if key not in self._known:
+            try:
+                self._known[key] = convex_pieces(*_mesh(self._model, key[0]), "", hull=hull)
+            except ArenaFileError as error:
+                self._known[key] = str(error)
+        found = self._known[key]
+        if isinstance(found, str):
+            raise ArenaFileError(f"{name}{found}")
+        return found
+
+
+def geom_shapes(
+    model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name: str, meshes: MeshPieces
+) -> list[Shape]:
     """Return a geom as shapes without mass; a mesh gives one for each of its pieces.
 
     Args:
@@ -23,6 +59,7 @@ def geom_shapes(model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name
         pose: Where it is, in the axes that the shapes shall be in.
         surface: Their surface.
         name: What errors call it.
+        meshes: The pieces of the model's meshes.
 
     Raises:
         ArenaFileError: A geom of a kind that arenas do not have, or a mesh that is not convex.
@@ -45,19 +82,17 @@ def geom_shapes(model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name
         return [_terrain(model, int(model.geom_dataid[geom]), like)]
     if kind != GeomType.mjGEOM_MESH:
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
-    return [
-        replace(like, kind="mesh", mesh=Mesh(piece.corners))
-        for piece in convex_pieces(*_mesh(model, geom), name)
-    ]
+    pieces = meshes.of(geom, name)
+    return [replace(like, kind="mesh", mesh=Mesh(piece.corners)) for piece in pieces]
 
 
-def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom) -> float:
+def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom, meshes: MeshPieces) -> float:
     """Return the mass that a geom would give its body [kg]."""
     if np.isfinite(described.mass):
         return float(described.mass)
     if GeomType(model.geom_type[geom]) in KINDS:
         return described.density * volume(model, geom)
-    found = convex_pieces(*_mesh(model, geom), described.name, hull=True)
+    found = meshes.of(geom, described.name, hull=True)
     return described.density * sum(piece.volume for piece in found)
 
 
@@ -71,9 +106,8 @@ def _terrain(model: mujoco.MjModel, number: int, like: Shape) -> Shape:
     return replace(like, kind="hfield", size=(x, y, base), heights=heights)
 
 
-def _mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and faces of a geom's mesh, in the geom's axes."""
-    number = int(model.geom_dataid[geom])
+def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of a mesh."""
     first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
     start, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
     return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]

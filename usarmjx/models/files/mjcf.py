@@ -10,7 +10,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3, flip_angles
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.doors import Hinge, door_of
-from usarmjx.models.files.geoms import geom_mass, geom_shapes
+from usarmjx.models.files.geoms import MeshPieces, geom_mass, geom_shapes
 from usarmjx.models.files.masses import with_masses
 from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
@@ -21,6 +21,8 @@ from usarmjx.models.spec.shapes import Shape
 GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
 FLOOR_TOLERANCE = 1e-6
 """How far a floor may be from height zero [m], and its normal from the vertical."""
+MOST_MOVING = 1000
+"""Loose objects and doors of a file."""
 LOOSE_SURFACE, FIXTURE = "loose", "fixture"
 """Surfaces of what lies loose, and of what is seen but never touched."""
 
@@ -71,6 +73,7 @@ class _MjcfReader:
         self._data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self._data)
         self._warnings = _ignored(path, spec)
+        self._meshes = MeshPieces(model)
         self._owner = [0] * model.nbody  # the body with the joint that moves each one; 0: it is fixed
         for body in range(1, model.nbody):
             jointed = model.body_jntnum[body] > 0
@@ -85,6 +88,9 @@ class _MjcfReader:
     def content(self) -> Content:
         """Return what the file has."""
         model, loose, doors = self._model, [], []
+        moving = sum(owner == body for body, owner in enumerate(self._owner)) - 1
+        if moving > MOST_MOVING:
+            raise self._error(f"has {moving} bodies that move; at most {MOST_MOVING}")
         for body in range(1, model.nbody):
             if self._owner[body] != body:
                 continue
@@ -155,7 +161,7 @@ class _MjcfReader:
         touches = bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
         name = f"{self._path}: geom {self._name('geom', geom)!r}"
         try:
-            return geom_shapes(self._model, geom, pose, surface if touches else FIXTURE, name)
+            return geom_shapes(self._model, geom, pose, surface if touches else FIXTURE, name, self._meshes)
         except ArenaFileError as error:
             if touches or self._kind(geom) != GeomType.mjGEOM_MESH:
                 raise
@@ -173,7 +179,7 @@ class _MjcfReader:
                     f"body {name!r} is free and has a plane or terrain; those stay where they are"
                 )
             found = self._shapes(geom, self._relative_pose(frame, geom), LOOSE_SURFACE)
-            share = geom_mass(self._model, geom, self._described[geom]) / max(len(found), 1)
+            share = geom_mass(self._model, geom, self._described[geom], self._meshes) / max(len(found), 1)
             shapes += [replace(shape, mass=share) for shape in found]
         return LooseObject(
             name=name,

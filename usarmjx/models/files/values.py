@@ -88,7 +88,10 @@ def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
         size = path.stat().st_size
         if size > most:
             raise ArenaFileError(f"{path}: {size} bytes are too many; at most {most}")
-        return path.read_bytes()
+        if not path.is_file():
+            raise ArenaFileError(f"{path}: cannot be read: it is no plain file")
+        with path.open("rb") as file:
+            return file.read(most)
     except OSError as error:
         raise ArenaFileError(f"{path}: cannot be read: {error.strerror or error}") from error
 

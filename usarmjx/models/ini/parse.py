@@ -109,10 +109,11 @@ def read_ini(path: Path) -> IniFile:
         SpecError: The file cannot be read, is not what its byte order mark says, or see `parse_ini`.
     """
     try:
-        size = path.stat().st_size
-        if size > MOST_BYTES:
-            raise SpecError(f"{path}: has {size} bytes; an ini file has at most {MOST_BYTES}")
-        text = _decode(path.read_bytes())
+        with path.open("rb") as file:  # which may be a pipe
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise SpecError(f"{path}: has more than {MOST_BYTES} bytes; an ini file has fewer")
+        text = _decode(data)
     except OSError as error:
         raise SpecError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

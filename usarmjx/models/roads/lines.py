@@ -33,10 +33,11 @@ class RoadLines:
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
             try:
-                size = Path(source).stat().st_size
-                if size > MOST_BYTES:
-                    raise SpecError(f"{source}: {size} bytes are too many; at most {MOST_BYTES}")
-                text = Path(source).read_text(encoding="utf-8-sig", errors="replace")
+                with Path(source).open("rb") as file:
+                    data = file.read(MOST_BYTES + 1)
+                if len(data) > MOST_BYTES:
+                    raise SpecError(f"{source}: more than {MOST_BYTES} bytes are too many")
+                text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
             except OSError as error:
                 raise SpecError(f"{source}: {error.strerror or error}") from error
         self.fault_lines: dict[tuple[object, ...], int] = {}
