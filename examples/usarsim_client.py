@@ -9,6 +9,7 @@
 Metres, radians and seconds; x forward, y right, z down, yaw clockwise seen from above.
 """
 
+import os
 import re
 import select
 import socket
@@ -65,10 +66,11 @@ class Message:
         return pose[0], pose[1], pose[2]
 
 
-def _connect(host: str, port: int, timeout: float, token: str, auth: str = "AUTH {Token %s}\r\n"):
+def _connect(host: str, port: int, timeout: float, token, auth: str = "AUTH {Token %s}\r\n"):
     """Return a connection; a server that asks for its token hangs up on anything else before."""
     connection = socket.create_connection((host, port), timeout)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    token = os.environ.get("USARMJX_TOKEN", "") if token is None else token
     if token:
         connection.sendall((auth % token).encode("latin-1"))
     return connection
@@ -103,13 +105,13 @@ class UsarsimClient(AbstractContextManager):
         host: Where the server runs.
         port: Its Gamebots port.
         timeout: How long to wait for a connection or an answer [s of real time]; then TimeoutError.
-        token: The server's token, if it asks for one.
+        token: The server's token, if it asks for one; None: that of the variable USARMJX_TOKEN, if it is set.
 
     Attributes:
         greeting: The server's first line; its "Level" is the arena.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0, token: str = ""):
+    def __init__(self, host: str = "127.0.0.1", port: int = 3000, timeout: float = 10.0, token=None):
         self.timeout = timeout
         self._socket = _connect(host, port, timeout, token)
         self._bytes = b""
@@ -297,7 +299,7 @@ class _Control(AbstractContextManager):
 
     end, auth = b"", "AUTH {Token %s}\r\n"
 
-    def __init__(self, host: str, port: int, timeout: float, token: str):
+    def __init__(self, host: str, port: int, timeout: float, token):
         self.host, self.timeout = host, timeout
         self._socket = _connect(host, port, timeout, token, self.auth)
         self.address = self._socket.getsockname()[0]
@@ -336,7 +338,7 @@ class WirelessA(_Control):
 
     end, auth = b";", "AUTH %s;"
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 5874, timeout: float = 10.0, token: str = ""):
+    def __init__(self, host: str = "127.0.0.1", port: int = 5874, timeout: float = 10.0, token=None):
         super().__init__(host, port, timeout, token)
 
     def order(self, text: str) -> str:
@@ -384,9 +386,7 @@ class WirelessB(_Control):
 
     end = b"\r\n"
 
-    def __init__(
-        self, robot: str, host="127.0.0.1", port: int = 50000, timeout: float = 10.0, token: str = ""
-    ):
+    def __init__(self, robot: str, host="127.0.0.1", port: int = 50000, timeout: float = 10.0, token=None):
         super().__init__(host, port, timeout, token)
         self.door = Door(False, host=self.address)
         try:
@@ -446,7 +446,7 @@ class ImageClient(AbstractContextManager):
     Which camera it is of is set by `view` of the robot's client.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0, token: str = ""):
+    def __init__(self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0, token=None):
         self._socket = _connect(host, port, timeout, token)
         self.name = "{}:{}".format(*self._socket.getsockname()[:2])
         self._first = True

@@ -105,7 +105,7 @@ def test_strangers_take_no_seats(monkeypatch):
             other.close()
 
 
-def test_the_bundled_client_says_the_token(locked):
+def test_the_bundled_client_says_the_token(locked, monkeypatch):
     ports = locked.ports
     with client().UsarsimClient(port=ports["robots"], token=TOKEN) as robot:
         assert robot.start_poses()
@@ -117,6 +117,11 @@ def test_the_bundled_client_says_the_token(locked):
         assert camera.picture().width == 8
     with pytest.raises(ConnectionError):
         client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])
+    with pytest.raises(ConnectionError):
+        client().UsarsimClient(port=ports["robots"])
+    monkeypatch.setenv("USARMJX_TOKEN", TOKEN)
+    with client().UsarsimClient(port=ports["robots"]) as robot:
+        assert robot.start_poses()
 
 
 def page_of(locked, path, **headers):
