@@ -1,0 +1,298 @@
+"""Anything that a stranger may send, to each protocol without sockets: nothing raises but what is meant to.
+
+Examples are batches of lines or messages, most of them nearly right: what is parsed furthest finds most.
+`dev.py fuzz` tries more.
+"""
+
+import dataclasses
+import json
+import math
+import re
+
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.server import ServerProtocol
+
+from tests.server.fake_radio import FakeRadio
+from tests.server.still_world import StillWorld
+from usarmjx.base.errors import PeerError
+from usarmjx.server.pictures.spectator import STEEPEST, Spectator, read_message
+from usarmjx.server.pictures.spectator_server import MAX_MESSAGE_SIZE
+from usarmjx.server.protocol.command_parsers import COMMANDS
+from usarmjx.server.protocol.commands import DRIVE_KEYS
+from usarmjx.server.protocol.grammar import Message, format_message, parse_message
+from usarmjx.server.protocol.images import ImageSession
+from usarmjx.server.protocol.lines import HttpRequestError
+from usarmjx.server.protocol.session import LEGAL_COMMANDS, MAX_FAULTS, RobotSession, SessionPhase
+from usarmjx.server.wireless.comserver import ComServer
+from usarmjx.server.wireless.data_link import DataLinkParser
+from usarmjx.server.wireless.dialect_a import DialectASession
+from usarmjx.server.wireless.dialect_b import DialectBSession
+from usarmjx.server.wireless.positions import PositionSession
+from usarmjx.server.wireless.switchboard import Switchboard
+
+BATCH = 5
+"""Lines or messages in an example."""
+LARGEST = 3.4e38
+GREETING = Message("NFO")
+HERE = "127.0.0.1"
+
+NUMBERS = st.sampled_from(
+    [
+        *("0", "1", "-1", "0.5", "-0", "+7", ".5", "5.", "1e", "1,5", "1.2.3", "1 2", "1_000", "", "True"),
+        *("1e38", "-3e38", "1e39", "1e400", "1e-400", "9" * 400, "nan", "-nan", "inf", "-inf", "0x1p9"),
+        *("65535", "65536", "-32769", "\xb2", "\xd9\xa1"),
+    ]
+)
+WORDS = st.sampled_from(
+    [
+        *("R1", "R2", "P2AT", "USARBot.P2AT", "Nope", "Sonar", "F1", "CameraPanTilt_Link1", "Joint", "Angle"),
+        *("POSE", "Viewport1", "QuadView", "127.0.0.1", "10.0.0.2", "::1", "x" * 300, "\x00", "\xff"),
+        *("\x85\xa0", "a b", ",", ";", "%s%n", "../.."),
+    ]
+)
+VECTORS = st.lists(NUMBERS, max_size=5).map(",".join)
+VALUES = st.one_of(NUMBERS, WORDS, VECTORS)
+KEYS = st.sampled_from(
+    [
+        *DRIVE_KEYS,
+        *("ClassName", "Name", "Location", "Rotation", "Start", "Type", "Opcode", "Params", "Order", "Value"),
+        *("Steer", "WheelNumber", "WheelSpeed", "WheelSteer", "Link", "Light", "Flip", "Normalized", "FOV"),
+        *("Robot", "Client", "Config", "On", "Interval", "Color", "Port", "From", "To", "End", "", "\xe4"),
+    ]
+)
+OTHERS = ("GETPOS", "GETOBS", "GETSS", "DNS", "REVERSEDNS", "drive", "INIT2", "", "{", "}", "AUTH")
+HEADS = st.sampled_from([*COMMANDS.names(), *OTHERS])
+SEGMENTS = st.tuples(KEYS, VALUES).map(lambda pair: f"{{{pair[0]} {pair[1]}}}")
+SLIPS = st.sampled_from(["", "", "", "", "{", "}", "{}", " {", "}}", "\t", "\x0b", "{{Left 1}}"])
+
+
+@st.composite
+def lines(draw):
+    """A line that is nearly one of the protocol."""
+    segments = draw(st.lists(SEGMENTS, max_size=5))
+    return draw(HEADS) + " " + " ".join(segments) + draw(SLIPS)
+
+
+BATCHES = st.lists(lines(), min_size=BATCH, max_size=BATCH)
+
+
+def data_of(batch, end="\r\n"):
+    return "".join(line + end for line in batch).encode("latin-1")
+
+
+def numbers_in(value):
+    """All numbers in a command."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from numbers_in(part)
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from numbers_in(getattr(value, field.name))
+
+
+@given(BATCHES, st.sampled_from([SessionPhase.GREETED, SessionPhase.ACTIVE]), st.booleans())
+def test_lines_to_a_robot(batch, phase, accepted):
+    session = RobotSession(GREETING)
+    session.phase = phase
+    commands, awaited = session.receive_data(data_of(batch)), 0
+    while True:
+        for command in commands:
+            assert type(command) in LEGAL_COMMANDS[session.phase]
+            assert all(math.isfinite(number) and abs(number) <= LARGEST for number in numbers_in(command))
+        if not session.awaits_answer:
+            break
+        awaited += 1
+        assert awaited <= BATCH
+        commands = session.answer_init(accepted)
+    assert session.fault_count <= BATCH
+    assert len(session.take_faults()) <= MAX_FAULTS + 1
+    assert all(ord(letter) >= 0x20 for fault in session.take_faults() for letter in fault)
+    assert session.receive_data(b"GETSTARTPOSES\r\n"), "it still works"
+
+
+@given(BATCHES)
+def test_a_line_is_read_back_as_it_is_written(batch):
+    for line in batch:
+        try:
+            message = parse_message(line)
+        except PeerError:
+            continue
+        if not re.search(r"[\x0b\x0c\x85\xa0]", line):
+            assert parse_message(format_message(message)) == message
+
+
+REQUESTS = st.lists(
+    st.tuples(
+        st.sampled_from(["REGISTER", "LISTEN", "GETSS", "OPEN", "open", "CLOSE", "", "SEND 5"]),
+        st.lists(st.one_of(WORDS, NUMBERS), max_size=4),
+    ).map(lambda parts: " ".join([parts[0], *parts[1]]).replace(";", "")),
+    min_size=BATCH,
+    max_size=BATCH,
+)
+
+
+@given(REQUESTS, st.booleans())
+def test_messages_of_dialect_a(batch, opens):
+    session = DialectASession(ComServer(FakeRadio(["R1", "R2"]), ()), HERE)
+    link, replies = session.receive_data(data_of(batch, ";")), b""
+    for _ in range(BATCH):
+        replies += session.data_to_send()
+        if link is None:
+            break
+        assert link.caller.address == HERE or link.called.address == HERE
+        link = session.answer_open(opens)
+    replies += session.data_to_send()
+    assert replies.count(b";") == BATCH, "each is answered once"
+    assert all(reply.startswith((b"OK", b"Fail: ")) for reply in replies.split(b";")[:-1])
+
+
+@given(BATCHES, st.booleans())
+def test_lines_of_dialect_b(batch, joined):
+    numbers = iter(range(40_000, 60_000))
+    board = Switchboard(FakeRadio(["R1", "R2"]), lambda route: next(numbers, None), lambda: 0.0)
+    session = DialectBSession(board, HERE)
+    if joined:
+        session.receive_data(b"INIT {Robot R1} {Port 1,2}\r\n")
+    for line in batch:
+        answer = session.receive_data(data_of([line])).decode("latin-1")
+        pieces = [piece for piece in re.split(r"[\r\n]+", line) if piece.strip()]
+        assert answer.count("\r\n") == len(pieces)
+        for one in answer.split("\r\n")[:-1]:
+            assert format_message(parse_message(one)) == one
+
+
+@given(BATCHES)
+def test_lines_to_the_position_service(batch):
+    answers = PositionSession(FakeRadio(["R1", "R2"])).receive_data(data_of(batch)).decode("latin-1")
+    assert answers.count("\r\n") <= BATCH
+    for one in answers.split("\r\n")[:-1]:
+        assert parse_message(one).kind in ("POSITIONS", "NUMOBS")
+
+
+ANNOUNCED = (b"5 hello;", b"0 ;", b"99999999999999999 ", b"1048577 ")
+PIECES = st.one_of(st.sampled_from([b"SEND ", b"CLOSE", b";", b"\r\n", *ANNOUNCED]), st.binary(max_size=8))
+
+
+def messages_of(pieces):
+    """The messages on a data link, and whether it ended by a fault."""
+    parser, found = DataLinkParser(), []
+    try:
+        for piece in pieces:
+            found += parser.receive_data(piece)
+    except PeerError:
+        return found, True
+    return found, False
+
+
+@given(st.lists(PIECES, min_size=BATCH, max_size=BATCH))
+def test_bytes_on_a_data_link(pieces):
+    cut, ended = messages_of([bytes([byte]) for piece in pieces for byte in piece])
+    assert (messages_of(pieces)[0] == cut) or ended, "what came with the fault is not told"
+    assert messages_of(pieces)[1] == ended
+    assert sum(map(len, cut)) <= sum(map(len, pieces))
+
+
+SIZE = (320, 240)
+EDGES = st.one_of(st.sampled_from([0, 1, 239, 240, 319, 320, 2**31, 2**32 - 1]), st.integers(0, 2**32 - 1))
+PARTS = st.tuples(*[EDGES] * 4).map(lambda part: b"U" + b"".join(edge.to_bytes(4, "big") for edge in part))
+ASKED = st.sampled_from([b"OK", b"O", b"K", b"OOK", b"U", b"\0"])
+ACKNOWLEDGEMENTS = st.one_of(ASKED, PARTS, st.binary(max_size=3))
+
+
+@given(st.lists(st.tuples(ACKNOWLEDGEMENTS, st.booleans()), min_size=BATCH, max_size=BATCH))
+def test_acknowledgements_of_pictures(batch):
+    session = ImageSession(SIZE, 0.1, 0.0)
+    for step, (data, is_sent) in enumerate(batch):
+        try:
+            session.receive_data(data)
+        except HttpRequestError:
+            return
+        if session.region is not None:
+            left, top, width, height = session.region
+            assert 0 <= left < left + width <= SIZE[0]
+            assert 0 <= top < top + height <= SIZE[1]
+        if is_sent and session.wants(float(step)):
+            session.sent(float(step))
+            assert not session.wants(float(step))
+
+
+JSON = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.just(10**400)),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=8,
+)
+NUMBER_LISTS = st.lists(st.one_of(st.floats(), st.integers(), st.just(10**400), st.booleans()), max_size=4)
+SAYINGS = st.fixed_dictionaries(
+    {},
+    optional={
+        "click": st.one_of(st.sampled_from(["left", "right"]), JSON),
+        "key": st.one_of(st.just("c"), JSON),
+        "move": st.one_of(NUMBER_LISTS, JSON),
+        "turn": st.one_of(NUMBER_LISTS, JSON),
+        "ready": JSON,
+    },
+)
+PAGE_TEXTS = st.one_of(
+    SAYINGS.map(json.dumps),
+    JSON.map(json.dumps),
+    st.text(max_size=30),
+    st.binary(max_size=30),
+    st.tuples(st.sampled_from(["[", '{"move":', '{"a":[']), st.integers(1, 600)).map(lambda t: t[0] * t[1]),
+    st.just('{"move": [' + "9" * 900 + ", 0, 0]}"),
+)
+
+
+@given(st.lists(PAGE_TEXTS, min_size=BATCH, max_size=BATCH))
+def test_messages_of_a_page(batch):
+    spectator = Spectator(StillWorld(), SIZE)
+    for text in batch:
+        try:
+            spectator.handle_message(read_message(text))
+        except PeerError:
+            assert len(text) > 20, "nested, or a long number"
+        assert all(math.isfinite(number) for number in spectator.pos)
+        assert abs(spectator.yaw) <= math.pi
+        assert abs(spectator.pitch) <= STEEPEST
+    assert spectator.caption() == "free view"
+
+
+UPGRADE = (
+    b"GET /view HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+
+
+@st.composite
+def frames(draw):
+    """A frame of a websocket, or nearly one."""
+    payload = draw(st.binary(max_size=130))
+    first = draw(st.sampled_from([0x81, 0x82, 0x01, 0x00, 0x80, 0x88, 0x89, 0x8A, 0xC1, 0x83, 0xFF]))
+    size = draw(
+        st.sampled_from([len(payload), len(payload), len(payload), 2**63, 2**31, MAX_MESSAGE_SIZE + 1, 0])
+    )
+    mask = draw(st.sampled_from([0x80, 0x80, 0x80, 0x00]))
+    if size < 126:
+        head = bytes([first, mask | size])
+    elif size < 2**16:
+        head = bytes([first, mask | 126]) + size.to_bytes(2, "big")
+    else:
+        head = bytes([first, mask | 127]) + size.to_bytes(8, "big")
+    return head + bytes(4) * (mask > 0) + payload
+
+
+@given(st.lists(frames(), min_size=BATCH, max_size=BATCH), st.booleans())
+def test_frames_of_a_page(batch, upgrades):
+    """The library reads them, with our bound on their size."""
+    protocol = ServerProtocol(max_size=MAX_MESSAGE_SIZE)
+    if upgrades:
+        protocol.receive_data(UPGRADE)
+        (request,) = protocol.events_received()
+        protocol.send_response(protocol.accept(request))
+    for frame in batch:
+        protocol.receive_data(frame)
+        for event in protocol.events_received():
+            assert len(getattr(event, "data", b"")) <= MAX_MESSAGE_SIZE
+        protocol.data_to_send()
