@@ -87,6 +87,7 @@ ATTACKS = (
     Attack("connect-storm", "connections that come and go", stay=0.01),
     Attack("reset-storm", "connections that come and are broken off", stay=0.01, rude=True),
     Attack("deaf", "asks for descriptions and never reads", JOIN, repeat("GETGEO {Type Sonar}"), reads=False),
+    Attack("company", "all join and do nothing: what so many robots cost by being there", JOIN),
     Attack("crowd", "all join at once and then SET without a pause", JOIN, repeat(POSE)),
     Attack("vector", "SET with a vector of 8 kB", JOIN, repeat(VECTOR)),
     Attack("segments", "DRIVE with 1,000 segments", JOIN, repeat(fill("DRIVE ", "{Left 1}"))),
