@@ -141,16 +141,18 @@ def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # n
         results = [function(*(row(i) for _, row in columns)) for i in range(count)]
         if not results:
             raise ValueError("nothing to map over")
-        return jax.tree.map(lambda *leaves: np.stack(leaves), *results)
+        if count == 1:
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[None], results[0])
+        return jax.tree.map(lambda *leaves: np.array(leaves), *results)
 
     return looped
 
 
 def _rows(arg: Any, axis: Any) -> tuple[int | None, Callable[[int], Any]]:  # noqa: ANN401 - PyTrees
     """Return how many rows an argument has (None: it is shared), and a function that gives one."""
-    leaves, tree = jax.tree.flatten(arg)
     if axis is None:
         return None, lambda _: arg
+    leaves, tree = jax.tree.flatten(arg)
     if axis == 0:
         mapped = [True] * len(leaves)
     else:

@@ -56,7 +56,8 @@ class CRayCaster:
         self._own = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
         }
-        self._fenders = np.flatnonzero(model.geom_group == MATERIALS.index(FENDER))
+        is_fender = model.geom_group == MATERIALS.index(FENDER)
+        self._fenders, self._is_fender = np.flatnonzero(is_fender), np.append(is_fender, False)
 
     def __call__(
         self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
@@ -94,7 +95,7 @@ class CRayCaster:
         with self._without(hidden):
             distance, normal, geom = self._cast(start, along, query)
             # Where the first that a ray meets is a fender, it may pass it whole.
-            caged = np.isin(geom, self._fenders) if len(self._fenders) else np.zeros(0, bool)
+            caged = self._is_fender[geom]  # no geom is the last
             if caged.any():
                 rays = start[caged], along[caged]
                 open_query = query.replace(transparent=query.transparent | {FENDER})
@@ -121,15 +122,16 @@ class CRayCaster:
         distance, normal, geom = np.full(count, np.inf), np.zeros((count, 3)), np.full(count, -1, np.int32)
         solid = np.zeros(mujoco.mjNGROUP, np.uint8)
         solid[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
-        firsts = np.flatnonzero(np.append(True, (start[1:] != start[:-1]).any(-1)))[:count]
+        turns = np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1
+        bounds = [0, *turns.tolist(), count]  # of the rays from each point
         lines, normals = along.reshape(-1), normal.reshape(-1)
         groups, geoms, shown, few = model.geom_group, np.zeros(0, int), None, FEW_RAYS
         before = groups.copy()
-        if count and math.isfinite(query.max_distance):
-            geoms, near = self._near(start, along, firsts, query.max_distance)
+        if len(turns) and math.isfinite(query.max_distance):
+            geoms, near = self._near(start, along, np.array(bounds), query.max_distance)
             shown, few = np.where(near, before[geoms], HIDDEN_GROUP), 1
             groups[:] = HIDDEN_GROUP
-        for i, (first, end) in enumerate(pairwise([*firsts.tolist(), count])):  # rays from one point
+        for i, (first, end) in enumerate(pairwise(bounds)):
             if shown is not None:
                 groups[geoms] = shown[i]
             if end - first < few:
@@ -155,19 +157,20 @@ class CRayCaster:
         return np.where(geom >= 0, distance, np.inf), normal, geom
 
     def _near(
-        self, start: np.ndarray, along: np.ndarray, firsts: np.ndarray, reach: float
+        self, start: np.ndarray, along: np.ndarray, bounds: np.ndarray, reach: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return which geoms rays from each point might meet: by bounding spheres, and cones about the rays.
 
         Args:
             start: Where rays start [m] (rays, 3), point by point.
             along: Unit vectors (rays, 3).
-            firsts: The first ray from each point (points,).
+            bounds: The first ray from each point, and how many rays there are (points + 1,).
             reach: How far they go [m].
 
         Returns:
             Geoms that any might meet (n,), and whether those from each point might meet them (points, n).
         """
+        firsts, rays = bounds[:-1], bounds[1:] - bounds[:-1]
         point = start[firsts] - start[0]
         middle, bound = self._data.geom_xpos - start[0], self._model.geom_rbound
         most = reach + MARGIN + np.sqrt((point * point).sum(-1).max())
@@ -176,7 +179,6 @@ class CRayCaster:
         middle, square, bound = middle[geoms], square[geoms], bound[geoms]
         axis = np.add.reduceat(along, firsts)
         axis /= np.maximum(np.sqrt((axis * axis).sum(-1, keepdims=True)), 1e-9)
-        rays = np.diff(firsts, append=len(along))
         cosine = np.minimum.reduceat((along * axis.repeat(rays, 0)).sum(-1), firsts)[:, None]
         ahead = axis @ middle.T - (axis * point).sum(-1, keepdims=True)
         far = (point * point).sum(-1, keepdims=True) + square - 2 * (point @ middle.T)

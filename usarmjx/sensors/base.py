@@ -118,6 +118,7 @@ class Sensor(ABC):
         transparent: Materials that its rays go through.
         bundle_size: So many rays after each other go about the same way; see `raycast.nearest_hits`.
         needs_surroundings: Whether it asks for the surroundings.
+        needs_victims: Whether it asks for victims in them, rather than tags only.
         settings_class: The class of its settings.
         quantities: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
             Messages are made from it, but for those of the manual's sensors, which are as captured.
@@ -132,6 +133,7 @@ class Sensor(ABC):
     transparent: ClassVar[frozenset[str]] = frozenset({SKY})
     bundle_size: ClassVar[int] = DEFAULT_BUNDLE_SIZE
     needs_surroundings: ClassVar[bool] = False
+    needs_victims: ClassVar[bool] = True
     settings_class: ClassVar[type[Any]] = SensorSettings
     quantities: ClassVar[tuple[Quantity, ...]] = ()
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import vmap, xp
+from usarmjx.base.backend import on_numpy, vmap, xp
 from usarmjx.sensors.base import NoisySensorSettings
 
 OutputCurve = tuple[tuple[float, float], ...]
@@ -32,7 +32,7 @@ def relative_normal(key: Array, data: Array, mean: Array | float, sigma: Array |
 def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
     """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
     values = [getattr(s, name) for s in settings]
-    if any(isinstance(value, jax.Array) for value in values):
+    if not on_numpy() and any(isinstance(value, jax.Array) for value in values):
         return xp.stack([xp.asarray(value, xp.float32) for value in values])
     return np.array(values, np.float32)
 

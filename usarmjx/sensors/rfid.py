@@ -142,6 +142,7 @@ class Rfid(Sensor):
 
     kind = "RFID"
     needs_surroundings = True
+    needs_victims = False
     transparent = frozenset({SKY, GLASS})
     settings_class = RfidSettings
 

@@ -1,5 +1,6 @@
 """All sensors of a robot class, read together, each when it is due."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
 from itertools import accumulate
@@ -58,6 +59,11 @@ class Suite:
     def needs_surroundings(self) -> bool:
         """Whether any sensor asks for the surroundings."""
         return any(sensor.needs_surroundings for sensor in self.sensors)
+
+    @property
+    def needs_victims(self) -> bool:
+        """Whether any sensor asks for victims in the surroundings."""
+        return any(sensor.needs_surroundings and sensor.needs_victims for sensor in self.sensors)
 
     @cached_property
     def ray_counts(self) -> tuple[int, ...]:
@@ -165,12 +171,15 @@ class Suite:
         No rays are cast for it: `inputs.hits` is not used.
         """
         sensors = self._as_noisy_as(inputs)
-        own = tuple(s.init_memory(inputs, random.fold_in(key, i)) for i, s in enumerate(sensors))
+        own = tuple(s.init_memory(inputs, own) for s, own in zip(sensors, self._keys(key), strict=True))
         rays = xp.zeros(sum(self.ray_counts))
         seen = inputs.replace(hits=Hits(distance=rays, cosine=rays))
 
         def read_all() -> tuple[Array, ...]:
-            return tuple(self._read_one(i, sensor, seen, own[i], key)[1] for i, sensor in enumerate(sensors))
+            keys = self._keys(key)
+            return tuple(
+                self._read_one(i, sensor, seen, own[i], keys[i])[1] for i, sensor in enumerate(sensors)
+            )
 
         # Only how large the values are is asked: JAX finds out without measuring, NumPy takes a measurement.
         blank = read_all() if on_numpy() else jax.eval_shape(read_all)
@@ -188,6 +197,13 @@ class Suite:
             _scaled(self, float(factor)) if on_numpy() else tuple(s.with_noise(factor) for s in self.sensors)
         )
 
+    def _keys(self, key: Array) -> Sequence[Array]:
+        """Return a key for each sensor, folded by its place: adding one leaves the noise of others alone."""
+        count = len(self.sensors)
+        if on_numpy():
+            return random.fold_in(key, np.arange(count))
+        return [random.fold_in(key, i) for i in range(count)]
+
     def _read_one(
         self,
         i: int,
@@ -199,9 +215,8 @@ class Suite:
         """Return what sensor `i` of a robot remembers after it measures, and what it measures."""
         mine = slice(self._ray_ends[i] - self.ray_counts[i], self._ray_ends[i])
         hits = Hits(distance=inputs.hits.distance[mine], cosine=inputs.hits.cosine[mine])
-        # Keys are folded by the sensor's place, so that adding one leaves the noise of the others alone.
         with named_scope(sensor.kind):
-            memory, value = sensor.read(inputs.replace(hits=hits), memory, random.fold_in(key, i))
+            memory, value = sensor.read(inputs.replace(hits=hits), memory, key)
         return memory, np.asarray(value) if on_numpy() else value
 
     def read(
@@ -209,9 +224,9 @@ class Suite:
     ) -> tuple[SensorMemory, tuple[Reading, ...]]:
         """Measure what is due; the others keep their last reading, marked as not fresh."""
         interval, manual = self._intervals
-        fresh = self.due(inputs.time, memory)
+        fresh, keys = self.due(inputs.time, memory), self._keys(key)
         kept = [
-            self._read_if(i, sensor, fresh[i], inputs, memory, key)
+            self._read_if(i, sensor, fresh[i], inputs, memory, keys[i])
             for i, sensor in enumerate(self._as_noisy_as(inputs))
         ]
         # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.

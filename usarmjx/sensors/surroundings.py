@@ -86,7 +86,6 @@ def surroundings_at(
     """
     up = xp.stack([0.0 * floor, 0.0 * floor, floor * xp.ones((), xp.float32)])
     pos, quat = segment_poses(victims, time, xp)
-    room = len(dropped_tags.pos)
     return Surroundings(
         box_pos=pos + up,
         box_mat=orientations(quat, xp),
@@ -99,11 +98,25 @@ def surroundings_at(
         loudness=loudness(victims, time, xp),
         duration=victims.duration,
         breathes=victims.breathes,
-        tag_pos=xp.concatenate([arena_tags.pos + up, dropped_tags.pos]),
-        tag_id=xp.concatenate([arena_tags.id, xp.arange(room, dtype=xp.int32)]),
-        tag_single=xp.concatenate([arena_tags.single, xp.zeros(room, bool)]),
-        tag_there=xp.concatenate([arena_tags.id >= 0, xp.arange(room) < dropped_tags.count]),
+        **_all_tags(arena_tags, dropped_tags, up, xp),
     )
+
+
+def tags_at(arena_tags: TagTable, dropped_tags: DroppedTags, floor: Array) -> Surroundings:
+    """Return what is around where nobody looks for victims; arguments are those of `surroundings_at`."""
+    up = xp.stack([0.0 * floor, 0.0 * floor, floor])
+    return NO_SURROUNDINGS.replace(**_all_tags(arena_tags, dropped_tags, up, xp))
+
+
+def _all_tags(arena_tags: TagTable, dropped_tags: DroppedTags, up: Array, xp: ModuleType) -> dict[str, Array]:
+    """Return the fields of `Surroundings` that are of tags: those of the arena, then those dropped."""
+    room = len(dropped_tags.pos)
+    return {
+        "tag_pos": xp.concatenate([arena_tags.pos + up, dropped_tags.pos]),
+        "tag_id": xp.concatenate([arena_tags.id, xp.arange(room, dtype=xp.int32)]),
+        "tag_single": xp.concatenate([arena_tags.single, xp.zeros(room, bool)]),
+        "tag_there": xp.concatenate([arena_tags.id >= 0, xp.arange(room) < dropped_tags.count]),
+    }
 
 
 with numpy_backend():

@@ -112,6 +112,7 @@ class SingleWorld:
         self._homes: dict[int, np.ndarray] = {}
         self._tops: dict[int, float] = {}
         self._looks: tuple[Scene, Looks] | None = None
+        self._moved_at: tuple[int, GeomPoses | None] | None = None
         self._regroup({}, {})
 
     @property
@@ -224,7 +225,7 @@ class SingleWorld:
             What was put back because its physics had gone bad: robots where they appeared, or near there. It
             is counted in `world.faults`, and what they were told is forgotten.
         """
-        self.world, inputs = compute_inputs(self.scene, self.world, self.physics)
+        self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
         indices = self._indices()
         lost, put_back = self.engine.advance(indices, self._speed_limits(indices), self._homes)
@@ -257,12 +258,14 @@ class SingleWorld:
         """Read the sensors that are due of some robots; by slot and sensor."""
         scene, members = self._part(frozenset(slots))
         states = self.world.groups
-        world = self.world.replace(groups=tuple(_row(states[i], some) for i, some in members))
+        # Of the robots' states sensing asks for the memories alone.
+        part = [states[i].replace(memory=_row(states[i].memory, some)) for i, some in members]
+        world = self.world.replace(groups=tuple(part))
         world, readings = observe(scene, world, self.physics, self._caster())
         for (i, some), state in zip(members, world.groups, strict=True):
-            self._replace(i, some, state)
+            self._replace(i, some, memory=state.memory)
         return {
-            int(slot): tuple(jax.tree.map(lambda x, row=row: x[row], values))
+            int(slot): tuple(Reading(value=one.value[row], fresh=one.fresh[row]) for one in values)
             for group, values in zip(scene.groups, readings, strict=True)
             for row, slot in enumerate(group.slots)
         }
@@ -271,25 +274,30 @@ class SingleWorld:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
         found: list[tuple[int, np.ndarray]] = []
         for i, group in enumerate(self.scene.groups):
-            some = np.flatnonzero(np.isin(group.slots, list(slots)))
-            if some.size:
-                found.append((i, some))
+            some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
+            if some:
+                found.append((i, np.array(some)))
         groups = tuple(self.scene.groups[i].part(some) for i, some in found)
         return self.scene.with_robots(self.scene.model, self.scene.roster, groups), found
 
-    def _replace(self, group: int, members: Any, new: GroupState) -> None:  # noqa: ANN401 - what indexes
-        """Replace the states of some robots of a group."""
+    def _replace(self, group: int, members: Any, **fields: Any) -> None:  # noqa: ANN401 - what indexes, PyTrees
+        """Replace fields of the states of some robots of a group."""
 
         def rows(old: Array, part: Array) -> np.ndarray:
             copy = np.array(old)
             copy[members] = part
             return copy
 
-        state = jax.tree.map(rows, self.world.groups[group], new)
-        self.world = self.world.with_group(group, state)
+        state = self.world.groups[group]
+        new = {name: jax.tree.map(rows, getattr(state, name), value) for name, value in fields.items()}
+        self.world = self.world.with_group(group, state.replace(**new))
 
     def _moved(self) -> GeomPoses | None:
-        return moved_geom_poses(self.scene, None, time_of(self.scene, self.world))
+        """Return where the arena's geoms that move are now; worked out once in a control step."""
+        step = int(self.world.step)
+        if self._moved_at is None or self._moved_at[0] != step:
+            self._moved_at = step, moved_geom_poses(self.scene, None, time_of(self.scene, self.world))
+        return self._moved_at[1]
 
     def _caster(self) -> CRayCaster:
         return self.engine.caster(self._indices(), self._moved())
@@ -307,7 +315,7 @@ class SingleWorld:
     def edit(self, slot: int, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of a robot's state."""
         group, member = self.scene.group_of(slot)
-        self._replace(group, member, self.state_of(slot).replace(**fields))
+        self._replace(group, member, **fields)
 
     @on_numpy
     def sensor_input(self, slot: int) -> SensorInput:

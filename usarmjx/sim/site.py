@@ -12,7 +12,7 @@ from usarmjx.engines.base import GeomPoses
 from usarmjx.models.build.arena_set import ArenaState, arena_index_of
 from usarmjx.models.build.victims import VictimTable, segment_poses
 from usarmjx.models.effecters import DroppedTags
-from usarmjx.sensors.surroundings import Surroundings, surroundings_at
+from usarmjx.sensors.surroundings import Surroundings, surroundings_at, tags_at
 from usarmjx.sim.scene import Scene
 
 
@@ -32,13 +32,17 @@ def victims_of(scene: Scene, arena_state: ArenaState | None) -> VictimTable:
 def surroundings(
     scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: Array
 ) -> Surroundings | None:
-    """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them."""
+    """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them.
+
+    Without the victims if no robot has a sensor for those.
+    """
     if not any(group.suite.needs_surroundings for group in scene.groups):
         return None
     tags = jax.tree.map(xp.asarray, scene.tags if arena_state is None else arena_state.tags)
-    return surroundings_at(
-        victims_of(scene, arena_state), tags, dropped, time, xp.asarray(scene.arena.floor, xp.float32)
-    )
+    floor = xp.asarray(scene.arena.floor, xp.float32)
+    if not any(group.suite.needs_victims for group in scene.groups):
+        return tags_at(tags, dropped, floor)
+    return surroundings_at(victims_of(scene, arena_state), tags, dropped, time, floor)
 
 
 def start_poses(scene: Scene, arena_state: ArenaState | None) -> Array:

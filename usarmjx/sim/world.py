@@ -13,10 +13,10 @@ from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import named_scope, set_at, vmap, xp
+from usarmjx.base.backend import named_scope, on_numpy, set_at, vmap, xp
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes
-from usarmjx.engines.base import Inputs, PhysicsState
+from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.variation import RandomizedValues
@@ -159,10 +159,12 @@ def map_robots(
     function: Callable[..., T], sensor_input: SensorInput, group: RobotGroup, key: Array, *rest: object
 ) -> T:
     """Map function(sensor_input, *rest, key) over a group's robots, each with a key folded by its slot."""
-    keys = vmap(partial(random.fold_in, key))(group.slots)
-    noise = None if sensor_input.noise_factor is None else 0
-    shared: Any = SensorInput(time=None, state=0, bodies=0, hits=0, noise_factor=noise)  # type: ignore - axes, not values
-    return vmap(function, in_axes=(shared, *[0] * len(rest), 0))(sensor_input, *rest, keys)
+    own = {name: getattr(sensor_input, name) for name in ("state", "bodies", "hits", "noise_factor")}
+
+    def one(own: dict[str, Any], *rest: object) -> T:
+        return function(sensor_input.replace(**own), *rest)
+
+    return vmap(one)(own, *rest, random.fold_in(key, group.slots))
 
 
 def sense_self(
@@ -230,11 +232,10 @@ def sense(
 def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: RayCaster) -> Hits:
     """Return what the rays of a group's robots meet (robots, rays); those of sensors that are due."""
 
-    def one(bodies: BodyPoses, slot: Array, memory: SensorMemory) -> Hits:
-        due = group.suite.due(inputs.time, memory)
+    def one(bodies: BodyPoses, slot: Array, due: Array) -> Hits:
         return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
 
-    return vmap(one)(inputs.bodies, xp.asarray(group.slots), memory)
+    return vmap(one)(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
 
 
 def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
@@ -260,10 +261,18 @@ def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) ->
 
 
 @named_scope("compute_inputs")
-def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, Inputs]:
+def compute_inputs(
+    scene: Scene, world: World, physics: PhysicsState, moved: GeomPoses | None = None
+) -> tuple[World, Inputs]:
     """Turn the commands in force into the engine's inputs for one control step.
 
     Parked robots are pinned where they wait; robots with an empty battery brake (KRobot.uc).
+
+    Args:
+        scene: The scene.
+        world: The world.
+        physics: Where everything is.
+        moved: Where the geoms that move are now, if it is known already.
     """
     time = time_of(scene, world)
     ctrl, act = xp.zeros(scene.model.nu), xp.asarray(physics.act)
@@ -295,10 +304,11 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         act = set_at(act, group.actadr, xp.where(parked[:, None], 0.0, driven.act))
         wrench = xp.where(parked[:, None], 0.0, driven.wrench)
         xfrc_applied = set_at(xfrc_applied, group.chassis, wrench)
-        for addresses in (group.root_qposadr, group.qposadr):
-            pinned = _set_mask(pinned, addresses, parked)
-        for addresses in (group.root_dofadr, group.dofadr):
-            pinned_dof = _set_mask(pinned_dof, addresses, parked)
+        if not (on_numpy() and state.active.all()):
+            for addresses in (group.root_qposadr, group.qposadr):
+                pinned = _set_mask(pinned, addresses, parked)
+            for addresses in (group.root_dofadr, group.dofadr):
+                pinned_dof = _set_mask(pinned_dof, addresses, parked)
         refused = refused + driven.refused.sum().astype(xp.int32)
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
@@ -308,7 +318,7 @@ def compute_inputs(scene: Scene, world: World, physics: PhysicsState) -> tuple[W
         pinned=pinned,
         pinned_dof=pinned_dof,
         qpos=xp.asarray(scene.model.qpos0, xp.float32),
-        geom_poses=moved_geom_poses(scene, world.arena_state, time),
+        geom_poses=moved_geom_poses(scene, world.arena_state, time) if moved is None else moved,
         varied=world.varied,
     )
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs

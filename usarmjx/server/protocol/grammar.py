@@ -172,8 +172,8 @@ def four_decimals(value: float) -> str:
         UsageError: The value is not finite.
     """
     _require_finite(value)
-    whole, part = divmod(int(abs(value) * 10_000 + _CUT_MARGIN), 10_000)
-    return f"{'-' if math.copysign(1.0, value) < 0 else ''}{whole}.{part:04d}"
+    cut = int(abs(value) * 10_000 + _CUT_MARGIN) / 10_000
+    return f"{math.copysign(cut, value):.4f}"
 
 
 def two_decimals(value: float) -> str:

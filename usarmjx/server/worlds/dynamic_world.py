@@ -112,7 +112,8 @@ class DynamicWorld(ServedWorld):
         """Read the sensors of the robots that are about to report."""
         readings = self._single.observe(robot.slot for robot in due)
         for robot in due:
-            robot.drowned = bool(self._single.state_of(robot.slot).drowned)
+            group, member = self.scene.group_of(robot.slot)
+            robot.drowned = bool(self._single.world.groups[group].drowned[member])
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
                     robot.pending[sensor] = np.asarray(reading.value)
