@@ -82,7 +82,7 @@ class SoakCase:
     seed: int = 0
 
 
-class Driver:
+class SoakDriver:
     """Drives one robot after another, each of them out and back.
 
     Args:
@@ -173,7 +173,7 @@ def soak(
         UsageError: The server has no metrics, or ends.
     """
     random = np.random.default_rng(case.seed)
-    drivers: list[Driver] = []
+    drivers: list[SoakDriver] = []
 
     def lose(client: Connection) -> None:
         for driver in drivers:
@@ -182,7 +182,7 @@ def soak(
     samples: list[dict[str, float]] = []
     began = time.perf_counter()
     with Crowd(case.target.port, lose) as crowd:
-        drivers += [Driver(crowd, random, i) for i in range(case.clients)]
+        drivers += [SoakDriver(crowd, random, i) for i in range(case.clients)]
         while (elapsed := time.perf_counter() - began) < case.seconds:
             if elapsed >= len(samples) * case.every:
                 samples.append({"elapsed_s": elapsed} | _sample(case.target, drivers))
@@ -235,7 +235,7 @@ def summarise(samples: Sequence[Mapping[str, float]]) -> dict[str, Any]:
     }
 
 
-def _sample(target: Target, drivers: Sequence[Driver]) -> dict[str, float]:
+def _sample(target: Target, drivers: Sequence[SoakDriver]) -> dict[str, float]:
     own = {
         "visits": sum(driver.visits for driver in drivers),
         "hung_up": sum(driver.hung_up for driver in drivers),
