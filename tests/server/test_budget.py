@@ -102,10 +102,10 @@ def test_nobody_honest_waits():
 def test_who_is_in_debt_waits_for_as_many_steps_as_that_takes():
     async def main():
         work = Work()
-        _, done = work.begin(BURST + 10.5 * GROWTH, 2)
+        _, done = work.begin(BURST + 20.5 * GROWTH, 2)
         await settle()
         await work.step(30)
-        assert done == [0, 11]
+        assert done == [0, 21]
 
     asyncio.run(main())
 
