@@ -9,6 +9,7 @@ from usarmjx.models.roads.lines import MOST_BYTES
 from usarmjx.models.roads.mdf import read_mdf
 from usarmjx.models.roads.network import Lane, RoadSegment, RouteNetwork, mission_faults, network_faults
 from usarmjx.models.roads.rndf import read_rndf
+from usarmjx.models.roads.shapes import road_shapes
 
 BRIEFLY = 10.0
 """Seconds of a processor; looking for each one's end to the end of the file takes an hour."""
@@ -29,6 +30,32 @@ def test_what_is_wrong_many_times_is_said_once():
     start = time.process_time()
     assert len(network_faults(network)) == count
     assert time.process_time() - start < BRIEFLY
+
+
+def test_roads_round_the_world_have_too_many_markings():
+    lane = Lane(waypoints=((-90.0, -180.0), (90.0, 180.0)), left="broken_white", stops=(2,))
+    network = RouteNetwork(name="n", segments=(RoadSegment(lanes=(lane,)),))
+    start = time.process_time()
+    with pytest.raises(SpecError, match="roads 'n' have more than 50000 markings"):
+        road_shapes(network, (0.0, 0.0))
+    assert time.process_time() - start < BRIEFLY
+
+
+@pytest.mark.filterwarnings("error")
+def test_waypoints_at_one_place_have_nothing_between_them():
+    """The kerb is that of the road on both sides of them."""
+    ends = (0.0, 0.0), (0.001, 0.0)
+    twice = Lane(waypoints=(ends[0], ends[0], ends[1]), stops=(3,))
+    found, expected = (
+        road_shapes(RouteNetwork(name="n", segments=(RoadSegment(lanes=(lane,)),)), (0.0, 0.0))
+        for lane in (twice, Lane(waypoints=ends, stops=(2,)))
+    )
+    assert len(expected) == 2
+    for one, other in zip(found, expected, strict=True):
+        assert one.at == pytest.approx(other.at, abs=0.1)
+        assert one.size == pytest.approx(other.size, abs=0.1)
+    same = RouteNetwork(name="n", segments=(RoadSegment(lanes=(Lane(waypoints=(ends[0],) * 3),)),))
+    assert road_shapes(same, (0.0, 0.0)) == ()
 
 
 def test_a_mission_to_nowhere_lists_some_of_what_there_is():

@@ -7,14 +7,17 @@ crosses another road. Paint is seen, but not felt.
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.models.roads.geodesy import LatLon, to_local_xy
 from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
 from usarmjx.models.spec.shapes import Rgba, Shape
 
+MOST_MARKINGS = 50_000
+"""Of a network: all that an arena may have of solids."""
 LANE_WIDTH = 12.0
 """Of lanes whose network does not say it [feet] (chosen: that of highways)."""
 LINE, STOP_LINE = 0.10, 0.45
@@ -41,18 +44,28 @@ def road_shapes(network: RouteNetwork, origin: LatLon) -> tuple[Shape, ...]:
     Args:
         network: The route network.
         origin: Latitude and longitude of the arena's origin [degrees].
+
+    Raises:
+        SpecError: There are more than `MOST_MARKINGS` of them.
     """
-    shapes: list[Shape] = []
+    # A stop line at a waypoint where the one before is has no length.
+    seen = (shape for shape in _markings(network, origin) if min(shape.size) > 0)
+    shapes = tuple(islice(seen, MOST_MARKINGS + 1))
+    if len(shapes) > MOST_MARKINGS:
+        raise SpecError(f"roads {network.name!r} have more than {MOST_MARKINGS} markings")
+    return shapes
+
+
+def _markings(network: RouteNetwork, origin: LatLon) -> Iterator[Shape]:
     for owner, part in network.parts():
         if isinstance(part, Lane):
             half = lane_width(part) / 2
             for run in lane_runs(network, owner, origin):
-                shapes += _boundary(run, half, part.left)
-                shapes += _boundary(run, -half, part.right) if part.right else _kerb(run, -half)
-            shapes += _stop_lines(part, origin)
+                yield from _boundary(run, half, part.left)
+                yield from _boundary(run, -half, part.right) if part.right else _kerb(run, -half)
+            yield from _stop_lines(part, origin)
     for zone in network.zones:
-        shapes += _spot_lines(zone.spots, origin)
-    return tuple(shapes)
+        yield from _spot_lines(zone.spots, origin)
 
 
 def lane_width(lane: Lane) -> float:
@@ -72,13 +85,20 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> 
     entries = network.entries
     path = lane_path(lane, origin)
     ends = [i for i in range(1, len(path)) if i in left and (*owner, i + 1) in entries]
-    return [run for run in np.split(path, ends) if len(run) > 1]
+    runs = [_distinct(run) for run in np.split(path, ends)]
+    return [run for run in runs if len(run) > 1]
+
+
+def _distinct(path: np.ndarray) -> np.ndarray:
+    """Return a path without points that are where the one before is (points, 2)."""
+    return path[np.r_[True, (np.diff(path, axis=0) != 0).any(axis=1)]] if len(path) else path
 
 
 def offset_path(path: np.ndarray, left: float) -> np.ndarray:
     """Return the line at a distance to the left of a path, negative: to its right [m] (points, 2)."""
     along = np.diff(path, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    lengths = np.linalg.norm(along, axis=1, keepdims=True)
+    along /= np.where(lengths > 0, lengths, 1.0)
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
     return path + left * (before + after) / (1 + (before * after).sum(1, keepdims=True))
