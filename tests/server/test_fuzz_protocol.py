@@ -31,50 +31,71 @@ from usarmjx.server.wireless.dialect_b import DialectBSession
 from usarmjx.server.wireless.positions import PositionSession
 from usarmjx.server.wireless.switchboard import Switchboard
 
-BATCH = 5
+BATCH = 20
 """Lines or messages in an example."""
+ENTROPY = 32
+"""Bytes that choose what is in one of them, at most."""
 LARGEST = 3.4e38
 GREETING = Message("NFO")
 HERE = "127.0.0.1"
 
-NUMBERS = st.sampled_from(
-    [
-        *("0", "1", "-1", "0.5", "-0", "+7", ".5", "5.", "1e", "1,5", "1.2.3", "1 2", "1_000", "", "True"),
-        *("1e38", "-3e38", "1e39", "1e400", "1e-400", "9" * 400, "nan", "-nan", "inf", "-inf", "0x1p9"),
-        *("65535", "65536", "-32769", "\xb2", "\xd9\xa1"),
-    ]
+NUMBERS = (
+    *("0", "1", "-1", "0.5", "-0", "+7", ".5", "5.", "1e", "1,5", "1.2.3", "1 2", "1_000", "", "True"),
+    *("1e38", "-3e38", "1e39", "1e400", "1e-400", "9" * 400, "nan", "-nan", "inf", "-inf", "0x1p9"),
+    *("65535", "65536", "-32769", "\xb2", "\xd9\xa1", "1,2,3", "1,nan,3", "1, 2, 3", ",,,", "9e37,0,0"),
 )
-WORDS = st.sampled_from(
-    [
-        *("R1", "R2", "P2AT", "USARBot.P2AT", "Nope", "Sonar", "F1", "CameraPanTilt_Link1", "Joint", "Angle"),
-        *("POSE", "Viewport1", "QuadView", "127.0.0.1", "10.0.0.2", "::1", "x" * 300, "\x00", "\xff"),
-        *("\x85\xa0", "a b", ",", ";", "%s%n", "../.."),
-    ]
+WORDS = (
+    *("R1", "R2", "P2AT", "USARBot.P2AT", "Nope", "Sonar", "F1", "CameraPanTilt_Link1", "Joint", "Angle"),
+    *("POSE", "Viewport1", "QuadView", "127.0.0.1", "10.0.0.2", "::1", "x" * 300, "\x00", "\xff"),
+    *("\x85\xa0", "a b", ",", "%s%n", "../..", "POST / HTTP/1.1", "Host:"),
 )
-VECTORS = st.lists(NUMBERS, max_size=5).map(",".join)
-VALUES = st.one_of(NUMBERS, WORDS, VECTORS)
-KEYS = st.sampled_from(
-    [
-        *DRIVE_KEYS,
-        *("ClassName", "Name", "Location", "Rotation", "Start", "Type", "Opcode", "Params", "Order", "Value"),
-        *("Steer", "WheelNumber", "WheelSpeed", "WheelSteer", "Link", "Light", "Flip", "Normalized", "FOV"),
-        *("Robot", "Client", "Config", "On", "Interval", "Color", "Port", "From", "To", "End", "", "\xe4"),
-    ]
+VALUES = (*NUMBERS, *WORDS)
+KEYS = (
+    *DRIVE_KEYS,
+    *("ClassName", "Name", "Location", "Rotation", "Start", "Type", "Opcode", "Params", "Order", "Value"),
+    *("Steer", "WheelNumber", "WheelSpeed", "WheelSteer", "Link", "Light", "Flip", "Normalized", "FOV"),
+    *("Robot", "Client", "Config", "On", "Interval", "Color", "Port", "From", "To", "End", "", "\xe4"),
 )
 OTHERS = ("GETPOS", "GETOBS", "GETSS", "DNS", "REVERSEDNS", "drive", "INIT2", "", "{", "}", "AUTH")
-HEADS = st.sampled_from([*COMMANDS.names(), *OTHERS])
-SEGMENTS = st.tuples(KEYS, VALUES).map(lambda pair: f"{{{pair[0]} {pair[1]}}}")
-SLIPS = st.sampled_from(["", "", "", "", "{", "}", "{}", " {", "}}", "\t", "\x0b", "{{Left 1}}"])
+HEADS = (*COMMANDS.names(), *OTHERS)
+SLIPS = ("", "", "", "", "", "{", "}", "{}", " {", "}}", "\t", "\x0b", "{{Left 1}}")
+VERBS = ("REGISTER", "LISTEN", "GETSS", "OPEN", "open", "CLOSE", "", "SEND 5")
 
 
-@st.composite
-def lines(draw):
+class Tape:
+    """Chooses by bytes, which hypothesis finds and shrinks; cheaper by far than a draw for each choice."""
+
+    def __init__(self, data):
+        self._bytes = iter(data)
+
+    def number(self, most):
+        return next(self._bytes, 0) % (most + 1)
+
+    def pick(self, options):
+        return options[self.number(len(options) - 1)]
+
+    def data(self, most):
+        return bytes(next(self._bytes, 0) for _ in range(self.number(most)))
+
+
+def batches(make):
+    """Batches of what is made of a tape."""
+    tapes = st.lists(st.binary(min_size=ENTROPY, max_size=ENTROPY), min_size=BATCH, max_size=BATCH)
+    return tapes.map(lambda datas: [make(Tape(data)) for data in datas])
+
+
+def line_of(tape):
     """A line that is nearly one of the protocol."""
-    segments = draw(st.lists(SEGMENTS, max_size=5))
-    return draw(HEADS) + " " + " ".join(segments) + draw(SLIPS)
+    segments = [f"{{{tape.pick(KEYS)} {tape.pick(VALUES)}}}" for _ in range(tape.number(5))]
+    return tape.pick(HEADS) + " " + " ".join(segments) + tape.pick(SLIPS)
 
 
-BATCHES = st.lists(lines(), min_size=BATCH, max_size=BATCH)
+def request_of(tape):
+    """A message that is nearly one of dialect A, without its end."""
+    return " ".join([tape.pick(VERBS), *(tape.pick(VALUES) for _ in range(tape.number(4)))])
+
+
+BATCHES, REQUESTS = batches(line_of), batches(request_of)
 
 
 def data_of(batch, end="\r\n"):
@@ -122,16 +143,6 @@ def test_a_line_is_read_back_as_it_is_written(batch):
             continue
         if not re.search(r"[\x0b\x0c\x85\xa0]", line):
             assert parse_message(format_message(message)) == message
-
-
-REQUESTS = st.lists(
-    st.tuples(
-        st.sampled_from(["REGISTER", "LISTEN", "GETSS", "OPEN", "open", "CLOSE", "", "SEND 5"]),
-        st.lists(st.one_of(WORDS, NUMBERS), max_size=4),
-    ).map(lambda parts: " ".join([parts[0], *parts[1]]).replace(";", "")),
-    min_size=BATCH,
-    max_size=BATCH,
-)
 
 
 @given(REQUESTS, st.booleans())
@@ -196,13 +207,17 @@ def test_bytes_on_a_data_link(pieces):
 
 
 SIZE = (320, 240)
-EDGES = st.one_of(st.sampled_from([0, 1, 239, 240, 319, 320, 2**31, 2**32 - 1]), st.integers(0, 2**32 - 1))
-PARTS = st.tuples(*[EDGES] * 4).map(lambda part: b"U" + b"".join(edge.to_bytes(4, "big") for edge in part))
-ASKED = st.sampled_from([b"OK", b"O", b"K", b"OOK", b"U", b"\0"])
-ACKNOWLEDGEMENTS = st.one_of(ASKED, PARTS, st.binary(max_size=3))
+EDGES = (0, 1, 100, 239, 240, 319, 320, 2**31, 2**32 - 1)
+ASKED = (b"OK", b"OK", b"O", b"K", b"OOK", b"U", b"\0")
 
 
-@given(st.lists(st.tuples(ACKNOWLEDGEMENTS, st.booleans()), min_size=BATCH, max_size=BATCH))
+def acknowledgement_of(tape):
+    """What asks for a picture or a part of it, or nearly, and whether a picture is sent then."""
+    part = b"U" + b"".join(tape.pick(EDGES).to_bytes(4, "big") for _ in range(4))
+    return tape.pick([part, part, *ASKED, tape.data(3)]), tape.pick((True, False))
+
+
+@given(batches(acknowledgement_of))
 def test_acknowledgements_of_pictures(batch):
     session = ImageSession(SIZE, 0.1, 0.0)
     for step, (data, is_sent) in enumerate(batch):
@@ -219,33 +234,48 @@ def test_acknowledgements_of_pictures(batch):
             assert not session.wants(float(step))
 
 
-JSON = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.just(10**400)),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
-    max_leaves=8,
+SCALARS = (
+    None,
+    True,
+    False,
+    0,
+    -1,
+    1.5,
+    1e308,
+    -1e-9,
+    math.nan,
+    math.inf,
+    10**19,
+    10**400,
+    "",
+    "left",
+    "right",
+    "c",
 )
-NUMBER_LISTS = st.lists(st.one_of(st.floats(), st.integers(), st.just(10**400), st.booleans()), max_size=4)
-SAYINGS = st.fixed_dictionaries(
-    {},
-    optional={
-        "click": st.one_of(st.sampled_from(["left", "right"]), JSON),
-        "key": st.one_of(st.just("c"), JSON),
-        "move": st.one_of(NUMBER_LISTS, JSON),
-        "turn": st.one_of(NUMBER_LISTS, JSON),
-        "ready": JSON,
-    },
-)
-PAGE_TEXTS = st.one_of(
-    SAYINGS.map(json.dumps),
-    JSON.map(json.dumps),
-    st.text(max_size=30),
-    st.binary(max_size=30),
-    st.tuples(st.sampled_from(["[", '{"move":', '{"a":[']), st.integers(1, 600)).map(lambda t: t[0] * t[1]),
-    st.just('{"move": [' + "9" * 900 + ", 0, 0]}"),
-)
+CUTS = ("[", '{"move":', '{"a":[', "}", "\ud800", '"')
 
 
-@given(st.lists(PAGE_TEXTS, min_size=BATCH, max_size=BATCH))
+def value_of(tape, depth=2):
+    """Something that JSON has."""
+    if depth and tape.number(2):
+        inside = [value_of(tape, depth - 1) for _ in range(tape.number(4))]
+        return inside if tape.number(1) else {str(key): value for key, value in enumerate(inside)}
+    return tape.pick(SCALARS)
+
+
+def saying_of(tape):
+    """What a page says, or nearly."""
+    keys = [key for key in ("click", "key", "move", "turn", "ready") if tape.number(1)]
+    said = {key: value_of(tape) for key in keys}
+    if tape.number(1):
+        said["move"] = [tape.pick(SCALARS[3:12]) for _ in range(3)]
+        said["turn"] = [tape.pick(SCALARS[3:12]) for _ in range(2)]
+    text = json.dumps(said)
+    strange = (tape.pick(CUTS) * (1 + 3 * tape.number(200)), text[: tape.number(len(text))], tape.data(20))
+    return tape.pick((text, text, text, *strange))
+
+
+@given(batches(saying_of))
 def test_messages_of_a_page(batch):
     spectator = Spectator(StillWorld(), SIZE)
     for text in batch:
@@ -265,15 +295,11 @@ UPGRADE = (
 )
 
 
-@st.composite
-def frames(draw):
+def frame_of(tape):
     """A frame of a websocket, or nearly one."""
-    payload = draw(st.binary(max_size=130))
-    first = draw(st.sampled_from([0x81, 0x82, 0x01, 0x00, 0x80, 0x88, 0x89, 0x8A, 0xC1, 0x83, 0xFF]))
-    size = draw(
-        st.sampled_from([len(payload), len(payload), len(payload), 2**63, 2**31, MAX_MESSAGE_SIZE + 1, 0])
-    )
-    mask = draw(st.sampled_from([0x80, 0x80, 0x80, 0x00]))
+    payload, mask = tape.data(20) * tape.pick((1, 1, 10)), tape.pick((0x80, 0x80, 0x80, 0x00))
+    first = tape.pick((0x81, 0x82, 0x01, 0x00, 0x80, 0x88, 0x89, 0x8A, 0xC1, 0x83, 0xFF))
+    size = tape.pick([*[len(payload)] * 4, 2**63, 2**31, MAX_MESSAGE_SIZE + 1, 0])
     if size < 126:
         head = bytes([first, mask | size])
     elif size < 2**16:
@@ -283,7 +309,7 @@ def frames(draw):
     return head + bytes(4) * (mask > 0) + payload
 
 
-@given(st.lists(frames(), min_size=BATCH, max_size=BATCH), st.booleans())
+@given(batches(frame_of), st.booleans())
 def test_frames_of_a_page(batch, upgrades):
     """The library reads them, with our bound on their size."""
     protocol = ServerProtocol(max_size=MAX_MESSAGE_SIZE)
