@@ -11,8 +11,13 @@ import hypothesis
 import jax
 import pytest
 
+from tests.offline import cut_network
+
 MUCH = 2.5e9
 """A process of tests shall not hold much more memory than this [bytes]."""
+
+ASKED = pytest.StashKey[Path]()
+"""File of what was asked of other machines."""
 
 QUICKLY_COMPILED = (
     "--xla_backend_optimization_level=0",
@@ -46,6 +51,10 @@ def pytest_configure(config: pytest.Config) -> None:
     # the time of training's tests. Each process has its own, as jax does not write whole files at once.
     cache = tempfile.TemporaryDirectory(prefix="usarmjx-compiled-")
     config.add_cleanup(cache.cleanup)
+    # Nothing is downloaded at run time, so no test may reach another machine.
+    config.stash[ASKED] = Path(cache.name) / "asked-of-others"
+    config.stash[ASKED].touch()
+    cut_network(config.stash[ASKED])
     os.environ["USARMJX_CACHE"] = "off"
     os.environ["JAX_COMPILATION_CACHE_DIR"] = cache.name  # for programs that tests start
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
@@ -87,6 +96,17 @@ def forget_what_is_compiled() -> Iterator[None]:
     if resident() > MUCH:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def asked_of_others(request: pytest.FixtureRequest) -> Iterator[Path]:
+    """File of what a test asks of other machines, which must be empty in the end."""
+    file = request.config.stash[ASKED]
+    yield file
+    if file.stat().st_size:
+        found = file.read_text()
+        file.write_text("")
+        pytest.fail(f"reached for another machine:\n{found}")
 
 
 @pytest.fixture(scope="session")

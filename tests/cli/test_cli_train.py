@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import WriteError
 from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import say
 from usarmjx.train.policies.export import NumpyPolicy
 
 SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
@@ -90,6 +91,18 @@ def test_a_disk_that_refuses_what_a_command_shows_is_one_line(error, told, capsy
     assert capsys.readouterr().err == told
     with pytest.raises(FileNotFoundError), ErrorExit():
         Path("nowhere/x").read_text()  # a fault of ours, with its trace
+
+
+def test_a_command_goes_on_when_nobody_can_hear_what_it_does(monkeypatch):
+    """Its error stream goes to a file, and the disk is full."""
+    with open("/dev/full", "w", buffering=1) as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        say("compiling")
+        with pytest.raises(typer.Exit), ErrorExit():
+            raise WriteError("and this is not heard either")
+        monkeypatch.undo()
+        with pytest.raises(OSError, match="No space left"):
+            full.close()
 
 
 def test_what_was_trained_but_cannot_be_kept_is_the_exit_code(monkeypatch, tmp_path):

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import typer
@@ -68,8 +69,9 @@ class CompilationWatch:
 
 
 def say(text: str) -> None:
-    """Write a line to the standard error stream."""
-    typer.echo(f"usarmjx: {text}", err=True)
+    """Write a line to the standard error stream; unheard where that is a file and the disk is full."""
+    with suppress(OSError):
+        typer.echo(f"usarmjx: {text}", err=True)
 
 
 def announce(text: str, *, keep: bool = True, aloud: bool = True) -> None:
