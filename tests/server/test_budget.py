@@ -6,6 +6,7 @@ import logging
 import socket
 import time
 
+import numpy as np
 import pytest
 
 from tests.server.peers import PATIENCE, Peer, serving
@@ -264,6 +265,27 @@ def test_a_newcomer_is_slowed_by_nobody(world):
             spawned = peer.sta_times(1)[0]
             assert spawned < 2.0, "a control step for each, and a report's time"
             peer.close()
+
+
+def test_a_crowd_leaves_one_by_one_and_whoever_comes_waits_for_its_seats(monkeypatch):
+    """To take sixteen robots out at once would hold the world up for a fifth of a second."""
+    world, left = StillWorld(), []
+    monkeypatch.setattr(
+        StillWorld, "remove", lambda self, robot: left.append(self.time) or remove(self, robot)
+    )
+    with serving(world, realtime_factor=PACE) as (port, server):
+        peers = [Peer(port, init(f"R{i}")) for i in range(16)]
+        wait_until(lambda: len(world.robots) == 16)
+        server._joins.clock = Ticking()  # each takes 0.25 of a step's share
+        for peer in peers:
+            peer.close()
+        wait_until(lambda: not server.clients)
+        newcomer = Peer(port, init("Newcomer"))
+        newcomer.until(b"STA")
+        assert [robot.name for robot in world.robots.values()] == ["Newcomer"]
+        newcomer.close()
+    assert len(left) == 17
+    assert np.diff(left[:16]).min() >= PERIOD - ROUNDING
 
 
 def test_who_only_errs_is_dropped_and_a_legal_command_makes_good(world, caplog):

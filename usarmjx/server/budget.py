@@ -16,7 +16,7 @@ CLIENT_SHARE = 0.05
 TOTAL_SHARE = 0.25
 """All clients of a world together get so much of the time of a control step [s per simulated second]."""
 JOIN_SHARE = 0.2
-"""To join the world may take so much of the time, for all who do [s per simulated second]."""
+"""To join the world and to leave it may take so much of the time, for all who do [s per simulated second]."""
 BURST = 0.05
 """A client that was silent has saved up so much [s]."""
 MEMORY = 0.98

@@ -5,6 +5,7 @@ import logging
 import math
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -139,6 +140,8 @@ class BotServer:
         self._fault_log = FaultLog(log)
         self._stepped = asyncio.Event()
         self._joining = asyncio.Lock()
+        self._leaving: deque[Client] = deque()
+        self._stopped = False
         # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
 
@@ -183,6 +186,7 @@ class BotServer:
         self._fault_log.flush()
         self._budgets.refill()
         self._joins.refill()
+        self._let_leave()
         self._stepped.set()
         self._stepped.clear()
 
@@ -194,6 +198,9 @@ class BotServer:
             service.stop()
         for connection in list(self._connections.values()):
             connection.writer.close()
+        self._stopped = True
+        while self._leaving:
+            self._leaving.popleft().leave()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _attend(self, connection: RobotConnection, now: float) -> None:
@@ -210,6 +217,13 @@ class BotServer:
         if connection.budget.balance <= 0.0 and connection.has_left:
             connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
+
+    def _let_leave(self) -> None:
+        """Take a robot whose client has gone out of the world: one in a control step, as they come."""
+        if self._leaving and not self._joins.is_spent:
+            began = self._joins.clock()
+            self._leaving.popleft().leave()
+            self._joins.spend(self._joins.clock() - began)
 
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
@@ -242,7 +256,10 @@ class BotServer:
             del self._connections[client]
             self.tally.faults += client.session.fault_count
             client.log_faults(is_last=True)
-            client.leave()
+            if client.robot is None or self._stopped:
+                client.leave()
+            else:
+                self._leaving.append(client)
             connection.hang_up()
             log.info("%s: disconnected", peer)
 
@@ -306,7 +323,7 @@ class BotServer:
             return False
         async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
             await self._stepped.wait()
-            while self._joins.is_spent:
+            while self._leaving or self._joins.is_spent:
                 await self._stepped.wait()
             began = self._joins.clock()
             accepted = client.spawn(init, spec)
