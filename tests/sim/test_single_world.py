@@ -19,6 +19,7 @@ from usarmjx.sim import single_world
 from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
+from usarmjx.sim.site import moved_geom_poses
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")
@@ -266,3 +267,19 @@ def test_a_robot_that_cannot_be_leaves_nothing_behind(robot, why):
         join(world, robot, 4.5, 1.9, yellow.floor + 1.0)
     assert_unchanged(world, before)
     assert join(world, P2DX, *yellow.starts[3].at[:2], yellow.floor + 0.3) == 1
+
+
+def test_what_moves_by_itself_is_where_its_time_has_it():
+    """To the bit, in every control step, and when a robot joins; worked out one moment at a time here."""
+    world, places = make_world(arena="yellow"), []
+    ids = [world.engine.model.geom(name).id for name in world.scene.moved_geoms.names]
+    for step in range(2 * single_world.STEPS_AHEAD + 3):
+        if step == single_world.STEPS_AHEAD // 2:
+            join(world, P2DX, 4.5, 1.9, world.scene.arena.floor + 0.3)
+        with numpy_backend():
+            moved = moved_geom_poses(world.scene, None, np.float32(step) * world.scene.physics.period)
+        world.step()
+        places.append(world.engine.model.geom_pos[ids].copy())
+        np.testing.assert_array_equal(places[-1], moved.pos)
+        np.testing.assert_array_equal(world.engine.model.geom_quat[ids], moved.quat)
+    assert (np.abs(np.diff(places, axis=0)).max((1, 2)) > 0).all(), "something moves"

@@ -31,7 +31,8 @@ def asarray(values: ArrayLike, dtype: DTypeLike | None = None) -> NumPyArray:
 
 def array(values: ArrayLike, dtype: DTypeLike | None = None) -> NumPyArray:
     """As `jnp.array`."""
-    return np.array(single(values, dtype))
+    made: NumPyArray = np.array(values, dtype)
+    return single(made) if dtype is None else made
 
 
 def zeros(shape: Any, dtype: DTypeLike = np.float32) -> NumPyArray:  # noqa: ANN401 - shapes

@@ -154,7 +154,7 @@ def _erf_inv(x: np.ndarray) -> np.ndarray:
 
 def _polynomial(coefficients: Sequence[float], x: np.ndarray) -> np.ndarray:
     """Return a polynomial of numbers, its highest coefficient first."""
-    value = np.full_like(x, coefficients[0])
+    value: Any = coefficients[0]
     for coefficient in coefficients[1:]:
         value = coefficient + value * x
     return value

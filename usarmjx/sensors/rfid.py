@@ -114,15 +114,21 @@ class _Tags(struct.PyTreeNode, kw_only=True):
     there: Array
 
 
+def _filled(values: Array) -> Array:
+    """Return values of tags (tags, ...) with zeros behind them if there are fewer than `MAX_TAGS`."""
+    values = xp.asarray(values)
+    missing = MAX_TAGS - len(values)
+    if missing <= 0:
+        return values
+    return xp.concatenate([values, xp.zeros((missing, *values.shape[1:]), values.dtype)])
+
+
 def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
     """Return `MAX_TAGS` tags, those that are there first; always as many, some of them not there."""
-    spare = xp.zeros(MAX_TAGS)
-    there = xp.concatenate([xp.asarray(surroundings.tag_there), spare > 0])
-    positions = xp.concatenate([xp.asarray(surroundings.tag_pos), xp.zeros((MAX_TAGS, 3))])
+    names = ("tag_there", "tag_pos", "tag_single", "tag_id")
+    there, positions, single, ids = (_filled(getattr(surroundings, name)) for name in names)
     far = xp.where(there, xp.linalg.norm(positions - pos, axis=-1), xp.inf)
     index = nearest(far, MAX_TAGS)
-    single = xp.concatenate([xp.asarray(surroundings.tag_single), spare > 0])
-    ids = xp.concatenate([xp.asarray(surroundings.tag_id, xp.int32), spare.astype(xp.int32)])
     return _Tags(
         index=index,
         pos=positions[index],

@@ -59,6 +59,8 @@ EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
 MAX_FALL = 1000.0
 """Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
+STEPS_AHEAD = 10
+"""For so many control steps it is worked out at once where what moves by itself will be."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
@@ -112,7 +114,7 @@ class SingleWorld:
         self._homes: dict[int, np.ndarray] = {}
         self._tops: dict[int, float] = {}
         self._looks: tuple[Scene, Looks] | None = None
-        self._moved_at: tuple[int, GeomPoses | None] | None = None
+        self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
         self._regroup({}, {})
 
     @property
@@ -293,11 +295,14 @@ class SingleWorld:
         self.world = self.world.with_group(group, state.replace(**new))
 
     def _moved(self) -> GeomPoses | None:
-        """Return where the arena's geoms that move are now; worked out once in a control step."""
-        step = int(self.world.step)
-        if self._moved_at is None or self._moved_at[0] != step:
-            self._moved_at = step, moved_geom_poses(self.scene, None, time_of(self.scene, self.world))
-        return self._moved_at[1]
+        """Return where the arena's geoms that move are now."""
+        first, ahead = self._moved_from
+        late = int(self.world.step) - first
+        if not 0 <= late < STEPS_AHEAD:
+            steps = self.world.step + np.arange(STEPS_AHEAD, dtype=np.int32)
+            ahead = moved_geom_poses(self.scene, None, time_of(self.scene, self.world.replace(step=steps)))
+            late, self._moved_from = 0, (int(self.world.step), ahead)
+        return None if ahead is None else GeomPoses(pos=ahead.pos[late], quat=ahead.quat[late])
 
     def _caster(self) -> CRayCaster:
         return self.engine.caster(self._indices(), self._moved())

@@ -53,13 +53,17 @@ def start_poses(scene: Scene, arena_state: ArenaState | None) -> Array:
 
 
 def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: Array) -> GeomPoses | None:
-    """Return where the geoms of `scene.moved` are at a time [s] (); without an axis over worlds."""
+    """Return where the geoms of `scene.moved` are at a time [s] (); without an axis over worlds.
+
+    Of a scene with one arena at times (...,) as well: (..., geoms, 3) and (..., geoms, 4).
+    """
     if scene.moved_geoms is None:
         return None
     table = victims_of(scene, arena_state)
     pos, quat = segment_poses(table, time, xp)
     if arena_state is None:
-        return GeomPoses(pos=pos[scene.moving_victim_boxes], quat=quat[scene.moving_victim_boxes])
+        boxes = scene.moving_victim_boxes
+        return GeomPoses(pos=pos[..., boxes, :], quat=quat[..., boxes, :])
     return GeomPoses(
         pos=xp.concatenate([arena_state.pos, pos]),
         quat=xp.concatenate([arena_state.quat, quat]),
