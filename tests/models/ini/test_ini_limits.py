@@ -81,3 +81,14 @@ def test_numbers_that_nobody_can_compute_with_are_refused(tmp_path):
         SpecError, match=r"a\.ini:2: Weight is 1e\+300; expected a number above 0, at most 1e\+12"
     ):
         load_robots([path], ROBOTS)
+
+
+def test_a_robot_that_mujoco_does_not_build_is_one_line(tmp_path):
+    path, wheel = tmp_path / "a.ini", "JointClass=KCarWheelJoint,bSteeringLocked=True,Radius=0.1,Width=0.05"
+    text = "[USARBot.A]\nDimensions=(X=1e-320,Y=0.4,Z=0.3)\nWeight=20\nChassisMass=1e-300\n"
+    for i, y in enumerate((0.2, -0.2)):
+        text += f"JointParts({i})=(PartName=W{i},ParentPos=(X=0.1,Y={y},Z=0.1),{wheel})\n"
+    path.write_text(text)
+    with pytest.raises(SpecError, match=r"a\.ini:2: A cannot be built: Error: ") as caught:
+        load_robots([path], ROBOTS)
+    assert "\n" not in str(caught.value)

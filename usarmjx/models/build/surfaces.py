@@ -69,8 +69,7 @@ def walkable_surfaces(
     square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.slope))
     first = np.searchsorted(square, square)
     rank = np.arange(len(square)) - first
-    for place in range(int(rank.max(initial=-1)) + 1):
-        now = np.flatnonzero(rank == place)
+    for now in np.split(np.argsort(rank, kind="stable"), np.cumsum(np.bincount(rank))[:-1]):
         at = square[now]
         free = at[low[now] - top[at] >= height]
         close(free)

@@ -103,6 +103,12 @@ def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildCon
         if LOCATED_MESSAGE.match(str(error)):
             raise
         raise SpecError(f"{section.where}: {error}") from error
+    except ValueError as error:  # MuJoCo's, of masses and sizes that it cannot work with
+        raise SpecError(f"{section.where}: {robot.name} cannot be built: {_one_line(error)}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _changed_robot(
