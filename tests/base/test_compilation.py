@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from usarmjx.base.compilation_cache import (
+from usarmjx.base.compilation import (
     JAX_FOLDER,
     MIN_COMPILE_TIME,
     VARIABLE,

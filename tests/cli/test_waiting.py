@@ -137,3 +137,42 @@ def test_one_thread_may_wait_for_another(talk):
     talk.hear(COMPILED, FIRST + INTERVAL, thread=2)
     talk.wait(10)
     assert talk.said[2:] == ["compiled, 13 s"]
+
+
+COMPILES = """
+from usarmjx.cli.waiting import announce
+announce("a start ...")
+import jax
+heard = []
+jax.monitoring.register_event_listener(lambda event, **_: heard.append(event.rpartition("/")[2]))
+assert jax.jit(lambda x: 3 * x @ x.T)(jax.numpy.ones((2, 2))).sum() == 24.0
+print(heard.count("cache_misses"), heard.count("cache_hits"))
+"""
+
+
+def test_a_second_start_compiles_nothing_and_what_is_broken_is_compiled_anew(tmp_path):
+    """A file is broken as by a writer that was killed: of all of them, one line."""
+    ours = {"USARMJX_CACHE": str(tmp_path), "JAX_PLATFORMS": "cpu"}
+    theirs = ("USARMJX_CACHE", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+    environment = {key: value for key, value in os.environ.items() if key not in theirs} | ours
+
+    def start():
+        done = subprocess.run(
+            [sys.executable, "-c", COMPILES], capture_output=True, text=True, cwd=dev.ROOT, env=environment
+        )
+        assert done.returncode == 0, done.stderr
+        return [int(word) for word in done.stdout.split()], done.stderr.splitlines()
+
+    (misses, hits), said = start()
+    assert misses > 0 == hits
+    assert said == ["usarmjx: a start ..."]
+    kept = list(tmp_path.glob("jax/*/*-cache"))
+    assert len(kept) == misses
+    assert start() == ([0, misses], said)
+    for path in kept:
+        path.write_bytes(path.read_bytes()[:50])
+    (again, _), said = start()
+    assert again == misses
+    assert len(said) == 2
+    assert said[1].startswith("usarmjx: note: ")
+    assert all(path.stat().st_size > 50 for path in kept)

@@ -188,7 +188,8 @@ def play(
                     add_metrics(servers, realtime_factor, metrics)
                 run(servers, realtime_factor, signals)
             return
-        announce("building the world that the policy drives ...")
+        # What one world observes in one episode takes longer to compile than to compute.
+        announce("building the world that the policy drives ...", quickly=engine == "c")
         from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
         check_suffix(out)

@@ -10,11 +10,16 @@ from pathlib import Path
 
 import typer
 
-from usarmjx.base.compilation_cache import JAX_FOLDER, keep_compilations, tell_once_of_broken_entries
+from usarmjx.base.compilation import (
+    JAX_FOLDER,
+    compile_quickly,
+    keep_compilations,
+    tell_once_of_broken_entries,
+)
 
 FIRST, INTERVAL = 3.0, 10.0
 """After so long something is said of a compilation, and then again and again [s]."""
-GAP = 2.0
+GAP = 5.0
 """What comes so soon after another compilation belongs to it [s]."""
 COMPILATION = "/jax/core/compile/"
 LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
@@ -74,7 +79,7 @@ def say(text: str) -> None:
         typer.echo(f"usarmjx: {text}", err=True)
 
 
-def announce(text: str, *, keep: bool = True, aloud: bool = True) -> None:
+def announce(text: str, *, keep: bool = True, aloud: bool = True, quickly: bool = False) -> None:
     """Say what takes a while, and go on saying so while it compiles; what is compiled is kept.
 
     The first line comes before JAX is imported, which takes a second or two. Nothing happens in a process
@@ -84,11 +89,14 @@ def announce(text: str, *, keep: bool = True, aloud: bool = True) -> None:
         text: What is begun.
         keep: Whether compilations are kept, and those of before used.
         aloud: Whether anything is said; of several processes that do the same, one is enough.
+        quickly: Whether to compile without optimisation.
     """
     if "jax" in sys.modules:
         return
     tell = say if aloud else _say_nothing
     tell(text)
+    if quickly:
+        compile_quickly()
     if keep:
         if complaint := keep_compilations():
             tell(f"note: {complaint}")

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
 from usarmjx.base.rotations import mat_from_quat
@@ -85,16 +86,18 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
     act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
-    moments = [(0.0, float(state.score[WORLD]), *_positions(env, state))]
+    moments = [(0.0, float(np.asarray(state.score)[WORLD]), *_positions(env, state))]
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
-        if bool(state.done[WORLD]):
-            end = "time is up" if bool(state.truncated[WORLD]) else "done"
-            end = "physics failed" if bool(state.bad[WORLD]) else end
-            moments.append((step * env.period, float(state.final_score[WORLD]), *moments[-1][2:]))
+        done, late, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
+        if done:
+            end = "physics failed" if bad else "time is up" if late else "done"
+            moments.append((step * env.period, float(np.asarray(state.final_score)[WORLD]), *moments[-1][2:]))
         else:
-            moments.append((step * env.period, float(state.score[WORLD]), *_positions(env, state)))
+            moments.append(
+                (step * env.period, float(np.asarray(state.score)[WORLD]), *_positions(env, state))
+            )
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
     in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
@@ -113,15 +116,15 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
 
 def _positions(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
     """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
-    physics = jax.tree.map(lambda rows: rows[WORLD], env.batch.physics(state.batch))
+    physics = jax.tree.map(lambda rows: np.asarray(rows)[WORLD], env.batch.physics(state.batch))
     found = np.zeros((env.scene.num_robots, 3))
-    for group in env.scene.groups:
-        states = robot_states(group, physics)
-        mat = np.asarray(jax.vmap(mat_from_quat)(states.quat))
-        found[np.asarray(group.slots)] = np.column_stack(
-            [np.asarray(states.pos)[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]
-        )
-    return found, np.asarray(physics.qpos)[env.scene.loose_geoms.root_qposadr[:, :2]]
+    with numpy_backend():  # JAX would compile each of these operations
+        for group in env.scene.groups:
+            states = robot_states(group, physics)
+            mat = mat_from_quat(states.quat)
+            yaw = np.arctan2(mat[:, 1, 0], mat[:, 0, 0])
+            found[np.asarray(group.slots)] = np.column_stack([states.pos[:, :2], yaw])
+    return found, physics.qpos[env.scene.loose_geoms.root_qposadr[:, :2]]
 
 
 def _caption(shown: EpisodeRecording, frame: int) -> str:

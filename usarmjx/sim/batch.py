@@ -5,7 +5,7 @@ with C MuJoCo the parts around the engine are.
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -98,8 +98,7 @@ class Batch:
         self.engine = make_engine(
             kind, scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
         )
-        self._numbers = jnp.arange(first, first + worlds)
-        self._keys = self._keys_of(seed)
+        self._seed, self._numbers = seed, np.arange(first, first + worlds, dtype=np.int32)
         self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))
         self._finish_and_compute_inputs = self._compile(jax.vmap(partial(finish_and_compute_inputs, scene)))
@@ -120,6 +119,10 @@ class Batch:
         """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
         if self.engine.traceable:
             self.step, self.reset_where = self._compile(self._step), self._compile(self._reset_where)
+
+    @cached_property
+    def _keys(self) -> jax.Array:
+        return self._keys_of(self._seed)
 
     def _keys_of(self, seed: int) -> jax.Array:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
@@ -184,7 +187,8 @@ class Batch:
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
         """Return the arena that a world has in its present episode, if nobody replaced the arenas."""
-        return self.scene.arena_of(int(state.worlds.number[world]), int(state.worlds.episode[world]))
+        number, episode = (np.asarray(count)[world] for count in (state.worlds.number, state.worlds.episode))
+        return self.scene.arena_of(int(number), int(episode))
 
     def physics(self, state: BatchState) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""

@@ -13,8 +13,10 @@ import usarmjx
 from usarmjx.models.build.compose import Physics
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs import env as module
+from usarmjx.train.envs import episode
 from usarmjx.train.envs.env import restart_batch_size
 from usarmjx.train.envs.episode import start_episode
+from usarmjx.train.envs.state import Restart
 
 WORLDS, TOGETHER = 5, 2
 
@@ -59,6 +61,19 @@ def test_whichever_worlds_are_done_they_begin_as_all_together_would(env, in_full
         ours, theirs = env._restart(ours, where), in_full(theirs, where)
         jax.tree.map(np.testing.assert_array_equal, bits(ours), bits(theirs))
     np.testing.assert_array_equal(ours.batch.worlds.episode, np.full(WORLDS, 2 ** (WORLDS - 1)))
+
+
+def test_what_sensors_read_is_traced_once_for_all_that_need_it(monkeypatch):
+    """The shapes, the beginning of an episode and its steps: the largest part of what they are made of."""
+    traced, usual = [], episode.observe
+    monkeypatch.setattr(episode, "observe", lambda *args: traced.append(1) or usual(*args))
+    env = usarmjx.make("drive-to-goal", engine="c", ranges=())
+    blank = env._blank(jax.random.key(0), 1.0, None)
+    worlds, physics = blank.batch.worlds, env.batch.engine.state(env.batch.engine.start())
+    now = Restart(worlds=worlds, begun=blank.episode_start, qpos=physics.qpos, left=blank.done)
+    env._restart_some.trace(now, None)
+    env._evaluate.trace(blank.task_state, worlds, physics, worlds.faults)
+    assert len(traced) == 1
 
 
 def test_first_episodes_begin_as_those_of_the_batch(env):

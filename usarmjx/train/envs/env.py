@@ -116,7 +116,8 @@ class Env:
             world, begun = start_episode(scene, task, world, physics)
             return world, begun, task.evaluate(make_view(scene, world, physics)[1], begun.memory)
 
-        world, begun, result = jax.eval_shape(once, jax.random.key(0))
+        with jax.default_matmul_precision("highest"):  # else what is compiled later is traced anew
+            world, begun, result = jax.eval_shape(once, jax.random.key(0))
         return (world, begun), tuple(result.metrics)
 
     def _agents(self) -> tuple[AgentGroup, ...]:

@@ -23,6 +23,7 @@ from usarmjx.train.envs.state import EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import Task, TaskView
 
 
+@partial(jax.jit, static_argnums=0)  # so that it is traced once for all the functions that call it
 def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, TaskView]:
     """Read sensors and links."""
     world, readings = observe(scene, world, physics)
