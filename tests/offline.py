@@ -10,6 +10,7 @@ HERE = ("127.", "::1", "localhost", "0.0.0.0")
 LOADERS = {"curl", "wget", "pip", "pip3", "ssh", "scp", "rsync", "aria2c"}
 CONNECTING = ("socket.connect", "socket.sendto", "socket.sendmsg")
 RESOLVING = ("socket.getaddrinfo", "socket.gethostbyname")
+WATCHED = {*CONNECTING, *RESOLVING, "subprocess.Popen"}
 NO_ROUTE = 101, "Network is unreachable"
 
 
@@ -37,7 +38,7 @@ def cut_network(file: Path) -> None:
     """
 
     def guard(event: str, args: tuple) -> None:
-        if event not in (*CONNECTING, *RESOLVING, "subprocess.Popen"):
+        if event not in WATCHED:
             return
         if asked := attempt(event, args):
             with file.open("a") as lines:

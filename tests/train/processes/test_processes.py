@@ -132,6 +132,8 @@ from usarmjx.train.processes.group import ProcessGroup, distributed_run
 with distributed_run() as info:
     group = ProcessGroup()
     group.barrier("here")
+    assert group.everywhere(True)
+    assert not group.everywhere(info.index == 0), "what is false in one is not true everywhere"
     if info.index == 1:
         raise UsageError("this one is lost")
     group.barrier("there")
