@@ -50,15 +50,28 @@ WORDS = (
     *("\x85\xa0", "a b", ",", "%s%n", "../..", "POST / HTTP/1.1", "Host:"),
 )
 VALUES = (*NUMBERS, *WORDS)
-KEYS = (
-    *DRIVE_KEYS,
-    *("ClassName", "Name", "Location", "Rotation", "Start", "Type", "Opcode", "Params", "Order", "Value"),
-    *("Steer", "WheelNumber", "WheelSpeed", "WheelSteer", "Link", "Light", "Flip", "Normalized", "FOV"),
-    *("Robot", "Client", "Config", "On", "Interval", "Color", "Port", "From", "To", "End", "", "\xe4"),
-)
-OTHERS = ("GETPOS", "GETOBS", "GETSS", "DNS", "REVERSEDNS", "drive", "INIT2", "", "{", "}", "AUTH")
-HEADS = (*COMMANDS.names(), *OTHERS)
-SLIPS = ("", "", "", "", "", "{", "}", "{}", " {", "}}", "\t", "\x0b", "{{Left 1}}")
+KEYS = {
+    "INIT": ("ClassName", "Name", "Location", "Rotation", "Start"),
+    "DRIVE": (
+        *(*DRIVE_KEYS, "Light", "Flip", "Normalized", "Name", "Order", "Value", "Steer"),
+        *("WheelNumber", "WheelSpeed", "WheelSteer"),
+    ),
+    "MULTIDRIVE": ("FRFlipper", "CameraPanTilt_Link1", "\xe4"),
+    "MISPKG": ("Name", "Link", "Value", "Order"),
+    "SET": ("Type", "Name", "Opcode", "Params", "FOV", "Robot", "Client", "Config", "Viewport1", "Viewport2"),
+    "TRACE": ("On", "Interval", "Color"),
+    "GETGEO": ("Type", "Name"),
+    "GETCONF": ("Type", "Name"),
+    "GETSTARTPOSES": ("",),
+    "GETOBS": ("From", "To", "Start", "End"),
+    "GETPOS": ("",),
+    "GETSS": ("Robot",),
+    "DNS": ("Robot", "Port"),
+    "REVERSEDNS": ("Port",),
+}
+ANY_KEY = tuple(sorted({key for keys in KEYS.values() for key in keys}))
+HEADS = (*KEYS, *COMMANDS.names(), "DRIVE", "SET", "drive", "INIT2", "", "{", "}", "AUTH")
+SLIPS = (*[""] * 20, "{", "}", "{}", " {", "}}", "\t", "\x0b", "{{Left 1}}")
 VERBS = ("REGISTER", "LISTEN", "GETSS", "OPEN", "open", "CLOSE", "", "SEND 5")
 
 
@@ -86,8 +99,12 @@ def batches(make):
 
 def line_of(tape):
     """A line that is nearly one of the protocol."""
-    segments = [f"{{{tape.pick(KEYS)} {tape.pick(VALUES)}}}" for _ in range(tape.number(5))]
-    return tape.pick(HEADS) + " " + " ".join(segments) + tape.pick(SLIPS)
+    head = tape.pick(HEADS)
+    own = KEYS.get(head.upper(), ANY_KEY)
+    pairs = [
+        (tape.pick(own if tape.number(7) else ANY_KEY), tape.pick(VALUES)) for _ in range(tape.number(5))
+    ]
+    return head + " " + " ".join(f"{{{key} {value}}}" for key, value in pairs) + tape.pick(SLIPS)
 
 
 def request_of(tape):
