@@ -219,7 +219,7 @@ class BotServer:
         connection.flush()
 
     def _let_leave(self) -> None:
-        """Take a robot whose client has gone out of the world: one in a control step, as they come."""
+        """Take the robot whose client went first out of the world; nothing if others have just left or joined."""
         if self._leaving and not self._joins.is_spent:
             began = self._joins.clock()
             self._leaving.popleft().leave()
@@ -260,6 +260,7 @@ class BotServer:
                 client.leave()
             else:
                 self._leaving.append(client)
+                self._let_leave()
             connection.hang_up()
             log.info("%s: disconnected", peer)
 
