@@ -219,7 +219,7 @@ class BotServer:
         connection.flush()
 
     def _let_leave(self) -> None:
-        """Take the robot whose client went first out of the world; nothing if others have just left or joined."""
+        """Take the robot whose client went first out of the world, unless others have just left or joined."""
         if self._leaving and not self._joins.is_spent:
             began = self._joins.clock()
             self._leaving.popleft().leave()
