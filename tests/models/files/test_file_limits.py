@@ -1,8 +1,11 @@
 """Small files that stand for much: counted before anything is built, and read elsewhere under limits."""
 
+import contextlib
+import os
 import re
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -178,6 +181,33 @@ def test_whoever_reads_too_long_is_stopped_and_the_next_file_is_read(limits, say
             assert reader.read("model", write(tmp_path / "b.xml", MODEL.format("", BALL)))[0] == {"bytes": 0}
     finally:
         reader.close()
+
+
+def children():
+    """The processes that this one has started and that are there, be it as zombies."""
+    stats: list[str] = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has just ended
+            stats.append(file.read_text())
+    fields = [text.rpartition(")")[2].split() for text in stats]
+    return {
+        text.split()[0]
+        for text, (_, parent, *_) in zip(stats, fields, strict=True)
+        if parent == str(os.getpid())
+    }
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc")
+def test_whoever_has_nothing_to_read_ends_and_the_next_file_is_read(tmp_path):
+    reader, before = ReaderProcess(idle=0.05), children()
+    path = write(tmp_path / "a.xml", MODEL.format("", BALL))
+    for _ in range(2):
+        assert reader.read("model", path)[0] == {"bytes": 0}
+        deadline = time.monotonic() + 60
+        while children() - before:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    reader.close()
 
 
 def test_whoever_takes_too_much_memory_is_stopped(tmp_path):

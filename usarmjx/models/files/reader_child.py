@@ -14,8 +14,6 @@ import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-IDLE = 10.0
-"""After so long without a file this process ends [s]."""
 UNKNOWN = "Caught an unknown exception"
 """What MuJoCo says where it gets no memory."""
 MOST_GEOMS = 50_000
@@ -34,8 +32,9 @@ LOADING: dict[str, dict[str, Any]] = {
 """Kinds of mesh files, and how trimesh shall read them: as they are."""
 
 
-SEARCH_PATH, CPU_TIME, MEMORY = json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0)
-"""Where modules are, and what reading one file may take [s], [bytes]; see `reader_process`."""
+OPTIONS = json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0, 0)
+SEARCH_PATH, CPU_TIME, MEMORY, IDLE = OPTIONS
+"""Where modules are; what reading one file may take [s], [bytes]; after how long without one to end [s]."""
 
 
 def limit() -> None:

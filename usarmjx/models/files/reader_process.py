@@ -27,6 +27,8 @@ MEMORY = 2_000_000_000
 """For reading one file, beyond what the readers take themselves [bytes]."""
 PATIENCE = 120.0
 """For one file, by the clock on the wall [s]: six times as long as its share of a processor."""
+IDLE = 10.0
+"""After so long without a file the other process ends [s]."""
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 """Threads reserve memory that nobody uses, and the limit counts it."""
 MeshArrays = tuple[str, np.ndarray, np.ndarray]
@@ -62,10 +64,17 @@ class ReaderProcess:
         cpu_time: Of a processor, for reading one file [s].
         memory: For reading one file, beyond what the readers take themselves [bytes].
         patience: For one file, by the clock on the wall [s].
+        idle: After so long without a file it ends [s].
     """
 
-    def __init__(self, cpu_time: int = CPU_TIME, memory: int = MEMORY, patience: float = PATIENCE) -> None:
-        self._cpu_time, self._memory, self._patience = cpu_time, memory, patience
+    def __init__(
+        self,
+        cpu_time: int = CPU_TIME,
+        memory: int = MEMORY,
+        patience: float = PATIENCE,
+        idle: float = IDLE,
+    ) -> None:
+        self._cpu_time, self._memory, self._patience, self._idle = cpu_time, memory, patience, idle
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
         self._owner = 0  # of the child: after a fork it is somebody else's
@@ -126,7 +135,8 @@ class ReaderProcess:
         if self._child is not None and self._owner == os.getpid() and self._child.poll() is None:
             return self._child
         self.close()
-        options = [[folder for folder in sys.path if folder], self._cpu_time, self._memory]
+        folders = [folder for folder in sys.path if folder]
+        options = [folders, self._cpu_time, self._memory, self._idle]
         self._child = subprocess.Popen(
             [sys.executable, "-I", reader_child.__file__, json.dumps(options)],
             stdin=subprocess.PIPE,
@@ -135,6 +145,7 @@ class ReaderProcess:
             env={**os.environ, **ENVIRONMENT},
         )
         self._owner = os.getpid()
+        threading.Thread(target=self._child.wait, daemon=True).start()  # else it stays as a zombie
         return self._child
 
     def _why(self, ended: int, *, timed_out: bool) -> str:
