@@ -27,8 +27,9 @@ def attempt(event: str, args: tuple) -> str | None:
         return str(address) if isinstance(address, tuple) and not is_here(address[0]) else None
     if event in RESOLVING:  # nobody is asked about an address in numbers
         return None if is_here(args[0]) or re.fullmatch(r"[\d.]+|[\da-f:]+", str(args[0])) else str(args[0])
-    words = [os.path.basename(os.fsdecode(word)) for word in (args[0], *args[1])]
-    return " ".join(words) if LOADERS & set(words) else None
+    program, *words = [os.fsdecode(word) for word in args[1]]
+    installs = program == sys.executable and words[:2] == ["-m", "pip"]
+    return " ".join((program, *words)) if installs or os.path.basename(program) in LOADERS else None
 
 
 def cut_network(file: Path) -> None:
