@@ -25,7 +25,8 @@ from usarmjx.bench.chaos.attacks import ATTACKS, UPGRADE, find_attack
 from usarmjx.bench.chaos.neighbour import Gaps, Neighbour, Report, Watch
 from usarmjx.bench.chaos.play import ChaosCase, Outcome, has_seats, play_attack, play_attacks, table
 from usarmjx.bench.chaos.processor import ThreadClock, find_process
-from usarmjx.bench.chaos.target import check_loopback, local_process, parse_address
+from usarmjx.bench.chaos.soak import read_metrics
+from usarmjx.bench.chaos.target import check_loopback, local_process, parse_address, started
 from usarmjx.bench.serving.clients import Crowd
 from usarmjx.cli.app import app
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
@@ -282,3 +283,15 @@ def test_a_crowd_can_be_told_who_was_hung_up_on():
         listener.accept()[0].close()
         crowd.wait(lambda: bool(lost), LIMIT)
     assert lost == [client]
+
+
+def test_a_server_is_started_for_it_with_a_page_and_figures():
+    with started("field", 4) as target:
+        assert find_process(target.port) == target.process
+        figures = read_metrics(target)
+        assert figures["clients"] == figures["robots"] == 0
+        assert figures["memory_bytes"] > 5e7
+        with socket.create_connection((target.host, target.page_port), LIMIT) as page:
+            page.sendall(UPGRADE)
+            assert page.recv(100).startswith(b"HTTP/1.1 101 ")
+    assert local_process(target.port) is None

@@ -224,3 +224,13 @@ def test_both_options_are_there():
     assert "--metrics-port" in helped
     assert "--log-json" in helped
     assert "--metrics-port" in CliRunner().invoke(app, ["play", "--help"], env={"COLUMNS": "200"}).output
+
+
+def test_serve_logs_as_it_is_told(monkeypatch):
+    told = []
+    monkeypatch.setattr("usarmjx.cli.serve.configure_log", lambda **how: told.append(how))
+    for words in ([], ["--log-json", "--verbose"]):
+        ran = CliRunner().invoke(app, ["serve", "--instances", "9", "--port", "0", *words])
+        assert ran.exit_code == 2
+        assert "instance 9" in ran.stderr
+    assert told == [{"verbose": False, "as_json": False}, {"verbose": True, "as_json": True}]
