@@ -92,3 +92,20 @@ def test_a_robot_that_mujoco_does_not_build_is_one_line(tmp_path):
     with pytest.raises(SpecError, match=r"a\.ini:2: A cannot be built: Error: ") as caught:
         load_robots([path], ROBOTS)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("odd", ["\x1b[2J", "\x1c", "\u2028"])
+def test_names_are_printable_as_they_go_into_messages_and_reports(odd, tmp_path):
+    path = tmp_path / "a.ini"
+    for text in (
+        f'(PkgName="C{odd}T",PkgClass=CameraPanTilt)',
+        f'(PkgName="C",PkgClass="Camera{odd}PanTilt")',
+    ):
+        path.write_text(f"[USARBot.P2AT]\nMisPkgs={text}\n", encoding="utf-8")
+        with pytest.raises(
+            SpecError, match=r"a\.ini:2: Pkg(Name|Class) is 'C.*'; expected a (name|class)"
+        ) as caught:
+            load_robots([path], ROBOTS)
+        assert str(caught.value).isprintable()
+    with pytest.raises(SpecError, match="is no section header"):
+        parse_ini(f"[USARBot.P{odd[0]}AT]\n")

@@ -78,3 +78,11 @@ def test_numbers_and_files_have_an_end(tmp_path):
     path.write_bytes(b" " * (MOST_BYTES + 1))
     with pytest.raises(SpecError, match=f"more than {MOST_BYTES} bytes are too many"):
         read_rndf(path)
+
+
+@pytest.mark.parametrize("text", ["RNDF_name\n{}", "RNDF_name n\n{}", "RNDF_name n\nnum_segments {}", "{} n"])
+def test_long_lines_and_what_cannot_be_printed_are_quoted_in_short(text):
+    with pytest.raises(SpecError) as caught:
+        read_rndf(text.format("x\x1b[2J" * 1000 + " y" * 5000) + "\n")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1100

@@ -171,7 +171,7 @@ def _header(cursor: LineParser) -> str:
     """Take a whole `[Section]` line and return the name."""
     text = cursor.text.lstrip()
     found = _HEADER.match(text)
-    if not found or not found.group(1).strip():
+    if not found or not found.group(1).strip() or not found.group(1).strip().isprintable():
         cursor.fail(f"{quote_short(text)} is no section header", "[Name]")
     cursor.pos = len(cursor.text) - len(text) + found.end()
     cursor.end("the section header", "each key=value on a line of its own")

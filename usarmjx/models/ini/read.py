@@ -82,7 +82,7 @@ def as_name(line: Line, value: IniValue | None, name: str) -> str:
     """Return a word: an item's or a part's name."""
     if isinstance(value, int) and not isinstance(value, bool):
         return str(value)
-    if not isinstance(value, str) or not value.strip():
+    if not isinstance(value, str) or not value.strip() or not value.strip().isprintable():
         fail(line, f"{name} is {_say(value)}", "a name")
     return value.strip()
 
@@ -90,7 +90,7 @@ def as_name(line: Line, value: IniValue | None, name: str) -> str:
 def as_class(line: Line, value: IniValue | None, name: str) -> str:
     """Return the name of a class without its package: SonarSensor of class'USARBot.SonarSensor'."""
     text = value.name if isinstance(value, Reference) else value
-    if not isinstance(text, str) or not text.strip():
+    if not isinstance(text, str) or not text.strip() or not text.strip().isprintable():
         fail(line, f"{name} is {_say(value)}", "a class, as in class'USARBot.SonarSensor'")
     return text.strip().rpartition(".")[2]
 

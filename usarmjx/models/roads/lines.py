@@ -13,6 +13,8 @@ NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """The first word of a line without a keyword: 1.2.3, or a plain number."""
 MOST_BYTES = 16_000_000
 """Of a file."""
+MOST_SAID = 1000
+"""Characters of an error."""
 
 
 class RoadLines:
@@ -66,8 +68,10 @@ class RoadLines:
         return bool(NUMBERED.fullmatch(self.word))
 
     def fault(self, text: str, line: int | None = None) -> SpecError:
-        """Return an error at a line, by default the next one."""
-        return SpecError(f"{self.file}:{self.line if line is None else line}: {text}")
+        """Return an error at a line, by default the next one; what it quotes is printable and cut short."""
+        short = text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
+        shown = "".join(letter if letter.isprintable() else "?" for letter in short)
+        return SpecError(f"{self.file}:{self.line if line is None else line}: {shown}")
 
     def unexpected(self, *allowed: str) -> SpecError:
         """Return the error that the next line is none of those."""
