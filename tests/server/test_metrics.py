@@ -31,7 +31,7 @@ def served():
     servers = [BotServer(StillWorld(), BotServerSettings(port=0), title=f"world {n}") for n in (3, 5)]
     bound = bound_socket("127.0.0.1", 0)
     port = bound.getsockname()[1]
-    servers[0].services.append(MetricsServer(servers, 1.0, bound))
+    servers[0].services.append(MetricsServer(servers, 1.0, bound, (3, 5)))
     with looping(servers):
         yield port, servers
 

@@ -185,7 +185,7 @@ def play(
 
                     servers[0].services.append(PolicyFollower(made[0].policy_batch, Path(policy or "")))
                 if metrics is not None:
-                    add_metrics(servers, realtime_factor, metrics)
+                    add_metrics(servers, realtime_factor, metrics, numbers)
                 run(servers, realtime_factor, signals)
             return
         # What one world observes in one episode takes longer to compile than to compute.

@@ -186,5 +186,5 @@ def serve(
             )
             servers = make_servers(served, settings, makers, bound, numbers, worlds)
             if metrics is not None:
-                add_metrics(servers, realtime_factor, metrics)
+                add_metrics(servers, realtime_factor, metrics, numbers)
             run(servers, realtime_factor, signals)

@@ -255,8 +255,10 @@ def metrics_socket(host: str, port: int | None, offset: int) -> Iterator[socket.
         yield bound
 
 
-def add_metrics(servers: "Sequence[BotServer]", factor: float, bound: socket.socket) -> None:
+def add_metrics(
+    servers: "Sequence[BotServer]", factor: float, bound: socket.socket, numbers: Sequence[int]
+) -> None:
     """Let servers' figures be served at a socket; the factor is the simulated seconds per second wanted."""
     from usarmjx.server.metrics import MetricsServer
 
-    servers[0].services.append(MetricsServer(servers, factor, bound))
+    servers[0].services.append(MetricsServer(servers, factor, bound, numbers))

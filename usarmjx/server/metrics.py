@@ -6,7 +6,7 @@ What is counted is counted where it happens, by an addition; all else is looked 
 import json
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from http import HTTPStatus
 from itertools import accumulate
 
@@ -60,11 +60,11 @@ class WorldCollector(Collector):
     """Looks up the metrics of the worlds that are served.
 
     Args:
-        meters: One for each.
+        meters: One for each, by its number.
     """
 
-    def __init__(self, meters: Sequence[StepMeter]) -> None:
-        self._meters = {meter.server.title.removeprefix("world ") or "0": meter for meter in meters}
+    def __init__(self, meters: Mapping[int, StepMeter]) -> None:
+        self._meters = {str(number): meter for number, meter in meters.items()}
 
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics of all worlds."""
@@ -96,15 +96,23 @@ class MetricsServer:
         servers: Those of the worlds; each gets a `StepMeter`.
         factor: Simulated seconds per second that are wanted; 0: as many as there can be.
         bound: A socket that is bound to the port.
+        numbers: Which worlds of the batch they are; None: the first ones.
     """
 
-    def __init__(self, servers: Sequence[BotServer], factor: float, bound: socket.socket) -> None:
+    def __init__(
+        self,
+        servers: Sequence[BotServer],
+        factor: float,
+        bound: socket.socket,
+        numbers: Sequence[int] | None = None,
+    ) -> None:
         self._meters = [StepMeter(server) for server in servers]
         for server, meter in zip(servers, self._meters, strict=True):
             server.services.append(meter)
         self._factor, self._bound = factor, bound
         self._registry = CollectorRegistry()
-        self._registry.register(WorldCollector(self._meters))
+        own = range(len(servers)) if numbers is None else numbers
+        self._registry.register(WorldCollector(dict(zip(own, self._meters, strict=True))))
         ProcessCollector(namespace="usarmjx", registry=self._registry)
         self._gate = Gate(servers[0].settings.access, MAX_CONNECTIONS, "metrics")
         self._server: Server | None = None
