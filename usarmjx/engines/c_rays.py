@@ -5,8 +5,7 @@ fenders, which C MuJoCo does not know, are cast by their kernel.
 """
 
 import math
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import jax
@@ -31,7 +30,7 @@ FEW_RAYS = 12
 MARGIN = 1e-4
 """By how much a geom's bounding sphere counts as larger than it is, against what is rounded [m]."""
 MIN_COSINE = 0.1
-"""Rays from a point are in a cone about their mean if all are nearer to it than this cosine."""
+"""Rays from a point are in a cone about the first of them if all are nearer to it than this cosine."""
 
 
 class CRayCaster:
@@ -92,7 +91,10 @@ class CRayCaster:
             query: What they pass, and whether normals are wanted.
             hidden: Geoms that they pass too (n,).
         """
-        with self._without(hidden):
+        groups = self._model.geom_group
+        before = groups.copy()
+        groups[hidden] = HIDDEN_GROUP
+        try:
             distance, normal, geom = self._cast(start, along, query)
             # Where the first that a ray meets is a fender, it may pass it whole.
             caged = self._is_fender[geom]  # no geom is the last
@@ -101,25 +103,16 @@ class CRayCaster:
                 open_query = query.replace(transparent=query.transparent | {FENDER})
                 behind = self._cast(*rays, open_query)
                 distance[caged], normal[caged], geom[caged] = self._with_fenders(*rays, hidden, *behind)
-        return distance, normal, geom
-
-    @contextmanager
-    def _without(self, hidden: np.ndarray) -> Generator[None]:
-        """Put geoms (n,) into a group of their own, for a while."""
-        groups = self._model.geom_group
-        before = groups.copy()
-        groups[hidden] = HIDDEN_GROUP
-        try:
-            yield
         finally:
             groups[:] = before
+        return distance, normal, geom
 
     def _cast(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,)."""
         model, data, count = self._model, self._data, len(start)
-        distance, normal, geom = np.full(count, np.inf), np.zeros((count, 3)), np.full(count, -1, np.int32)
+        distance, normal, geom = np.empty(count), np.zeros((count, 3)), np.full(count, -1, np.int32)
         solid = np.zeros(mujoco.mjNGROUP, np.uint8)
         solid[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
         turns = np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1
@@ -177,8 +170,7 @@ class CRayCaster:
         square = (middle * middle).sum(-1)
         geoms = np.flatnonzero((square <= (most + bound) ** 2) | (bound == 0))  # planes have no bound
         middle, square, bound = middle[geoms], square[geoms], bound[geoms]
-        axis = np.add.reduceat(along, firsts)
-        axis /= np.maximum(np.sqrt((axis * axis).sum(-1, keepdims=True)), 1e-9)
+        axis = along[firsts]
         cosine = np.minimum.reduceat((along * axis.repeat(rays, 0)).sum(-1), firsts)[:, None]
         ahead = axis @ middle.T - (axis * point).sum(-1, keepdims=True)
         far = (point * point).sum(-1, keepdims=True) + square - 2 * (point @ middle.T)
