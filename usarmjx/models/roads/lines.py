@@ -13,8 +13,8 @@ NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """The first word of a line without a keyword: 1.2.3, or a plain number."""
 MOST_BYTES = 16_000_000
 """Of a file."""
-MOST_SAID = 1000
-"""Characters of an error."""
+MOST_SAID, MOST_QUOTED = 1000, 100
+"""Characters of an error, and of what it quotes."""
 
 
 class RoadLines:
@@ -75,7 +75,7 @@ class RoadLines:
 
     def unexpected(self, *allowed: str) -> SpecError:
         """Return the error that the next line is none of those."""
-        found = f"found {self._lines[self._next][1][0]!r}" if self.word else "the file ends"
+        found = f"found {_short(self._lines[self._next][1][0])!r}" if self.word else "the file ends"
         return self.fault(f"{found}; allowed here: {', '.join(allowed)}")
 
     def words(self, count: int | None = None, meaning: str = "") -> list[str]:
@@ -87,7 +87,8 @@ class RoadLines:
         """
         first, *rest = self._lines[self._next][1]
         if (not rest) if count is None else (len(rest) != count):
-            raise self.fault(f"{first} {' '.join(rest)}".rstrip() + f"; expected: {first} {meaning}".rstrip())
+            said = _short(f"{first} {' '.join(rest)}".rstrip())
+            raise self.fault(f"{said}; expected: {_short(first)} {meaning}".rstrip())
         self._next += 1
         return rest
 
@@ -118,7 +119,9 @@ class RoadLines:
         """Return the numbers of a word with dots; `count` of them."""
         numbers = tuple(int(part) for part in word.split(".")) if NUMBERED.fullmatch(word) else ()
         if len(numbers) != count:
-            raise self.fault(f"{word!r}; expected {count} whole numbers, as {point_name((1,) * count)}", line)
+            raise self.fault(
+                f"{_short(word)!r}; expected {count} whole numbers, as {point_name((1,) * count)}", line
+            )
         return numbers
 
     def named(self, keyword: str, *numbers: int) -> None:
@@ -138,7 +141,7 @@ class RoadLines:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise self.fault(f"{what} {word!r}; expected a number from {low:g} to {high:g}", line)
+            raise self.fault(f"{what} {_short(word)!r}; expected a number from {low:g} to {high:g}", line)
         return value
 
     def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[LatLon, ...]:
@@ -185,6 +188,10 @@ def _without_comments(text: str) -> str:
         parts += [text[at:start], "\n" * text.count("\n", start, end) or " "]
         at = end + 2
     return "".join([*parts, text[at:]])
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= MOST_QUOTED else f"{text[:MOST_QUOTED]}..."
 
 
 Row = tuple[str | int | float | tuple[int, ...] | None, ...]
