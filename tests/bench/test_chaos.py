@@ -24,7 +24,7 @@ from usarmjx.bench.chaos.attackers import Damage, carry_out
 from usarmjx.bench.chaos.attacks import ATTACKS, UPGRADE, find_attack
 from usarmjx.bench.chaos.neighbour import Gaps, Neighbour, Report, Watch
 from usarmjx.bench.chaos.play import ChaosCase, Outcome, has_seats, play_attack, play_attacks, table
-from usarmjx.bench.chaos.processor import ThreadClock, find_process
+from usarmjx.bench.chaos.processor import ThreadClock, find_process, main_thread_clock
 from usarmjx.bench.chaos.soak import read_metrics
 from usarmjx.bench.chaos.target import check_loopback, local_process, parse_address, started
 from usarmjx.bench.serving.clients import Crowd
@@ -236,6 +236,9 @@ def test_processor_time_is_of_one_thread():
     assert clock() - before == pytest.approx(time.thread_time() - began, abs=0.02)
     with pytest.raises(UsageError, match="does not tell the processor time"):
         ThreadClock(2**22 + 1)
+    said = []
+    assert main_thread_clock(2**22 + 1, said.append) is None
+    assert "does not tell the processor time" in said[0]
 
 
 def test_only_loopback_unless_it_is_said():

@@ -75,7 +75,7 @@ def chaos(
             return
         from usarmjx.bench.chaos.attacks import ATTACKS, find_attack
         from usarmjx.bench.chaos.play import ChaosCase, play_attacks, table
-        from usarmjx.bench.chaos.processor import ThreadClock
+        from usarmjx.bench.chaos.processor import main_thread_clock
 
         chosen = [find_attack(name) for name in attack] if attack else ATTACKS
         if target.page_port is None:
@@ -90,7 +90,7 @@ def chaos(
                 seconds=seconds,
                 volume=round(volume * MEGABYTE),
             ),
-            None if target.process is None else ThreadClock(target.process),
+            None if target.process is None else main_thread_clock(target.process, say),
             say,
         )
         typer.echo(table(outcomes))

@@ -1,7 +1,7 @@
 """A server's process on this machine: which it is, and the processor time of the thread that steps worlds."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from usarmjx.base.errors import UsageError
@@ -37,6 +37,15 @@ def _listening(port: int) -> Iterator[str]:
         for fields in map(str.split, lines):
             if fields[3] == LISTENING and int(fields[1].rpartition(":")[2], 16) == port:
                 yield fields[9]
+
+
+def main_thread_clock(process: int, say: Callable[[str], None]) -> "ThreadClock | None":
+    """Return the clock of a process's main thread; None, and why, where the system does not tell."""
+    try:
+        return ThreadClock(process)
+    except UsageError as error:
+        say(f"usarmjx: {error}")
+        return None
 
 
 class ThreadClock:
