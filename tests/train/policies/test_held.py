@@ -51,6 +51,16 @@ def test_a_shape_that_the_file_does_not_fill_is_not_allocated(tmp_path, monkeypa
     refused(tmp_path / "a.npz", r"array 'x' of shape \(274877906944,\) takes \d+ bytes, it has 144")
 
 
+def test_a_name_of_thousands_of_characters_is_quoted_in_short(tmp_path):
+    file = policy_file(tmp_path / "a.npz")
+    data = bytearray(file.read_bytes())
+    data[26:28] = (4000).to_bytes(2, "little")  # the length of the first member's name
+    file.write_bytes(data)
+    with pytest.raises(UsageError, match="is no policy of usarmjx: File name in directory") as caught:
+        NumpyPolicy(file)
+    assert len(str(caught.value)) < 400 + len(str(file))
+
+
 ABOUT = {
     "task": "t",
     "overrides": {},
