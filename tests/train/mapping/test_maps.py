@@ -217,3 +217,12 @@ def test_frontiers_lie_between_what_is_free_and_what_is_not_known():
     way = np.zeros(squares.shape, bool)
     way[2, 2:5] = True
     np.testing.assert_array_equal(passable(squares), way)
+
+
+def test_how_far_squares_are_from_positions():
+    """Squares are the last axes, positions lead: nothing walks over a handful of robots square by square."""
+    positions = np.random.default_rng(5).uniform(-1.0, 5.0, (2, 3, 2)).astype(np.float32)
+    expected = np.linalg.norm(GRID.centres - positions[:, :, None, None], axis=-1)
+    gaps = GRID.gaps(positions)
+    assert gaps.shape == (2, 3, *GRID.shape)
+    np.testing.assert_allclose(gaps, expected, rtol=1e-6)  # a few roundings

@@ -155,8 +155,8 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
         old: jax.Array, pose: jax.Array, ranges: jax.Array, others: jax.Array, when: jax.Array
     ) -> jax.Array:
         free, wall = maps.classify_scan(grid, scan.settings, pose, ranges)
-        gap = jnp.linalg.norm(grid.centres[:, :, None] - others, axis=-1)
-        robot = ((gap < BODY) & (time - when < RECENT_AGE)).any(-1)
+        recent = (time - when < RECENT_AGE)[:, None, None]
+        robot = ((grid.gaps(others) < BODY) & recent).any(0)
         return maps.update_evidence(old, free, wall & ~robot)
 
     drawn = jax.vmap(one)(evidence, scan.poses, scan.ranges, mates, heard)
@@ -250,5 +250,5 @@ def update_pose(grid: MapGrid, belief: Belief, pose: jax.Array, share: float = 0
             late.
     """
     lagged = belief.lagged_position + share * (pose[:, :2] - belief.lagged_position)
-    here = jnp.linalg.norm(grid.centres - pose[:, None, None, :2], axis=-1) < VISITED_RADIUS
+    here = grid.gaps(pose[:, :2]) < VISITED_RADIUS
     return belief.replace(pose=pose, lagged_position=lagged, visited=belief.visited | here)

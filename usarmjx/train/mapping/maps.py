@@ -57,6 +57,15 @@ class MapGrid:
         steps = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1)
         return (np.array(self.low) + self.cell * steps).astype(np.float32)
 
+    def gaps(self, positions: Array) -> jax.Array:
+        """Return how far the middles of all squares are from positions [m] (..., 2) [m] (..., i, j).
+
+        Squares are the last axes: so they are computed eight at a time, and not one by one.
+        """
+        x, y = (jnp.asarray(positions)[..., axis, None, None] for axis in range(2))
+        away_x, away_y = self.centres[..., 0] - x, self.centres[..., 1] - y
+        return jnp.sqrt(away_x * away_x + away_y * away_y)
+
     def index(self, position: Array) -> jax.Array:
         """Return the square that positions [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
         steps = jnp.round((jnp.asarray(position) - np.array(self.low, np.float32)) / self.cell)
@@ -101,9 +110,8 @@ def classify_scan(
         pose: Where it is, or believes to be: x, y [m] and yaw [rad] (3,).
         ranges: What it measured [m] (beams,).
     """
-    away = grid.centres - pose[:2]
-    distance = jnp.sqrt((away**2).sum(-1))
-    bearing = jnp.arctan2(away[..., 1], away[..., 0]) - pose[2]
+    distance = grid.gaps(pose[:2])
+    bearing = jnp.arctan2(grid.centres[..., 1] - pose[1], grid.centres[..., 0] - pose[0]) - pose[2]
     bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
     step, beams = scanner.resolution, scanner.beams
     place = (bearing + scanner.scan_fov / 2) / step

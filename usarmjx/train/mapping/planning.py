@@ -122,24 +122,23 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
         age: How long ago [s]; infinite: it does not heed that one (robots,).
         me: Its slot ().
     """
-    middles = grid.centres
-    known = age < STALE_AGE
-    mine = jnp.linalg.norm(middles - pose[:2], axis=-1)
-    theirs = jnp.linalg.norm(middles[:, :, None] - mates[:, :2], axis=-1)
-    first = jnp.arange(len(mates)) < me
-    nearer = (theirs < mine[..., None] - 1e-3) | ((theirs < mine[..., None] + 1e-3) & first)
-    rank = (known & nearer).sum(-1)
-    gap = jnp.linalg.norm(middles[:, :, None] - mates[:, 3:5], axis=-1)
-    crowd = jnp.where(known & first, jnp.clip(1 - gap / SHARED_GOAL_RADIUS, 0.0, 1.0), 0.0).sum(-1)
-    along = middles - pose[:2]
-    ahead = (along * jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])).sum(-1) / jnp.maximum(mine, 1e-3)
-    return NEARER_ROBOT_COST * rank + SHARED_GOAL_COST * crowd + TURN_COST * (1 - ahead) / 2
+    known = (age < STALE_AGE)[:, None, None]
+    mine, theirs = grid.gaps(pose[:2]), grid.gaps(mates[:, :2])
+    first = (jnp.arange(len(mates)) < me)[:, None, None]
+    nearer = (theirs < mine - 1e-3) | ((theirs < mine + 1e-3) & first)
+    rank = (known & nearer).sum(0)
+    gap = grid.gaps(mates[:, 3:5])
+    crowd = jnp.where(known & first, jnp.clip(1 - gap / SHARED_GOAL_RADIUS, 0.0, 1.0), 0.0).sum(0)
+    along = grid.centres - pose[:2]
+    ahead = along[..., 0] * jnp.cos(pose[2]) + along[..., 1] * jnp.sin(pose[2])
+    turn = 1 - ahead / jnp.maximum(mine, 1e-3)
+    return NEARER_ROBOT_COST * rank + SHARED_GOAL_COST * crowd + TURN_COST * turn / 2
 
 
 def near_others(grid: MapGrid, mates: Array, age: Array) -> jax.Array:
     """Return which squares are too close to where another robot said a moment ago to be (i, j)."""
-    gap = jnp.linalg.norm(grid.centres[:, :, None] - mates[:, :2], axis=-1)
-    return ((gap < OTHER_ROBOT_RADIUS) & (age < RECENT_AGE)).any(-1)
+    near = grid.gaps(mates[:, :2]) < OTHER_ROBOT_RADIUS
+    return (near & (age < RECENT_AGE)[:, None, None]).any(0)
 
 
 def path_to_nearest(
@@ -162,8 +161,7 @@ def path_to_nearest(
     Returns:
         Two positions [m] (2,), and the length in squares (); without a path both are where the robot is.
     """
-    gap = jnp.linalg.norm(grid.centres - pose[:2], axis=-1)
-    open_ = (squares == FREE) & ~(blocked & (gap > grid.cell))
+    open_ = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
     open_ = open_.at[here[0], here[1]].set(True)
     far = distances(sources, open_, jnp.where(passable(squares), 0.0, WALL_COST), until=here)
