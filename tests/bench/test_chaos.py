@@ -89,6 +89,8 @@ def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
     assert outcome.seats
     assert outcome.damage.connections >= case.attackers
     assert not [record for record in caplog.records if record.exc_info], "a traceback"
+    if attack.name == "http":
+        assert outcome.damage.hung_up >= case.attackers, "whoever speaks HTTP is hung up on"
 
 
 # That it would see what there is to see
