@@ -92,6 +92,34 @@ def test_mapping_over_rows_is_jaxs(axes):
     jax.tree.map(np.testing.assert_array_equal, ours, jax.device_get(theirs))
 
 
+@pytest.mark.parametrize("axis", [0, 1, -1])
+@pytest.mark.parametrize("dtype", [np.float32, np.int32, bool])
+def test_stacking_and_spreading_are_jaxs(axis, dtype):
+    parts = [np.arange(6).reshape(2, 3).astype(dtype), np.ones((2, 3), dtype)]
+    with numpy_backend():
+        stacked, spread = xp.stack(parts, axis), xp.broadcast_to(parts[0], (4, 2, 3))
+    for ours, theirs in (
+        (stacked, jnp.stack(parts, axis)),
+        (spread, jnp.broadcast_to(parts[0], (4, 2, 3))),
+    ):
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_mapping_over_one_row_is_jaxs():
+    args = {"a": np.arange(3.0, dtype=np.float32)[None]}, np.ones(1, np.float32)
+
+    def function(row, number):
+        return {"sum": row["a"].sum() + number, "row": row["a"]}
+
+    with numpy_backend():
+        ours = vmap(function)(*args)
+    theirs = jax.vmap(function)(*args)
+    for name, values in ours.items():
+        assert values.shape == theirs[name].shape
+        np.testing.assert_array_equal(values, theirs[name])
+
+
 def test_setting_leaves_the_original():
     before = np.zeros(3)
     with numpy_backend():

@@ -1,5 +1,6 @@
 """What is around: victims and tags put into the world's axes, alike for one world and for many."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -8,12 +9,16 @@ import numpy as np
 import pytest
 
 from tests.sensors.people import BOXES, TAGS, VICTIMS, Room, Watch, quick_jit
+from usarmjx.base.backend import numpy_backend
 from usarmjx.models.build.tags import tag_table
 from usarmjx.models.build.victims import PADDING_OWNER, pad_table
-from usarmjx.models.effecters import MAX_DROPPED_TAGS, no_dropped_tags
+from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, no_dropped_tags
+from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.surroundings import NO_SURROUNDINGS, surroundings_at
+from usarmjx.sensors.surroundings import NO_SURROUNDINGS, surroundings_at, tags_at
+from usarmjx.sim.scene import build_scene
+from usarmjx.sim.site import surroundings
 
 WAVE = SegmentMotion(name="RightArm", initial=(-2, 0, 0), final=(-1, 0, 0), rates=(1, 0, 0))
 ONE = Victim(name="one", at=(3.0, 0.2, 0.12), segments=(WAVE,), help_sound=HelpSound(loudness=2.0))
@@ -25,6 +30,31 @@ ROOMS = (
     ),
     Room(floor=-1.5),
 )
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_tags_are_the_same_where_nobody_looks_for_victims(room):
+    everything, floor = room.around(0.4), np.float32(room.floor)
+    with numpy_backend():
+        dropped = DroppedTags(pos=everything.tag_pos[-MAX_DROPPED_TAGS:], count=np.int32(len(room.dropped)))
+        alone = tags_at(tag_table(room.tags, TAGS), dropped, floor)
+    for name in ("tag_pos", "tag_id", "tag_single", "tag_there"):
+        np.testing.assert_array_equal(getattr(alone, name), getattr(everything, name))
+    assert len(alone.box_pos) == len(alone.mouth) == 0
+
+
+def test_victims_are_looked_for_where_any_robot_senses_them():
+    """RFID sensors ask for tags alone, a robot with another sensor beside them for all."""
+    seen = []
+    seeker = replace(P2AT, name="Seeker", sensors=(Mount(kind="VictSensor", name="Eye"),))
+    for robots in ([P2AT], [P2AT, seeker]):
+        scene = build_scene("yellow", robots)
+        with numpy_backend():
+            around = surroundings(scene, None, no_dropped_tags(), np.float32(0.4))
+        seen.append((len(around.box_pos), len(around.tag_pos)))
+    (nobody, tags), (boxes, same_tags) = seen
+    assert nobody == 0 < boxes
+    assert tags == same_tags > MAX_DROPPED_TAGS
 
 
 def test_everything_is_raised_to_the_floor_of_the_arena():
