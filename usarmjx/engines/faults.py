@@ -53,6 +53,16 @@ def bad_robots(
         indices: The robots, by slot.
         limits: Up to which speed a robot is sound [m/s].
     """
+    bad = _fast_robots(data, indices, limits)
+    if not _is_finite(*_everything(data)):
+        bad |= {slot for slot, index in indices.items() if not _is_finite(*_own(data, index))}
+    return bad
+
+
+def _fast_robots(
+    data: mujoco.MjData, indices: Mapping[int, RobotIndex], limits: Mapping[int, float]
+) -> frozenset[int]:
+    """Return the slots of robots whose chassis is too fast; arguments are those of `bad_robots`."""
     if not indices:
         return frozenset()
     dof = np.array([index.root_dofadr for index in indices.values()])[:, None] + np.arange(3)
@@ -60,10 +70,7 @@ def bad_robots(
         speed = np.linalg.norm(data.qvel[dof], axis=-1)
         # Negated, as what is no number compares false.
         fast = ~(speed <= np.array([limits[slot] for slot in indices]))
-    bad = {slot for slot, is_fast in zip(indices, fast.tolist(), strict=True) if is_fast}
-    if not _is_finite(*_everything(data)):
-        bad |= {slot for slot, index in indices.items() if not _is_finite(*_own(data, index))}
-    return frozenset(bad)
+    return frozenset(slot for slot, is_fast in zip(indices, fast.tolist(), strict=True) if is_fast)
 
 
 def step_and_recover(
@@ -92,7 +99,7 @@ def step_and_recover(
     """
     before = _saved(model, data)
     mujoco.mj_step(model, data, nstep=substeps)
-    if _is_finite(*_everything(data)) and not bad_robots(data, indices, limits):
+    if _is_finite(*_everything(data)) and not _fast_robots(data, indices, limits):
         return PutBack()
     recovery = _Recovery(model, data, indices, limits)
     gone: set[int] = set()
