@@ -249,6 +249,14 @@ def test_a_mesh_that_many_geoms_have_is_cut_into_pieces_once(tmp_path, monkeypat
     assert len(made) == 1
 
 
+def test_what_parses_with_mujoco_alone_is_counted_when_it_is_built(tmp_path):
+    """MuJoCo takes entities that nobody has defined for text."""
+    field = '<asset><hfield name="&h;" nrow="1001" ncol="1000" size="1 1 1 1"/></asset>'
+    path = write(tmp_path / "a.xml", MODEL.format(field, '<geom type="hfield" hfield="&h;"/>'))
+    check_model_size(path)
+    refused(path, "it makes 1001000 of nhfielddata; at most 1000000")
+
+
 def test_so_many_bodies_may_move(tmp_path):
     ball = '<body><freejoint/><geom size=".1"/></body>'
     refused(

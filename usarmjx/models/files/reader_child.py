@@ -16,8 +16,14 @@ from typing import Any, BinaryIO
 
 UNKNOWN = "Caught an unknown exception"
 """What MuJoCo says where it gets no memory."""
-MOST_GEOMS = 50_000
-"""Geoms of a model."""
+MOST_MADE = {
+    **dict.fromkeys(("ngeom", "nbody", "nsite", "njnt"), 50_000),
+    "nhfielddata": 1_000_000,
+    "nmeshvert": 3_000_000,
+    "ntexdata": 256_000_000,
+    "nuserdata": 1_000_000,
+}
+"""Sizes of a model: those of `mjcf_size`, for files that do not parse there and do here."""
 LARGEST = {
     **dict.fromkeys(
         ("body_pos", "body_ipos", "geom_pos", "geom_size", "jnt_pos", "mesh_vert", "hfield_size"), 1e7
@@ -67,8 +73,9 @@ def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
     model = mujoco.MjSpec.from_file(path).compile()
     if wrong := [text for text in warned if "NaN" in text]:
         raise ValueError(wrong[0])
-    if model.ngeom > MOST_GEOMS:
-        raise ValueError(f"it makes {model.ngeom} geoms; at most {MOST_GEOMS}")
+    for name, most in MOST_MADE.items():
+        if getattr(model, name) > most:
+            raise ValueError(f"it makes {getattr(model, name)} of {name}; at most {most}")
     for name, most in LARGEST.items():
         array = getattr(model, name)
         if array.size and not abs(array).max() <= most:
