@@ -1,6 +1,7 @@
 """Only worlds that are done begin anew, a few at a time: as if all had been computed, bit for bit."""
 
 import itertools
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,12 +11,13 @@ import pytest
 from scipy import stats
 
 import usarmjx
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs import env as module
 from usarmjx.train.envs import episode
 from usarmjx.train.envs.env import restart_batch_size
 from usarmjx.train.envs.episode import start_episode
+from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.state import Restart
 
 WORLDS, TOGETHER = 5, 2
@@ -25,9 +27,9 @@ WORLDS, TOGETHER = 5, 2
 def env(request):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "restart_batch_size", lambda worlds, steps: TOGETHER)
-        return usarmjx.make(
-            "drive-to-goal", worlds=WORLDS, engine=request.param, physics=Physics(timestep=0.01), ranges=()
-        )
+        block = Shape(kind="box", size=(0.5, 0.5, 0.5), at=(9.0, 0.0, 0.5))
+        floors = tuple(replace(open_floor(starts=8, seed=seed), shapes=(block,)) for seed in (1, 2))
+        return usarmjx.make("drive-to-goal", worlds=WORLDS, engine=request.param, arena=floors, ranges=())
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +82,24 @@ def test_first_episodes_begin_as_those_of_the_batch(env):
     ours, plain = env.reset(4).batch, env.batch.reset(4)
     np.testing.assert_array_equal(env.batch.physics(ours).qpos, env.batch.physics(plain).qpos)
     np.testing.assert_array_equal(ours.worlds.episode, plain.worlds.episode)
+    np.testing.assert_array_equal(ours.worlds.arena_state.starts, plain.worlds.arena_state.starts)
     np.testing.assert_array_equal(*(jax.random.key_data(one.worlds.key) for one in (ours, plain)))
+
+
+def test_worlds_on_a_device_begin_anew_by_the_program_that_began_them(env):
+    """As training has them: a seed that is on the device puts all on it that comes of it."""
+    if env.traceable:
+        pytest.skip("steps have that program in them")
+    device = jax.local_devices()[0]
+    state = env.reset(jax.device_put(np.uint32(0), device))
+    held = jax.device_put(state.replace(batch=state.batch.replace(physics=None)), device)
+    state = held.replace(batch=held.batch.replace(physics=state.batch.physics), done=~held.done)
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    env._restart(state, state.done)
+    assert compiled == []
 
 
 def test_few_are_computed_where_few_are_done(env, monkeypatch):

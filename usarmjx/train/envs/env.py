@@ -138,11 +138,13 @@ class Env:
         return jax.tree.map(lambda rows: rows[index], library)
 
     def _arenas(self, level: jax.Array) -> ArenaState | None:
-        if self._generated is None or self.scene.arenas is None:
+        """Return the arenas that worlds go through at a level; None: all have the same."""
+        if self.scene.arenas is None:
             return None
-        return self._library(jax.tree.map(jnp.asarray, self.scene.arenas.states), level)
+        library = jax.tree.map(jnp.asarray, self.scene.arenas.states)
+        return library if self._generated is None else self._library(library, level)
 
-    def reset(self, seed: int | None = None, level: float = 1.0) -> EnvState:
+    def reset(self, seed: int | jax.Array | None = None, level: float = 1.0) -> EnvState:
         """Return all worlds at the start of their first episode.
 
         Args:
@@ -158,11 +160,11 @@ class Env:
         key = jax.random.key(self.seed if seed is None else seed)
         blank = self._blank(key, level_now, self._arenas(level_now))
         blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
-        state = self._restart(blank, np.ones(self.worlds, bool))
-        return state.replace(final_obs=state.obs, final_privileged=state.privileged)
+        state = self._restart(blank, blank.done)
+        return state.replace(done=state.bad, final_obs=state.obs, final_privileged=state.privileged)
 
     def _blank_state(self, key: jax.Array, level: jax.Array, arenas: ArenaState | None) -> EnvState:
-        """Return all worlds before their first episode; all of it is zero but for what it is told."""
+        """Return all worlds before their first episode: done with none, and all else is zero."""
 
         def zeros(one: jax.ShapeDtypeStruct) -> jax.Array:
             return jnp.zeros((self.worlds, *one.shape), one.dtype)
@@ -181,7 +183,7 @@ class Env:
             obs=begun.obs,
             privileged=begun.privileged,
             reward=tuple(jnp.zeros((self.worlds, len(group.agents))) for group in self.groups),
-            done=no,
+            done=jnp.ones(self.worlds, bool),
             truncated=no,
             final_obs=begun.obs,
             final_privileged=begun.privileged,
@@ -200,9 +202,9 @@ class Env:
         again. Other arenas than generated ones have no levels: there it changes nothing.
         """
         level = jnp.asarray(level, jnp.float32)
-        library = self._arenas(level)
-        batch = state.batch if library is None else state.batch.replace(arenas=library)
-        return state.replace(batch=batch, level=level)
+        if self._generated is None:
+            return state.replace(level=level)
+        return state.replace(batch=state.batch.replace(arenas=self._arenas(level)), level=level)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
