@@ -122,10 +122,14 @@ class Sonar(Sensor):
         """The lines of each beam about its mount's x axis (mounts, lines, 3)."""
         return np.stack([beam_directions(settings.beam_angle) for settings in self.settings])
 
+    @cached_property
+    def _min_cosines(self) -> np.ndarray:
+        """Cosine of the widest angle from the normal under which each hears a surface (mounts, 1)."""
+        return np.array([[math.cos(settings.max_incidence)] for settings in self.settings], np.float32)
+
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
-        limit = np.array([math.cos(settings.max_incidence) for settings in self.settings], np.float32)
-        heard = inputs.hits.cosine.reshape(len(limit), -1) >= limit[:, None]
+        heard = inputs.hits.cosine.reshape(len(self.mounts), -1) >= self._min_cosines
         distance = xp.where(heard, inputs.hits.distance.reshape(heard.shape), xp.inf).min(-1)
         return memory, range_readings(distance[:, None], self.settings, key)[:, 0]
 
