@@ -93,6 +93,20 @@ def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
         assert outcome.damage.hung_up >= case.attackers, "whoever speaks HTTP is hung up on"
 
 
+def test_a_newcomer_gets_in_while_others_join_and_leave(house):
+    """Who has left before its robot came holds no seat."""
+    storm = threading.Thread(
+        target=carry_out, args=(find_attack("init-storm"), ("127.0.0.1", house.case.port), 6, 1.5, 10_000)
+    )
+    storm.start()
+    time.sleep(0.7)
+    newcomer = Peer(house.case.port, "INIT {ClassName USARBot.P2AT}")
+    assert newcomer.until(b"STA")
+    newcomer.close()
+    storm.join()
+    assert house.is_empty()
+
+
 # That it would see what there is to see
 
 

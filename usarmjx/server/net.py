@@ -310,6 +310,11 @@ class BotServer:
                 commands = client.session.answer_init(accepted)
             connection.last_asked = time.monotonic()
 
+    @staticmethod
+    def _check_is_here(connection: RobotConnection) -> None:
+        if connection.has_left:
+            raise PeerError("it has left before its robot came")
+
     async def _init(self, connection: RobotConnection, init: Init) -> bool:
         client = connection.client
         async with connection.budget:
@@ -323,9 +328,11 @@ class BotServer:
             client.session.note_refusal(str(error))
             return False
         async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
+            self._check_is_here(connection)
             await self._stepped.wait()
             while self._leaving or self._joins.is_spent:
                 await self._stepped.wait()
+            self._check_is_here(connection)
             began = self._joins.clock()
             accepted = client.spawn(init, spec)
             cost = self._joins.clock() - began
