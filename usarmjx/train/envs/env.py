@@ -218,7 +218,8 @@ class Env:
     def _restart_where(self, state: EnvState, where: Array) -> EnvState:
         """Begin the next episode in some worlds (worlds,), a fixed number of them at a time."""
         batch = state.batch
-        qpos = jnp.zeros((self.worlds, self.scene.model.nq), jnp.float32)
+        # On the device of all else, if that is on one: else the second batch would be compiled anew.
+        qpos = jnp.where(where[:, None], 0.0, jnp.zeros((self.worlds, self.scene.model.nq), jnp.float32))
         now = Restart(worlds=batch.worlds, begun=state.episode_start, qpos=qpos, left=jnp.asarray(where))
         if self.traceable:
             now = jax.lax.while_loop(
