@@ -244,7 +244,7 @@ class WarpEngine(MjxEngine):
 
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
-        # Rows are counted per world, contacts over all worlds, so a world has room for three times the average.
+        # Rows are counted per world, contacts over all worlds: a world has room for three times the average.
         return mjx.make_data(
             self.model,
             impl=self.impl,

@@ -5,7 +5,7 @@ with C MuJoCo the parts around the engine are.
 """
 
 from collections.abc import Callable, Mapping
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import jax
@@ -120,10 +120,6 @@ class Batch:
         if self.engine.traceable:
             self.step, self.reset_where = self._compile(self._step), self._compile(self._reset_where)
 
-    @cached_property
-    def _keys(self) -> jax.Array:
-        return self._keys_of(self._seed)
-
     def _keys_of(self, seed: int) -> jax.Array:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
 
@@ -141,7 +137,7 @@ class Batch:
         """
         if arenas is None and self.scene.arenas is not None:
             arenas = jax.tree.map(jnp.asarray, self.scene.arenas.states)
-        keys = self._keys if seed is None else self._keys_of(seed)
+        keys = self._keys_of(self._seed if seed is None else seed)
         worlds, qpos = self._init(keys, self._numbers, arenas)
         everywhere = jnp.ones(self.worlds, bool)
         physics = self.engine.reset(self.engine.start(), everywhere, qpos)
@@ -187,8 +183,8 @@ class Batch:
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
         """Return the arena that a world has in its present episode, if nobody replaced the arenas."""
-        number, episode = (np.asarray(count)[world] for count in (state.worlds.number, state.worlds.episode))
-        return self.scene.arena_of(int(number), int(episode))
+        number, episode = np.asarray(state.worlds.number), np.asarray(state.worlds.episode)
+        return self.scene.arena_of(int(number[world]), int(episode[world]))
 
     def physics(self, state: BatchState) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""
