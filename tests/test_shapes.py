@@ -112,7 +112,7 @@ def scene():
 def built(scene):
     """A world and what is made from it; traced, not compiled: shapes are the same."""
     batch = Batch(scene, WORLDS, engine="c")
-    state = jax.eval_shape(batch._init, batch._keys, batch._numbers, None)[0]
+    state = jax.eval_shape(batch._init, batch._keys_of(0), batch._numbers, None)[0]
     world = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state)
     physics = PhysicsState(
         qpos=jax.ShapeDtypeStruct((scene.model.nq,), jnp.float32),
@@ -157,7 +157,7 @@ def test_a_batch_with_all_that_a_scene_can_have():
     options = {"radio": RadioSettings(), "mail": MessageSettings(numbers=5, capacity=7), "vary": vary}
     scene = build_scene(arenas, ["P2AT"] * ROBOTS, **options)
     batch = Batch(scene, WORLDS, engine="c")
-    worlds = jax.eval_shape(batch._init, batch._keys, batch._numbers, scene.arenas.states)[0]
+    worlds = jax.eval_shape(batch._init, batch._keys_of(0), batch._numbers, scene.arenas.states)[0]
     state = BatchState(physics=None, worlds=worlds, arenas=scene.arenas.states)
     sizes = {"worlds": WORLDS, "arenas": 2, "robots": ROBOTS, "steps": 3, **SIZES}
     met = check(state, (), {**sizes, "numbers": 5, "capacity": 7})
