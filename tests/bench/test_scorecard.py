@@ -1,0 +1,66 @@
+"""What the fast settings do to a robot, beside the reference's, and how numbers are compared."""
+
+import json
+import math
+
+import pytest
+
+from usarmjx.base.errors import UnknownNameError
+from usarmjx.bench.fidelity.manoeuvres import drive_all, spin, top_speed
+from usarmjx.bench.fidelity.scorecard import differences, write_scorecard
+from usarmjx.bench.fidelity.track import Orders, orders_of
+from usarmjx.models.build.compose import PHYSICS, Physics
+from usarmjx.models.robots import ROBOTS
+
+P2AT = ROBOTS.get("P2AT")
+
+
+def test_the_p2at_does_under_the_fast_settings_what_it_does_under_the_reference_but_slide_along_walls():
+    """What docs/performance.md says of it."""
+    reference, fast = ({"P2AT": drive_all(physics, P2AT)} for physics in (Physics(), Physics.fast()))
+    assert {manoeuvre for _, manoeuvre, *_ in differences(reference, fast)} <= {"oblique wall"}
+    assert len(reference["P2AT"]) == 9
+
+
+def test_the_top_speed_is_that_of_its_wheels():
+    """Wheel speed times radius, less what 4 s from a standing start and the slip cost: a tenth at most."""
+    orders = orders_of(P2AT)
+    assert orders is not None
+    distance = top_speed(Physics(), P2AT, orders)
+    assert 0.9 * 4.0 * P2AT.drive.top_speed < distance < 4.0 * P2AT.drive.top_speed
+
+
+def test_whole_turns_are_counted():
+    """A P2AT spins at 114 degrees a second (docs/design.md): nearly two turns in 6 s."""
+    orders = orders_of(P2AT)
+    assert orders is not None
+    assert spin(Physics(), P2AT, orders) == pytest.approx(6 * math.radians(114), rel=0.05)
+
+
+def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing():
+    reference = {"P2AT": {"top speed": 2.0, "ramp hold": 0.001, "spin": 10.0, "wall": 1.0}}
+    other = {"P2AT": {"top speed": 2.3, "ramp hold": 0.015, "spin": 10.9, "wall": math.nan}}
+    assert [row[1] for row in differences(reference, other)] == ["top speed", "wall"]
+
+
+def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
+    file = tmp_path / "physics.jsonl"
+    text = write_scorecard(["passarola"], file=file)
+    record = json.loads(file.read_text())
+    reference, fast = record["numbers"]["Passarola"]["top speed"]
+    assert fast == pytest.approx(reference, rel=0.02)  # in the air there is no contact to differ by
+    assert record["settings"]["cone"] == "pyramidal"
+    assert "1 of 1 numbers" in text
+
+
+def test_who_has_no_drive_has_no_numbers():
+    assert orders_of(ROBOTS.get("ComStation")) is None
+    assert drive_all(Physics(), ROBOTS.get("ComStation")) == {}
+    assert isinstance(orders_of(ROBOTS.get("Sedan")), Orders)
+
+
+def test_settings_have_names_that_an_error_lists():
+    assert PHYSICS.get("Fast") == Physics.fast()
+    assert PHYSICS.get("reference") == Physics()
+    with pytest.raises(UnknownNameError, match="known: fast, reference"):
+        PHYSICS.get("quick")
