@@ -68,8 +68,8 @@ def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
 
     limit()
     warned: list[str] = []
-    # MuJoCo would write them to a file; its stubs do not know the function.
-    mujoco.set_mju_user_warning(warned.append)  # type: ignore[attr-defined]
+    # MuJoCo would write them to a file.
+    mujoco.set_mju_user_warning(warned.append)
     model = mujoco.MjSpec.from_file(path).compile()
     if wrong := [text for text in warned if "NaN" in text]:
         raise ValueError(wrong[0])
