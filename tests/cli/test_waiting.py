@@ -4,11 +4,15 @@ import json
 import os
 import subprocess
 import sys
+import threading
+import time
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import dev
-from usarmjx.cli.waiting import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch
+from usarmjx.cli.waiting import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
 
 COMMANDS = (
     "list",
@@ -80,8 +84,8 @@ class Talk:
     """A watch that hears of compilations at times of a clock of its own."""
 
     def __init__(self):
-        self.said, self.now = [], 0.0
-        self.watch = CompilationWatch(self.said.append)
+        self.said, self.now, self.idle = [], 0.0, set()
+        self.watch = CompilationWatch(self.said.append, lambda thread: thread not in self.idle)
 
     def wait(self, seconds):
         """Look twice a second, as the command does."""
@@ -176,3 +180,28 @@ def test_a_second_start_compiles_nothing_and_what_is_broken_is_compiled_anew(tmp
     assert len(said) == 2
     assert said[1].startswith("usarmjx: note: ")
     assert all(path.stat().st_size > 50 for path in kept)
+
+
+def test_what_is_lowered_and_never_compiled_is_not_waited_for(talk):
+    talk.hear(LOWERED)
+    talk.wait(12.0)
+    assert talk.said == ["compiling ... 3 s", "compiling ... 10 s"]
+    talk.idle.add(0)
+    talk.wait(60.0)
+    assert [line.split()[0] for line in talk.said] == ["compiling", "compiling", "compiled,"]
+
+
+def test_whether_a_thread_compiles_is_seen_by_its_stack():
+    def long(x):
+        for _ in range(150):
+            x = jnp.sin(x) + jnp.cos(x)
+        return x
+
+    worker = threading.Thread(target=jax.jit(long), args=(1.0,))
+    worker.start()
+    seen = False
+    while worker.is_alive():
+        seen |= is_compiling(worker.ident)
+        time.sleep(0.002)
+    assert seen
+    assert not is_compiling(threading.get_ident())

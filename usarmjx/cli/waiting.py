@@ -33,11 +33,12 @@ class CompilationWatch:
 
     Args:
         say: Takes a line.
+        at_work: Whether a thread, by number, compiles just now: what is lowered need not be compiled.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
-        self._compiling: dict[int, float] = {}  # threads in which XLA is at work
+    def __init__(self, say: Callable[[str], None], at_work: Callable[[int], bool]) -> None:
+        self._say, self._at_work = say, at_work
+        self._compiling: dict[int, float] = {}  # threads in which XLA may be at work, since when
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
         self._lock = threading.Lock()
 
@@ -53,18 +54,22 @@ class CompilationWatch:
         if not event.startswith(COMPILATION):
             return
         with self._lock:
-            if not self._compiling and now - duration - self._last > GAP:
+            if not self._busy() and now - duration - self._last > GAP:
                 self._begun, self._next = now - duration, FIRST
             self._last = now
             self._compiling.pop(thread, None)
             if event.endswith(LOWERED):
                 self._compiling[thread] = now
 
+    def _busy(self) -> bool:
+        return any(map(self._at_work, self._compiling))
+
     def look(self, now: float) -> None:
         """Say what there is to say at a time [s]."""
         with self._lock:
-            length = (now if self._compiling else self._last) - self._begun
-            if self._compiling or now - self._last <= GAP:
+            busy = self._busy()
+            length = (now if busy else self._last) - self._begun
+            if busy or now - self._last <= GAP:
                 if length >= self._next:
                     self._say(f"compiling ... {length:.0f} s")
                     self._next = length - length % INTERVAL + INTERVAL
@@ -109,13 +114,23 @@ def _say_nothing(text: str) -> None:
     del text
 
 
+def is_compiling(thread: int) -> bool:
+    """Return whether a thread is in JAX's compiler, by its stack."""
+    frame = sys._current_frames().get(thread)
+    while frame is not None:
+        if frame.f_code.co_filename.replace(os.sep, "/").endswith("jax/_src/compiler.py"):
+            return True
+        frame = frame.f_back
+    return False
+
+
 def _watch(tell: Callable[[str], None]) -> None:
     """Tell of compilations from the moment on that somebody imports JAX."""
     while "jax" not in sys.modules:
         time.sleep(0.1)
     from jax import monitoring
 
-    watch = CompilationWatch(tell)
+    watch = CompilationWatch(tell, is_compiling)
 
     def hear(event: str, duration_secs: float, **_: object) -> None:
         watch.heard(event, duration_secs, time.monotonic(), threading.get_ident())
