@@ -118,7 +118,7 @@ def test_the_bundled_client_says_the_token(locked, monkeypatch):
     with pytest.raises(ConnectionError):
         client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])
     with pytest.raises(ConnectionError):
-        client().UsarsimClient(port=ports["robots"])
+        client().UsarsimClient(port=ports["robots"], timeout=PATIENCE)
     monkeypatch.setenv("USARMJX_TOKEN", TOKEN)
     with client().UsarsimClient(port=ports["robots"]) as robot:
         assert robot.start_poses()
