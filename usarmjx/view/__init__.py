@@ -1,0 +1,4 @@
+"""Worlds as they look: what recordings keep, and what the page in a browser shows.
+
+`drawing` has the values, `capture` makes them of a world as it is, whatever the engine.
+"""
