@@ -59,29 +59,37 @@ def key(seed: int) -> Any:  # noqa: ANN401 - a key of the library in force
 
 
 def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers of the library in force
-    """Return a key made of a key and a whole number; of numbers (n,), keys (n,)."""
+    """Return a key made of a key and a whole number; of keys (...,) and numbers (n,), keys (..., n)."""
     many = np.ndim(data) > 0
     if not on_numpy():
+        if of.ndim:
+            return jax.vmap(partial(fold_in, data=data))(of)
         return jax.vmap(partial(jax.random.fold_in, of))(data) if many else jax.random.fold_in(of, data)
-    if not many:
+    if not many and of.ndim == 1:
         return np.array(_threefry(int(of[0]), int(of[1]), int(data) & MASK), np.uint32)
-    ones, _ = _counting(len(data), 1)
-    return _as_keys(_threefry(int(of[0]) * ones, int(of[1]) * ones, _packed(data), ones), len(data))
+    numbers = np.asarray(data)
+    lanes = _packed(np.tile(numbers, math.prod(of.shape[:-1])))
+    return _new_keys(of, lanes, numbers.size).reshape(*of.shape[:-1], *numbers.shape, 2)
 
 
 def split(of: Any, num: int = 2) -> Any:  # noqa: ANN401 - keys of the library in force
-    """Return new keys (num,)."""
+    """Return new keys (num,); on NumPy of keys (...,) new keys (num, ...)."""
     if not on_numpy():
         return jax.random.split(of, num)
-    ones, numbers = _counting(num, 1)
-    return _as_keys(_threefry(int(of[0]) * ones, int(of[1]) * ones, numbers, ones), num)
+    _, numbers = _counting(num, math.prod(of.shape[:-1]))
+    return np.moveaxis(_new_keys(of, numbers, num).reshape(*of.shape[:-1], num, 2), -2, 0)
+
+
+def axes(of: Any) -> int:  # noqa: ANN401 - keys of the library in force
+    """Return how many axes keys have; one key has none."""
+    return of.ndim - 1 if on_numpy() else of.ndim
 
 
 def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any = 1.0) -> Any:  # noqa: ANN401
     """Return uniform numbers of a shape in [minval, maxval).
 
     Args:
-        of: A key; or keys (n,), one for each row of the shape (n, ...).
+        of: A key; or keys (n,), one for each row of the shape (n, ...); on NumPy they may have more axes.
         shape: The shape.
         minval: A bound, or bounds that broadcast to the shape.
         maxval: The same.
@@ -89,7 +97,7 @@ def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any =
     shape = tuple(shape)
     if on_numpy():
         low, high = np.asarray(minval, np.float32), np.asarray(maxval, np.float32)
-        bits = _random_bits(of, math.prod(shape if of.ndim == 1 else shape[1:])).reshape(shape)
+        bits = _random_bits(of, math.prod(shape[of.ndim - 1 :])).reshape(shape)
         share = ((bits >> np.uint32(9)) | np.uint32(0x3F800000)).view(np.float32) - np.float32(1)
         return np.maximum(low, share * (high - low) + low)
     if not of.ndim:
@@ -168,13 +176,24 @@ def _random_bits(of: np.ndarray, count: int) -> np.ndarray:
         return np.bitwise_xor(
             *_threefry_of_arrays(k0, k1, np.tile(np.arange(count, dtype=np.uint32), len(keys)))
         )
-    ones, numbers = _counting(count, len(keys))
-    if len(keys) == 1:
-        k0, k1 = int(keys[0, 0]) * ones, int(keys[0, 1]) * ones
-    else:
-        k0, k1 = (_packed(np.repeat(keys[:, i], count)) for i in (0, 1))
-    x0, x1 = _threefry(k0, k1, numbers, ones)
+    _, numbers = _counting(count, len(keys))
+    x0, x1 = _lanes(keys, numbers, count)
     return np.frombuffer((x0 ^ x1).to_bytes(LANE // 8 * count * len(keys), "little"), "<u4")[::2]
+
+
+def _new_keys(of: np.ndarray, numbers: int, count: int) -> np.ndarray:
+    """Return the keys (n * count, 2) that keys (n,) and so many numbers in lanes for each make."""
+    keys = of.reshape(-1, 2)
+    return _as_keys(_lanes(keys, numbers, count), len(keys) * count)
+
+
+def _lanes(keys: np.ndarray, numbers: int, count: int) -> tuple[int, int]:
+    """Return the blocks, in lanes, of so many numbers for each of some keys (n, 2), key by key."""
+    ones, _ = _counting(count, len(keys))
+    if len(keys) == 1:
+        return _threefry(int(keys[0, 0]) * ones, int(keys[0, 1]) * ones, numbers, ones)
+    k0, k1 = (_packed(np.repeat(keys[:, i], count)) for i in (0, 1))
+    return _threefry(k0, k1, numbers, ones)
 
 
 def _packed(words: np.ndarray) -> int:

@@ -43,20 +43,22 @@ def matmul(mat: Array, other: Array) -> Array:
 
 
 def rotation_vector(mat: Array) -> Array:
-    """Return the rotation vector (axis times angle) [rad] (3,) of a rotation matrix (3, 3).
+    """Return the rotation vector (axis times angle) [rad] (..., 3) of a rotation matrix (..., 3, 3).
 
     Exact for turns below half a turn; a simulation step turns by far less.
     """
-    skew = xp.array([mat[2, 1] - mat[1, 2], mat[0, 2] - mat[2, 0], mat[1, 0] - mat[0, 1]]) / 2
-    sine = xp.linalg.norm(skew)
-    angle = xp.arctan2(sine, (xp.trace(mat) - 1) / 2)
-    return skew * xp.where(sine > MIN_NORM, angle / xp.maximum(sine, MIN_NORM), 1.0)
+    pairs = ((2, 1), (0, 2), (1, 0))
+    skew = xp.stack([mat[..., i, j] - mat[..., j, i] for i, j in pairs], -1) / 2
+    sine = xp.linalg.norm(skew, axis=-1)
+    angle = xp.arctan2(sine, (xp.trace(mat, axis1=-2, axis2=-1) - 1) / 2)
+    return skew * xp.where(sine > MIN_NORM, angle / xp.maximum(sine, MIN_NORM), 1.0)[..., None]
 
 
 def mat_from_rotation_vector(vector: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a rotation vector [rad] (3,): Rodrigues' formula."""
-    angle = xp.linalg.norm(vector)
-    x, y, z = vector / xp.maximum(angle, MIN_NORM)
-    zero = xp.zeros_like(x)
-    skew = xp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    """Return the rotation matrix (..., 3, 3) of a rotation vector [rad] (..., 3): Rodrigues' formula."""
+    angle = xp.linalg.norm(vector, axis=-1, keepdims=True)
+    unit = vector / xp.maximum(angle, MIN_NORM)
+    x, y, z = (unit[..., i] for i in range(3))
+    zero, angle = xp.zeros_like(x), angle[..., None]
+    skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*zero.shape, 3, 3)
     return xp.eye(3) + xp.sin(angle) * skew + (1 - xp.cos(angle)) * (skew @ skew)
