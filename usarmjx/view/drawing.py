@@ -1,4 +1,4 @@
-"""What there is to see of a world, as values: a `Drawing` that stays, and `Frame`s that come one after the other.
+"""What there is to see of a world, as values: a `Drawing` that stays, and `Frame`s, one after the other.
 
 Whoever shows or keeps worlds knows these only, and a recording gives them back as a running world does. A
 drawing consists of bodies that move as a whole: fixed things together, each part of a robot, each limb of a

@@ -1,0 +1,331 @@
+"""What there is to see of a world as it is: drawings and frames of a scene's worlds, on NumPy."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.cameras.light import point_lights
+from usarmjx.cameras.mounts import Camera, cameras_of
+from usarmjx.cameras.paint import ARENA_LABEL, FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
+from usarmjx.engines.base import PhysicsState
+from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
+from usarmjx.models.build.parts import joint_names
+from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.shapes import OPAQUE
+from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.sketch import OverlayLines
+from usarmjx.sim.robot_group import RobotGroup
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.site import moved_geom_poses
+from usarmjx.sim.visible import (
+    VisibleGeoms,
+    visible_arena,
+    visible_doors,
+    visible_loose,
+    visible_water,
+)
+from usarmjx.sim.world import GroupState, World, robot_states, time_of
+from usarmjx.view.drawing import (
+    NOBODY,
+    Drawing,
+    DrawnBody,
+    DrawnMount,
+    DrawnRobot,
+    DrawnShape,
+    DrawnTag,
+    Frame,
+    RobotFrame,
+    Setting,
+)
+
+FIXED_BODIES = {ARENA_LABEL: "arena", VICTIM_LABEL: "victims", FALSE_ALARM_LABEL: "false alarms"}
+"""Names of the bodies that all fixed things are, by their labels."""
+ROW_FIELDS = ("kind", "pos", "mat", "size", "owner", "material", "rgb", "label", "geom_index", "transparency")
+FARTHEST = 1e5
+"""What is further away has been put out of the way [m]."""
+SHAPE_FIELDS = ("kind", "pos", "mat", "size", "rgb", "transparency", "material")
+
+
+class Capture:
+    """Draws the worlds of a scene; what it returns shares no memory with them.
+
+    Args:
+        scene: Their scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._num_fixed: dict[tuple[int, int], int] = {}
+
+    def drawing(self, world: World, physics: PhysicsState, names: Mapping[int, str] | None = None) -> Drawing:
+        """Return what stays of a world's looks.
+
+        Args:
+            world: The world, without an axis over worlds; NumPy arrays.
+            physics: Its physics.
+            names: The robots' names by slot; None: those of the roster.
+        """
+        scene = self._scene
+        arena = scene.arena_of(int(world.number), int(world.episode))
+        lamps = point_lights(arena.lights, arena.floor)
+        shapes, bodies, robots = dict[str, DrawnShape](), list[DrawnBody](), dict[int, DrawnRobot]()
+        with numpy_backend():
+            for name, row in self._arena_bodies(world, physics):
+                label = int(np.asarray(row.label)[0])
+                shape = _shape(row)
+                key = next((key for key, known in shapes.items() if _are_same(known, shape)), name)
+                shapes.setdefault(key, shape)
+                bodies.append(DrawnBody(name=name, shape=key, slot=NOBODY, label=label))
+            for group in scene.groups:
+                shapes |= _robot_shapes(group)
+                for slot in group.slots.tolist():
+                    name = (names or {}).get(slot) or scene.roster[slot].name or f"{group.robot.name}{slot}"
+                    robots[slot] = _drawn_robot(group, slot, name, len(bodies))
+                    bodies += [
+                        DrawnBody(
+                            f"robot/{slot}/{part}", f"{group.robot.name}/{part}", slot, ROBOT_LABEL + slot
+                        )
+                        for part in group.plan.parts
+                    ]
+        return Drawing(
+            arena=arena.name,
+            floor=arena.floor,
+            has_floor=arena.has_floor,
+            extent=np.array(arena.extent, float),
+            shapes=shapes,
+            bodies=tuple(bodies),
+            robots=robots,
+            tags=tuple(
+                DrawnTag(number=tag.id, pos=np.add(tag.at, (0.0, 0.0, arena.floor))) for tag in arena.tags
+            ),
+            lamps=np.asarray(lamps.pos),
+            lamp_rgb=np.asarray(lamps.rgb),
+        )
+
+    def frame(self, world: World, physics: PhysicsState) -> Frame:
+        """Return a world as it is; overlays, readings and links are those that it remembers.
+
+        Args:
+            world: The world, without an axis over worlds; NumPy arrays.
+            physics: Its physics.
+        """
+        scene, robots, overlays = self._scene, dict[int, RobotFrame](), list[OverlayLines]()
+        with numpy_backend():
+            time = float(time_of(scene, world))
+            arena_pos, arena_mat, arena_shown = self._arena_poses(world, physics)
+            pos, mat, shown = [arena_pos], [arena_mat], [arena_shown]
+            for group, state in zip(scene.groups, world.groups, strict=True):
+                bodies = forward_kinematics(group.plan, robot_states(group, physics))
+                pos.append(np.asarray(bodies.pos).reshape(-1, 3))
+                mat.append(np.asarray(bodies.mat).reshape(-1, 3, 3))
+                shown.append(np.repeat(np.asarray(state.active), len(group.plan.parts)))
+                body = robot_states(group, physics)
+                for member in np.flatnonzero(np.asarray(state.active)).tolist():
+                    robots[int(group.slots[member])] = _robot_frame(group, member, body, state, time)
+                    overlays += _overlays(group, member, state)
+        turns = Rotation.from_matrix(np.concatenate(mat)).as_quat(scalar_first=True)
+        return Frame(
+            time=time,
+            pos=np.concatenate(pos).astype(np.float32),
+            quat=turns.astype(np.float32),
+            shown=np.concatenate(shown),
+            robots=robots,
+            dropped_tags=np.array(world.tags.pos[: int(world.tags.count)]),
+            overlays=tuple(overlays),
+            links=world.links,
+        )
+
+    def _arena_bodies(self, world: World, physics: PhysicsState) -> Iterator[tuple[str, VisibleGeoms]]:
+        """Yield what is no robot's, in the order of `_arena_poses`, in the axes of each body."""
+        scene, fixed = self._scene, self._fixed(world)
+        for label, name in FIXED_BODIES.items():
+            if (fixed.label == label).any():
+                yield name, _picked(fixed, fixed.label == label)
+        if scene.arena.waters:
+            yield "water", visible_water(scene)
+        moving = self._moving(world)
+        if moving.any():
+            row = _in_own_axes(visible_arena(scene, world.arena_state, time_of(scene, world))[1])
+            for geom in np.flatnonzero(moving):
+                yield f"limb/{geom}", _picked(row, np.array([geom]))
+        loose = scene.loose_geoms
+        row = visible_loose(scene, physics)
+        row = row._replace(pos=loose.local.pos, mat=loose.local.mat)
+        for place, thing in enumerate(scene.arena.loose):
+            yield f"loose/{thing.name}", _picked(row, np.asarray(loose.owner == place))
+        row = _in_own_axes(visible_doors(scene, physics))
+        for place, door in enumerate(scene.arena.doors):
+            yield f"door/{door.name}", _picked(row, np.array([place]))
+
+    def _fixed(self, world: World) -> VisibleGeoms:
+        """Return all geoms that never move, of this world's arena, where they are."""
+        fixed, *data = visible_arena(self._scene, world.arena_state, time_of(self._scene, world))
+        if not data:
+            return fixed
+        here = ~self._moving(world) & (np.abs(np.asarray(data[0].pos)) < FARTHEST).all(-1)
+        rows = fixed, _picked(data[0], here)
+        return fixed._replace(
+            **{
+                field: np.concatenate([np.asarray(getattr(row, field)) for row in rows])
+                for field in ROW_FIELDS
+            }
+        )
+
+    def _num_fixed_bodies(self, world: World) -> int:
+        """Return how many bodies are made of what never moves; looked up once in an episode."""
+        which = int(world.number), int(world.episode)
+        if which not in self._num_fixed:
+            labels = {*np.asarray(self._fixed(world).label).tolist()}
+            self._num_fixed = {which: len(labels & {*FIXED_BODIES}) + bool(self._scene.arena.waters)}
+        return self._num_fixed[which]
+
+    def _moving(self, world: World) -> np.ndarray:
+        """Return which of the arena's geoms that are data move: limbs of victims (geoms,)."""
+        scene, state = self._scene, world.arena_state
+        if scene.moved_geoms is None:
+            return np.zeros(0, bool)
+        if state is None:
+            return np.ones(len(scene.moving_victim_boxes), bool)
+        return np.concatenate([np.zeros(len(state.pos), bool), np.asarray(state.victims.swing) > 0])
+
+    def _arena_poses(self, world: World, physics: PhysicsState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the bodies are that are no robot's, and which of them are there."""
+        scene, state = self._scene, world.arena_state
+        still = self._num_fixed_bodies(world)
+        pos, mat = [np.zeros((still, 3))], [np.tile(np.eye(3), (still, 1, 1))]
+        moving = self._moving(world)
+        if moving.any():
+            here = moved_geom_poses(scene, state, time_of(scene, world))
+            assert here is not None
+            pos.append(np.asarray(here.pos)[moving] + np.array([0.0, 0.0, scene.arena.floor]))
+            mat.append(np.asarray(mat_from_quat(here.quat[moving])))
+        loose = np.asarray(physics.qpos)[scene.loose_geoms.root_qposadr]
+        doors = visible_doors(scene, physics)
+        pos += [loose[:, :3], np.asarray(doors.pos)]
+        mat += [np.asarray(mat_from_quat(loose[:, 3:])), np.asarray(doors.mat)]
+        shown = np.ones(sum(len(one) for one in pos), bool)
+        if state is not None and len(loose):
+            first = sum(len(one) for one in pos[:-2])
+            shown[first : first + len(loose)] = np.asarray(state.present)
+        return np.concatenate(pos), np.concatenate(mat), shown
+
+
+def _picked(row: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
+    """Return some geoms of a row, by index or mask."""
+    return row._replace(**{field: np.asarray(getattr(row, field))[which] for field in ROW_FIELDS})
+
+
+def _in_own_axes(row: VisibleGeoms) -> VisibleGeoms:
+    """Return geoms each of which is a body, in the axes of that."""
+    n = len(row.kind)
+    return row._replace(pos=np.zeros((n, 3), np.float32), mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)))
+
+
+def _shape(row: VisibleGeoms) -> DrawnShape:
+    return DrawnShape(**{field: np.array(getattr(row, field)) for field in SHAPE_FIELDS})
+
+
+def _are_same(one: DrawnShape, other: DrawnShape) -> bool:
+    return all(np.array_equal(getattr(one, field), getattr(other, field)) for field in SHAPE_FIELDS)
+
+
+def _key(group: RobotGroup, part: str) -> str:
+    return f"{group.robot.name}/{part}"
+
+
+def _robot_shapes(group: RobotGroup) -> dict[str, DrawnShape]:
+    """Return what the bodies of a class look like, by its name and theirs."""
+    plan, shapes = group.plan, dict[str, DrawnShape]()
+    for place, part in enumerate(plan.parts):
+        own = plan.geom_body == place
+        n = int(own.sum())
+        shapes[_key(group, part)] = DrawnShape(
+            kind=plan.geom_type[own],
+            pos=plan.geom_pos[own],
+            mat=plan.geom_mat[own],
+            size=plan.geom_size[own],
+            rgb=plan.geom_rgb[own],
+            transparency=np.zeros(n, np.float32),
+            material=np.full(n, OPAQUE, object),
+        )
+    return shapes
+
+
+def _drawn_robot(group: RobotGroup, slot: int, name: str, body: int) -> DrawnRobot:
+    robot = group.robot
+    return DrawnRobot(
+        slot=slot,
+        name=name,
+        robot=robot.name,
+        body=body,
+        num_bodies=len(group.plan.parts),
+        dimensions=np.array(robot.dimensions),
+        joints=joint_names(robot),
+        sensors=tuple(_drawn_sensor(sensor, body) for sensor in group.suite.sensors),
+        cameras=tuple(_drawn_camera(camera, body) for camera in cameras_of(robot)),
+        battery_life=robot.battery_life,
+        drive_keys=tuple(robot.drive.full_scale),
+    )
+
+
+def _drawn_sensor(sensor: Sensor, body: int) -> DrawnMount:
+    n = len(sensor.plan.parts)
+    rest = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)))
+    pos, mat = sensor.mount_poses(rest)
+    return DrawnMount(
+        kind=sensor.kind,
+        names=tuple(mount.name for mount in sensor.mounts),
+        body=body + sensor.bodies_of_mounts(),
+        pos=np.array(pos),
+        mat=np.array(mat),
+        settings=tuple(_plain(asdict(settings)) for settings in sensor.settings),
+    )
+
+
+def _drawn_camera(camera: Camera, body: int) -> DrawnMount:
+    return DrawnMount(
+        kind=camera.mount.kind,
+        names=(camera.mount.name,),
+        body=np.array([body + camera.body]),
+        pos=camera.pos[None],
+        mat=camera.mat[None],
+        settings=({"fov": camera.default_fov, "lens": camera.lens},),
+    )
+
+
+def _plain(settings: Mapping[str, Any]) -> dict[str, Setting]:
+    return {name: value for name, value in settings.items() if isinstance(value, bool | int | float | str)}
+
+
+def _robot_frame(
+    group: RobotGroup, member: int, body: RobotState, state: GroupState, time: float
+) -> RobotFrame:
+    def own(values: Array) -> np.ndarray:
+        return np.array(values[member])
+
+    age = time - float(state.battery_start[member])
+    return RobotFrame(
+        pos=own(body.pos),
+        quat=own(body.quat),
+        linear=own(body.linear),
+        angular=own(body.angular),
+        joint_pos=own(body.joint_pos),
+        battery=0.0 if state.drowned[member] else max(0.0, group.robot.battery_life - age),
+        light=bool(state.command.light[member]),
+        drive=own(state.command.setpoint),
+        readings=tuple(map(own, state.memory.last)),
+        fovs=own(state.fov),
+    )
+
+
+def _overlays(group: RobotGroup, member: int, state: GroupState) -> list[OverlayLines]:
+    drawn = [i for i, sensor in enumerate(group.suite.sensors) if sensor.has_overlay]
+    own = [jax.tree.map(lambda x: np.array(x[member]), state.memory.own[i]) for i in drawn]
+    return [group.suite.sensors[i].overlay(memory) for i, memory in zip(drawn, own, strict=True)]
