@@ -278,6 +278,27 @@ class Suite:
         return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
 
 
+def carry_over(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorMemory) -> SensorMemory:
+    """Return what a robot's sensors remember when settings of some of them have changed; NumPy's arrays.
+
+    Args:
+        before: Its sensors so far.
+        after: The same sensors with other settings.
+        memory: What those so far remember.
+        fresh: What the others would remember if they started now: what has another shape is taken from it,
+            and when each measures next whose settings have changed.
+    """
+
+    def same_shape(old: object, new: object) -> bool:
+        return jax.tree.map(np.shape, old) == jax.tree.map(np.shape, new)
+
+    pairs = zip(memory.own, fresh.own, strict=True), zip(memory.last, fresh.last, strict=True)
+    own, last = (tuple(old if same_shape(old, new) else new for old, new in pair) for pair in pairs)
+    both = zip(before.sensors, after.sensors, strict=True)
+    changed = np.array([old.settings != new.settings for old, new in both], bool)
+    return SensorMemory(due=np.where(changed, fresh.due, memory.due), own=own, last=last)
+
+
 @lru_cache(maxsize=64)
 def _scaled(suite: Suite, factor: float) -> tuple[Sensor, ...]:
     """Return a suite's sensors with so many times the noise, kept for the next time that they read."""

@@ -34,6 +34,7 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
+from usarmjx.sensors.suite import carry_over, suite_of
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.looks import looks_of
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
@@ -199,6 +200,18 @@ class SingleWorld:
         self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
         del roster[slot], rows[slot], self._homes[slot], self._tops[slot]
         self._regroup(roster, rows)
+
+    def replace_robot(self, slot: int, robot: RobotSpec) -> None:
+        """Let a robot be of another class, which has the same parts and sensors; what it does goes on.
+
+        What of the class is in the model has to be there already, see `redescribe`.
+        """
+        rows, entry = self._rows(), self.roster[slot]
+        (group,) = robot_groups(self.engine.model, {slot: robot})
+        before, fresh = rows[slot].memory, _row(self._started(group).memory, 0)
+        memory = carry_over(suite_of(entry.spec), group.suite, before, fresh)
+        rows[slot] = rows[slot].replace(memory=memory)
+        self._regroup(self.roster | {slot: replace(entry, robot=robot)}, rows)
 
     def _rows(self) -> dict[int, GroupState]:
         return {
@@ -368,7 +381,7 @@ class SingleWorld:
         self.engine.move(self._moved())
         if self._looks is None or self._looks[0] is not self.scene:
             self._looks = self.scene, looks_of(self.scene)
-        return CSight(self.engine.model, self.engine.data, self._looks[1], self._indices())
+        return CSight(self.engine.model, self.engine.data, self._looks[1])
 
     @on_numpy
     def render_scene(self) -> RenderScene:

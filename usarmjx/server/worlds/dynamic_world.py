@@ -22,6 +22,7 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.control import idle_command
+from usarmjx.sim.redescribe import redescribe
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 from usarmjx.sim.world import World
@@ -90,6 +91,12 @@ class DynamicWorld(ServedWorld):
         if not any(np.allclose(place, pos, atol=1e-3) for pos, _ in poses):
             log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(place))
         return new
+
+    def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
+        """Give a robot another description while it runs; the states of all are kept."""
+        self.prepare(spec)
+        redescribe(self._single, robot.slot, spec)
+        robot.suite = suite_of(spec)
 
     def remove(self, robot: Robot) -> None:
         """Take a robot out of the running world."""

@@ -39,6 +39,9 @@ class Robot:
 
     def __post_init__(self) -> None:
         """Give it what its cameras start with."""
+        self.described = self.spec
+        """Its class, whatever has been edited since; `figures` are those that have been, by their keys."""
+        self.figures: dict[str, float] = {}
         self.fovs = [camera.default_fov for camera in self.cameras]
         """Field of view in force of each camera [rad]."""
         self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])

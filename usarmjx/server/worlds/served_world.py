@@ -281,6 +281,15 @@ class ServedWorld(ABC):
     def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of the robot's part of its `GroupState`."""
 
+    def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
+        """Give a robot another description while it runs; see `sim.redescribe`.
+
+        Raises:
+            UsageError: The world cannot, or not so.
+        """
+        del spec
+        raise UsageError(f"{robot.name} is compiled: only in a world of engine c do descriptions change")
+
     def state(self, robot: Robot) -> RobotState:
         """Return where the robot is and how it moves; numpy arrays."""
         group, member = self.scene.group_of(robot.slot)
