@@ -1,0 +1,57 @@
+"""Driving by hand: what the keys of DRIVE are for whoever wants to go ahead, to the left, or up.
+
+Knows no robot, only the keys that it has and their largest values: also clients can use it.
+"""
+
+from collections.abc import Mapping
+
+WHEEL_SPEED, WHEEL_STEER = "WheelSpeed", "WheelSteer"
+ANGLES = frozenset({"FrontSteer", "RearSteer", "Rudder", "SternPlane", "XZAngle"})
+"""Keys that are no speeds."""
+TURN_SHARE = 0.5
+"""Tracked robots turn with so much of their speed for a whole turn's order."""
+
+
+def can_climb(keys: Mapping[str, float]) -> bool:
+    """Return whether a robot with these keys of DRIVE goes up and down."""
+    return bool({"AltitudeVelocity", "XZAngle", "SternPlane"} & keys.keys())
+
+
+def drive_values(
+    keys: Mapping[str, float], ahead: float = 0.0, left: float = 0.0, up: float = 0.0, speed: float = 1.0
+) -> dict[str, float]:
+    """Return what to set each key of DRIVE to.
+
+    Args:
+        keys: The keys that a robot has and the largest value of each, as `Drive.full_scale`.
+        ahead: How fast ahead, as a share of `speed` [-1, 1].
+        left: How sharply to the left [-1, 1].
+        up: How fast up, for those that fly or dive [-1, 1].
+        speed: Share of the largest speeds that is used [0, 1].
+    """
+    shares = {
+        "Left": ahead - TURN_SHARE * left,
+        "Right": ahead + TURN_SHARE * left,
+        "Speed": ahead,
+        "FrontSteer": left,
+        "RearSteer": -left,
+        "LinearVelocity": ahead,
+        "RotationalVelocity": -left,
+        "AltitudeVelocity": up,
+        "Propeller": ahead,
+        "Rudder": -left,
+        "SternPlane": up,
+        "ThrustPropeller": ahead if ahead or not up else abs(up),
+        "TailPropeller": left,
+        "XZAngle": (1.0 if ahead >= 0 else -1.0) * up * (0.5 if ahead else 1.0),
+    }
+    wheels = sorted(key for key in keys if key.startswith(WHEEL_STEER))
+    values: dict[str, float] = {}
+    for key, most in keys.items():
+        share, is_angle = shares.get(key, 0.0), key in ANGLES or key in wheels
+        if key.startswith(WHEEL_SPEED):
+            share = ahead if ahead or not left else 0.5
+        elif is_angle and key in wheels:  # the first one steers, the others the other way
+            share = 0.25 * (left if key == wheels[0] else -left)
+        values[key] = max(-1.0, min(1.0, share)) * most * (1.0 if is_angle else speed)
+    return values
