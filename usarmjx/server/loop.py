@@ -8,8 +8,8 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 
+from usarmjx.server.clock import StepClock
 from usarmjx.server.net import BotServer
-from usarmjx.server.pace import Pace
 from usarmjx.server.signals import StopSignals
 
 GC_THRESHOLD = 1000
@@ -26,14 +26,15 @@ class ServerLoop:
 
     Args:
         servers: One for each world.
-        realtime_factor: Simulated seconds per second; 0 runs as fast as it can.
+        clock: Pauses, and how fast simulated time goes; a number: simulated seconds per second, or 0.
 
     Attributes:
         listening: Whether all is listening.
     """
 
-    def __init__(self, servers: Sequence[BotServer], realtime_factor: float = 1.0) -> None:
-        self._servers, self._factor = servers, realtime_factor
+    def __init__(self, servers: Sequence[BotServer], clock: StepClock | float = 1.0) -> None:
+        self._servers = servers
+        self._clock = clock if isinstance(clock, StepClock) else StepClock(clock)
         self._stop = asyncio.Event()
         self._busy = 0.0
         self.listening = False
@@ -64,15 +65,15 @@ class ServerLoop:
     async def _run_worlds(self) -> None:
         world = self._servers[0].world
         began, start = time.perf_counter(), world.time
-        pace = Pace(world.period, self._factor, began)
         while not self._stop.is_set():
+            moves = self._clock.takes_step()
             for number, server in enumerate(self._servers):
                 if number:
                     await asyncio.sleep(0)
-                self._tick(server)
-            await asyncio.sleep(pace.pause(time.perf_counter()))
+                self._tick(server, moves)
+            await asyncio.sleep(self._clock.wait(world.period, time.perf_counter()))
         ended = time.perf_counter()
-        pace.finish(ended)
+        self._clock.finish(ended)
         spent = max(ended - began, 1e-9)
         print(
             f"usarmjx: stopped after {world.time - start:.1f} simulated s; real-time factor "
@@ -80,9 +81,9 @@ class ServerLoop:
             flush=True,
         )
 
-    def _tick(self, server: BotServer) -> None:
+    def _tick(self, server: BotServer, moves: bool) -> None:
         began = time.perf_counter()
-        server.tick()
+        server.tick(moves)
         self._busy += time.perf_counter() - began
 
 
@@ -105,12 +106,12 @@ def low_latency() -> Iterator[None]:
         gc.unfreeze()
 
 
-def serve(servers: Sequence[BotServer], realtime_factor: float, signals: StopSignals) -> None:
+def serve(servers: Sequence[BotServer], clock: StepClock | float, signals: StopSignals) -> None:
     """Serve worlds until a signal comes.
 
     Args:
         servers: One for each world.
-        realtime_factor: Simulated seconds per second; 0 runs as fast as it can.
+        clock: Pauses, and how fast simulated time goes; a number: simulated seconds per second, or 0.
         signals: What says when to stop.
 
     Raises:
@@ -118,7 +119,7 @@ def serve(servers: Sequence[BotServer], realtime_factor: float, signals: StopSig
     """
 
     async def main() -> None:
-        loop = ServerLoop(servers, realtime_factor)
+        loop = ServerLoop(servers, clock)
         signals.on_stop(partial(_call_soon, asyncio.get_running_loop(), loop))
         await loop.run()
 

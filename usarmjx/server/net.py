@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.server.adapter import Client
 from usarmjx.server.bot_server import BotServerSettings, Tally
 from usarmjx.server.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
@@ -118,6 +119,7 @@ class BotServer:
         title: What the log calls the world.
         tally: What has been counted.
         port: The port in use, once started.
+        guests: Robots' dialogues that have no connection: what they report is thrown away.
     """
 
     def __init__(
@@ -130,6 +132,7 @@ class BotServer:
     ) -> None:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
         self.port, self.tally = settings.port, Tally()
+        self.guests: list[Client] = []
         self._bound = bound
         self._gate = Gate(
             settings.access, settings.max_connections, f"{title}, robots" if title else "robots"
@@ -167,17 +170,20 @@ class BotServer:
         more = [line for service in self.services for line in await service.start()]
         return [f"listening on {host}:{self.port}", *more]
 
-    def tick(self) -> None:
-        """Make a control step; send what is due."""
-        self.world.step()
-        for client in self._connections:
-            client.add_trace_point()
+    def tick(self, moves: bool = True) -> None:
+        """Make a control step, unless the world stands still; send what is due."""
+        if moves:
+            self.world.step()
+            for client in self._connections:
+                client.add_trace_point()
         # Readings are taken after the step and just before the reports: what clients get is never a step old.
-        due = [client for client in self._connections if client.due() and not client.lost]
+        due = [client for client in (*self._connections, *self.guests) if client.due() and not client.lost]
         if due:
             self.world.observe([client.robot for client in due if client.robot is not None])
         for client in due:
             self._guarded(client, client.report)
+        for guest in self.guests:
+            guest.session.data_to_send()
         now = time.monotonic()
         for connection in list(self._connections.values()):
             self._attend(connection, now)
@@ -310,6 +316,14 @@ class BotServer:
                 commands = client.session.answer_init(accepted)
             connection.last_asked = time.monotonic()
 
+    async def prepare(self, spec: RobotSpec) -> None:
+        """Let a thread do what takes long before the first robot of a class can appear.
+
+        Raises:
+            UsageError: No robot can be built of that class.
+        """
+        await asyncio.get_running_loop().run_in_executor(self._executor, self.world.prepare, spec)
+
     @staticmethod
     def _check_is_here(connection: RobotConnection) -> None:
         if connection.has_left:
@@ -323,7 +337,7 @@ class BotServer:
         if spec is None:
             return False
         try:
-            await asyncio.get_running_loop().run_in_executor(self._executor, self.world.prepare, spec)
+            await self.prepare(spec)
         except UsageError as error:
             client.session.note_refusal(str(error))
             return False
