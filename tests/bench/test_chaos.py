@@ -26,7 +26,7 @@ from usarmjx.bench.chaos.neighbour import Gaps, Neighbour, Report, Watch
 from usarmjx.bench.chaos.play import ChaosCase, Outcome, has_seats, play_attack, play_attacks, table
 from usarmjx.bench.chaos.processor import ThreadClock, find_process, main_thread_clock
 from usarmjx.bench.chaos.soak import read_metrics
-from usarmjx.bench.chaos.target import check_loopback, local_process, parse_address, started
+from usarmjx.bench.chaos.target import check_loopback, local_process, parse_host_port, started
 from usarmjx.bench.serving.clients import Crowd
 from usarmjx.cli.app import app
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
@@ -263,10 +263,10 @@ def test_only_loopback_unless_it_is_said():
     for host in ("192.0.2.1", "8.8.8.8"):
         with pytest.raises(UsageError, match="not this machine's loopback: --own-server"):
             check_loopback(host)
-    assert parse_address("127.0.0.1:3000") == ("127.0.0.1", 3000)
+    assert parse_host_port("127.0.0.1:3000") == ("127.0.0.1", 3000)
     for text in ("3000", "localhost", "localhost:0", "localhost:70000", ":3000"):
         with pytest.raises(UsageError, match="not of the form HOST:PORT"):
-            parse_address(text)
+            parse_host_port(text)
 
 
 def test_the_command(monkeypatch, tmp_path):

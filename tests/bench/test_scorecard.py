@@ -5,10 +5,10 @@ import math
 
 import pytest
 
-from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.bench.fidelity.manoeuvres import drive_all, spin, top_speed
 from usarmjx.bench.fidelity.scorecard import differences, write_scorecard
-from usarmjx.bench.fidelity.track import Orders, orders_of
+from usarmjx.bench.fidelity.track import Orders, Track, orders_of
 from usarmjx.models.build.compose import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 
@@ -45,12 +45,31 @@ def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing()
 
 def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
     file = tmp_path / "physics.jsonl"
-    text = write_scorecard(["passarola"], file=file)
+    text = write_scorecard(Physics.fast(), ["passarola"], file=file)
     record = json.loads(file.read_text())
     reference, fast = record["numbers"]["Passarola"]["top speed"]
     assert fast == pytest.approx(reference, rel=0.02)  # in the air there is no contact to differ by
     assert record["settings"]["cone"] == "pyramidal"
     assert "1 of 1 numbers" in text
+
+
+def test_a_manoeuvre_whose_physics_went_bad_has_no_number(monkeypatch, tmp_path):
+    """A wheel's speed that is no number puts the robot back, and what it did then tells nothing."""
+    tell = Track.tell
+
+    def break_one_wheel(self, order, slot=0):
+        tell(self, order, slot)
+        self.world.engine.data.qvel[6] = math.nan
+
+    monkeypatch.setattr(Track, "tell", break_one_wheel)
+    numbers = drive_all(Physics(), P2AT)
+    assert math.isnan(numbers["spin"])
+    assert math.isfinite(numbers["ramp hold"])  # nobody tells it anything there
+    file = tmp_path / "physics.jsonl"
+    write_scorecard(Physics.fast(), ["P2AT"], file=file)
+    record = json.loads(file.read_text(), parse_constant=pytest.fail)
+    assert record["numbers"]["P2AT"]["spin"] == [None, None]
+    assert ["P2AT", "spin"] in record["differing"]
 
 
 def test_who_has_no_drive_has_no_numbers():
@@ -64,3 +83,5 @@ def test_settings_have_names_that_an_error_lists():
     assert PHYSICS.get("reference") == Physics()
     with pytest.raises(UnknownNameError, match="known: fast, reference"):
         PHYSICS.get("quick")
+    with pytest.raises(SpecError, match="cone 'round' is not one of elliptic, pyramidal"):
+        Physics(cone="round")

@@ -12,9 +12,17 @@ UsarmjxError
 └── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
 """
 
+LONGEST = 200
+"""So much of what others' exceptions say is quoted [characters]."""
+
 
 class UsarmjxError(Exception):
     """Base of everything that usarmjx raises on purpose."""
+
+
+def one_line(error: Exception) -> str:
+    """Return what somebody else's exception says, as the end of a line of ours."""
+    return " ".join(str(error)[:LONGEST].split()) or type(error).__name__
 
 
 class UsageError(UsarmjxError):
@@ -46,7 +54,7 @@ class UnsupportedGeomError(SpecError):
 
 
 class EngineError(UsageError):
-    """An engine cannot run on this machine, or one of its buffers overflowed."""
+    """An engine cannot run on this machine, one of its buffers overflowed, or its physics went bad."""
 
 
 class WriteError(UsageError):

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 
-from usarmjx.base.errors import WriteError
+from usarmjx.base.errors import SpecError, WriteError
 
 PARTIAL = ".partial"
 """In the name of what is being written."""
@@ -37,6 +37,22 @@ def disk_fault(error: BaseException | None) -> str | None:
             return os.strerror(number)
         error = error.__cause__ or error.__context__
     return None
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """Return what a file holds, which may be a pipe.
+
+    Raises:
+        SpecError: It is not there, cannot be read, or has more than so many bytes.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(data) > most:
+        raise SpecError(f"{path}: has more than {most} bytes, which are too many")
+    return data
 
 
 @contextmanager

@@ -165,7 +165,7 @@ def bench_physics(
         from usarmjx.bench.fidelity.scorecard import write_scorecard
         from usarmjx.models.build.compose import PHYSICS
 
-        typer.echo(write_scorecard(robot, jobs, PHYSICS.get(physics), json))
+        typer.echo(write_scorecard(PHYSICS.get(physics), robot, jobs, json))
 
 
 @app.command("step")

@@ -76,6 +76,7 @@ def chaos(
         from usarmjx.bench.chaos.attacks import ATTACKS, find_attack
         from usarmjx.bench.chaos.play import ChaosCase, play_attacks, table
         from usarmjx.bench.chaos.processor import main_thread_clock
+        from usarmjx.bench.tools import append_record
 
         chosen = [find_attack(name) for name in attack] if attack else ATTACKS
         if target.page_port is None:
@@ -94,9 +95,8 @@ def chaos(
             say,
         )
         typer.echo(table(outcomes))
-        if json is not None:
-            with json.open("a") as lines:
-                lines.writelines(json_format.dumps(outcome.as_record()) + "\n" for outcome in outcomes)
+        for outcome in outcomes:
+            append_record(outcome.as_record(), json)
 
 
 @contextlib.contextmanager
@@ -110,7 +110,7 @@ def _target(
     pid: int | None,
 ) -> "Iterator[Target]":
     """Yield whom the options name."""
-    from usarmjx.bench.chaos.target import Target, check_loopback, local_process, parse_address, started
+    from usarmjx.bench.chaos.target import Target, check_loopback, local_process, parse_host_port, started
 
     if own == (address is not None):
         raise UsageError("name either HOST:PORT of a server that runs, or --self")
@@ -118,7 +118,7 @@ def _target(
         with started(arena, 16) as target:
             yield target
         return
-    host, port = parse_address(address)
+    host, port = parse_host_port(address)
     if not own_server:
         check_loopback(host)
     yield Target(host, port, page_port, metrics_port, pid or (None if own_server else local_process(port)))

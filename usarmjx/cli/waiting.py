@@ -38,7 +38,7 @@ class CompilationWatch:
 
     def __init__(self, say: Callable[[str], None], at_work: Callable[[int], bool]) -> None:
         self._say, self._at_work = say, at_work
-        self._compiling: dict[int, float] = {}  # threads in which XLA may be at work, since when
+        self._compiling: set[int] = set()  # threads in which XLA may be at work
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
         self._lock = threading.Lock()
 
@@ -57,9 +57,9 @@ class CompilationWatch:
             if not self._busy() and now - duration - self._last > GAP:
                 self._begun, self._next = now - duration, FIRST
             self._last = now
-            self._compiling.pop(thread, None)
+            self._compiling.discard(thread)
             if event.endswith(LOWERED):
-                self._compiling[thread] = now
+                self._compiling.add(thread)
 
     def _busy(self) -> bool:
         return any(map(self._at_work, self._compiling))

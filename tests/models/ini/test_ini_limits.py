@@ -37,7 +37,7 @@ def test_a_file_has_so_many_lines_and_bytes(tmp_path):
         parse_ini("[A]\n" + "a=1\n" * MOST_LINES)
     path = tmp_path / "a.ini"
     path.write_bytes(b"\n" * (MOST_BYTES + 1))
-    with pytest.raises(SpecError, match=rf"a\.ini: has more than {MOST_BYTES} bytes; an ini file has fewer"):
+    with pytest.raises(SpecError, match=rf"a\.ini: has more than {MOST_BYTES} bytes, which are too many"):
         read_ini(path)
     with pytest.raises(SpecError, match="has more than"):
         read_ini(Path("/dev/zero"))

@@ -249,7 +249,7 @@ def test_a_mistake_in_an_mdf_is_named_with_its_line(old, new, line, message):
 
 
 def test_a_file_that_is_not_there_is_named():
-    with pytest.raises(SpecError, match=r"nowhere\.txt: No such file"):
+    with pytest.raises(SpecError, match=r"nowhere\.txt: cannot be read: No such file"):
         read_rndf("nowhere.txt")
 
 

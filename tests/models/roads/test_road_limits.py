@@ -76,7 +76,7 @@ def test_numbers_and_files_have_an_end(tmp_path):
         read_rndf("RNDF_name n\nnum_segments " + "9" * 5000 + "\n")
     path = tmp_path / "a.txt"
     path.write_bytes(b" " * (MOST_BYTES + 1))
-    with pytest.raises(SpecError, match=f"more than {MOST_BYTES} bytes are too many"):
+    with pytest.raises(SpecError, match=f"has more than {MOST_BYTES} bytes, which are too many"):
         read_rndf(path)
 
 

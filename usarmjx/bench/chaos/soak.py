@@ -19,6 +19,7 @@ from scipy.stats import theilslopes
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.chaos.target import Target
 from usarmjx.bench.serving.clients import Connection, Crowd, RobotClient
+from usarmjx.bench.tools import append_record
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.robots import ROBOTS
 
@@ -268,10 +269,6 @@ def read_metrics(target: Target) -> dict[str, float]:
 
 
 def _append(found: Mapping[str, Any], file: Path | None, say: Callable[[str], None]) -> None:
-    line = json.dumps(
-        {key: round(value, 3) if isinstance(value, float) else value for key, value in found.items()}
-    )
-    say(line)
-    if file is not None:
-        with file.open("a") as lines:
-            lines.write(f"{line}\n")
+    rounded = {key: round(value, 3) if isinstance(value, float) else value for key, value in found.items()}
+    say(json.dumps(rounded))
+    append_record(rounded, file)

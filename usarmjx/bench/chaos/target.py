@@ -34,7 +34,7 @@ class Target:
     process: int | None = None
 
 
-def parse_address(text: str) -> tuple[str, int]:
+def parse_host_port(text: str) -> tuple[str, int]:
     """Return host and port of `HOST:PORT`.
 
     Raises:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usarmjx.bench.fidelity.track import Order, Orders, Track, orders_of, touches_ground
+from usarmjx.base.errors import EngineError
+from usarmjx.bench.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.measure import extent
 from usarmjx.models.spec.arena import LooseObject
@@ -83,18 +84,17 @@ def climb(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
         step = Shape(kind="box", size=(10.0, 5.0, board / 2), at=(x + 10.0, 0.0, board / 2))
         track = Track(physics, robot, (step,))
         track.tell(_slowly(orders))
-        track.run(3.0 * (x + LENGTH) / (SHARE * min(robot.drive.top_speed, 3.0)))
+        track.run(3.0 * (x + LENGTH) / (SHARE * min(robot.drive.top_speed, MAX_SPEED)))
         if track.pose()[0][0] < x:
             break
         height = board
     return height
 
 
-def wall(physics: Physics, robot: RobotSpec, orders: Orders, angle: float = 0.0) -> float:
-    """Where it is along the wall after 5 s of driving at it [m] ..."""
+def wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it gets in 5 s of driving straight at a wall [m]."""
     x = _ahead(robot)
-    turned = (0.0, 0.0, angle)
-    block = Shape(kind="box", size=(0.1, 10.0, 2.0), at=(x + 0.1, 0.0, 0.0), rotation=turned)
+    block = Shape(kind="box", size=(0.1, 10.0, 2.0), at=(x + 0.1, 0.0, 0.0))
     track = Track(physics, robot, (block,))
     track.tell(_slowly(orders))
     track.run(5.0)
@@ -179,8 +179,11 @@ def drive_all(physics: Physics, robot: RobotSpec) -> dict[str, float]:
     orders = orders_of(robot)
     if orders is None:
         return {}
-    return {
-        name: manoeuvre.measure(physics, robot, orders)
-        for name, manoeuvre in MANOEUVRES.items()
-        if manoeuvre.fits(robot, orders)
-    }
+    numbers: dict[str, float] = {}
+    for name, manoeuvre in MANOEUVRES.items():
+        if manoeuvre.fits(robot, orders):
+            try:
+                numbers[name] = manoeuvre.measure(physics, robot, orders)
+            except EngineError:
+                numbers[name] = math.nan
+    return numbers

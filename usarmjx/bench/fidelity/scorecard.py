@@ -1,5 +1,6 @@
 """Settings of the physics against the reference settings: every class, every manoeuvre."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
@@ -46,32 +47,28 @@ def differences(reference: Card, other: Card) -> Iterator[tuple[str, str, float,
 
 
 def write_scorecard(
-    names: Iterable[str] | None = None,
-    jobs: int = 1,
-    physics: Physics | None = None,
-    file: Path | None = None,
+    physics: Physics, names: Iterable[str] | None = None, jobs: int = 1, file: Path | None = None
 ) -> str:
     """Measure settings beside the reference settings; append a record to `file`; return a summary for people.
 
     Args:
+        physics: The settings.
         names: The classes; None: all that are driven.
         jobs: Processes at once.
-        physics: The settings; None: those of `Physics.fast`.
         file: Where the record goes, a JSON line.
 
     Raises:
         UnknownNameError: There is no such class.
     """
     classes = [ROBOTS.get(name).name for name in names or ROBOTS.names()]
-    other = physics or Physics.fast()
-    reference, card = measure_cards((Physics(), other), classes, jobs)
+    reference, card = measure_cards((Physics(), physics), classes, jobs)
     record: dict[str, Any] = {
         **record_header("physics", host=True),
         "reference": asdict(Physics()),
-        "settings": asdict(other),
+        "settings": asdict(physics),
         "units": {name: manoeuvre.unit for name, manoeuvre in MANOEUVRES.items()},
         "numbers": {
-            name: {key: [value, card[name][key]] for key, value in numbers.items()}
+            name: {key: [_known(value), _known(card[name][key])] for key, value in numbers.items()}
             for name, numbers in reference.items()
             if numbers
         },
@@ -79,6 +76,11 @@ def write_scorecard(
     }
     append_record(record, file)
     return summary(reference, card)
+
+
+def _known(value: float) -> float | None:
+    """Return a number as JSON has it, which knows no NaN."""
+    return value if math.isfinite(value) else None
 
 
 def summary(reference: Card, card: Card) -> str:

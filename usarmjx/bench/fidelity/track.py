@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import EngineError
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.drives import Blimp, RotaryWing, Underwater
@@ -84,7 +85,6 @@ class Track:
 
     Attributes:
         world: The world.
-        fastest: Highest speed of any coordinate so far [m/s or rad/s].
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Track:
             waters=SEA if isinstance(robot.drive, Underwater) else (),
             extent=((-50, 50), (-50, 50)),
         )
-        self._robot, self._physics, self.fastest = robot, physics, 0.0
+        self._robot, self._physics = robot, physics
         self.world = SingleWorld(build_scene(arena, [], physics), seats=len(poses))
         height = start_height(arena, START, robot) + 0.01
         ahead, up = (math.cos(slope), math.sin(slope)), (-math.sin(slope), math.cos(slope))
@@ -120,10 +120,14 @@ class Track:
             self.world.edit(slot, command=set_drive(self._robot, idle_command(self._robot), values))
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let time pass.
+
+        Raises:
+            EngineError: The physics went bad.
+        """
         for _ in range(round(seconds / self._physics.period)):
-            self.world.step()
-            self.fastest = max(self.fastest, float(np.abs(self.world.engine.data.qvel).max()))
+            if self.world.step():
+                raise EngineError(f"the physics of {self._robot.name} went bad at {self.world.time:.2f} s")
 
     def pose(self, slot: int = 0) -> tuple[np.ndarray, float]:
         """Return a robot's position [m] (3,) and heading [rad]."""
@@ -142,8 +146,3 @@ class Track:
             total += math.remainder(now - before, 2 * math.pi)
             before = now
         return total
-
-    @property
-    def put_back(self) -> int:
-        """In how many control steps the physics went bad."""
-        return int(self.world.world.faults.not_finite)

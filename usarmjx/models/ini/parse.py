@@ -26,6 +26,7 @@ from functools import cached_property
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.files import read_bounded
 from usarmjx.models.ini.values import IniValue, LineParser, Reference, Struct, quote_short
 
 __all__ = ["IniFile", "IniValue", "Line", "Reference", "Section", "Struct", "parse_ini", "read_ini"]
@@ -109,13 +110,7 @@ def read_ini(path: Path) -> IniFile:
         SpecError: The file cannot be read, is not what its byte order mark says, or see `parse_ini`.
     """
     try:
-        with path.open("rb") as file:  # which may be a pipe
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise SpecError(f"{path}: has more than {MOST_BYTES} bytes; an ini file has fewer")
-        text = _decode(data)
-    except OSError as error:
-        raise SpecError(f"{path}: cannot be read: {error.strerror}") from error
+        text = _decode(read_bounded(path, MOST_BYTES))
     except UnicodeDecodeError as error:
         raise SpecError(f"{path}: is marked as {error.encoding} but is not: {error.reason}") from error
     return parse_ini(text, str(path))

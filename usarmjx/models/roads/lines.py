@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.files import read_bounded
 from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.roads.network import Fault, point_name
 
@@ -34,14 +35,8 @@ class RoadLines:
         self.file, text = "text", str(source)
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
-            try:
-                with Path(source).open("rb") as file:
-                    data = file.read(MOST_BYTES + 1)
-                if len(data) > MOST_BYTES:
-                    raise SpecError(f"{source}: more than {MOST_BYTES} bytes are too many")
-                text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
-            except OSError as error:
-                raise SpecError(f"{source}: {error.strerror or error}") from error
+            data = read_bounded(Path(source), MOST_BYTES)
+            text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
         self.fault_lines: dict[tuple[object, ...], int] = {}
         text = _without_comments(text)
         lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]

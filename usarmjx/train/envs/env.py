@@ -217,6 +217,8 @@ class Env:
 
     def _restart_where(self, state: EnvState, where: Array) -> EnvState:
         """Begin the next episode in some worlds (worlds,), a fixed number of them at a time."""
+        if not self.traceable and not np.asarray(where).any():
+            return state
         batch = state.batch
         # On the device of all else, if that is on one: else the second batch would be compiled anew.
         qpos = jnp.where(where[:, None], 0.0, jnp.zeros((self.worlds, self.scene.model.nq), jnp.float32))
@@ -226,8 +228,6 @@ class Env:
                 lambda now: now.left.any(), lambda now: self._restart_some(now, batch.arenas), now
             )
         else:
-            if not np.asarray(where).any():
-                return state
             while np.asarray(now.left).any():
                 now = self._restart_some(now, batch.arenas)
         physics = self.batch.engine.reset(batch.physics, where, now.qpos)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UsageError, one_line
 
 FORMAT = 1
 MOST_BYTES = 64_000_000
@@ -44,11 +44,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
     except KeyError:
         raise UsageError(f"{file} is no policy of usarmjx: it has no `about`") from None
     except Exception as error:  # zipfile and NumPy raise whatever they run into
-        raise UsageError(f"{file} is no policy of usarmjx: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error)[:200].split()) or type(error).__name__
+        raise UsageError(f"{file} is no policy of usarmjx: {one_line(error)}") from error
 
 
 def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
