@@ -19,9 +19,6 @@ from typing import Any
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from usarmjx.base.errors import WriteError
-from usarmjx.base.files import write_beside
-
 ROOT = Path(__file__).resolve().parent
 CONSTRAINTS = ROOT / "constraints.txt"
 PRODUCT = "usarmjx"
@@ -131,11 +128,13 @@ def write_sbom(out: Sequence[str]) -> int:
     if not out:
         sys.stdout.write(text)
         return 0
+    fresh = Path(f"{out[0]}.unfinished")
     try:
-        with write_beside(Path(out[0])) as fresh:
-            fresh.write_text(text, encoding="utf-8")
-    except WriteError as error:
-        sys.stderr.write(f"sbom: {error}\n")
+        fresh.write_text(text, encoding="utf-8")
+        fresh.replace(out[0])
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        sys.stderr.write(f"sbom: cannot write {out[0]}: {error.strerror}\n")
         return COULD_NOT_RUN
     return 0
 
