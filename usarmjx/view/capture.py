@@ -12,12 +12,14 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.cameras.light import point_lights
-from usarmjx.cameras.mounts import Camera, cameras_of
+from usarmjx.cameras.mounts import Camera, cameras_of, headlight_of
 from usarmjx.cameras.paint import ARENA_LABEL, FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
+from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import OPAQUE
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.sketch import OverlayLines
@@ -107,6 +109,7 @@ class Capture:
             ),
             lamps=np.asarray(lamps.pos),
             lamp_rgb=np.asarray(lamps.rgb),
+            cutoff=(scene.radio or RadioSettings()).cutoff,
         )
 
     def frame(self, world: World, physics: PhysicsState) -> Frame:
@@ -146,8 +149,8 @@ class Capture:
         """Yield what is no robot's, in the order of `_arena_poses`, in the axes of each body."""
         scene, fixed = self._scene, self._fixed(world)
         for label, name in FIXED_BODIES.items():
-            if (fixed.label == label).any():
-                yield name, _picked(fixed, fixed.label == label)
+            if (np.asarray(fixed.label) == label).any():
+                yield name, _picked(fixed, np.asarray(fixed.label) == label)
         if scene.arena.waters:
             yield "water", visible_water(scene)
         moving = self._moving(world)
@@ -272,6 +275,7 @@ def _drawn_robot(group: RobotGroup, slot: int, name: str, body: int) -> DrawnRob
         cameras=tuple(_drawn_camera(camera, body) for camera in cameras_of(robot)),
         battery_life=robot.battery_life,
         drive_keys=tuple(robot.drive.full_scale),
+        headlight=_drawn_headlight(robot, body),
     )
 
 
@@ -297,6 +301,21 @@ def _drawn_camera(camera: Camera, body: int) -> DrawnMount:
         pos=camera.pos[None],
         mat=camera.mat[None],
         settings=({"fov": camera.default_fov, "lens": camera.lens},),
+    )
+
+
+def _drawn_headlight(robot: RobotSpec, body: int) -> DrawnMount:
+    light = headlight_of(robot)
+    ahead = light.direction
+    left = np.cross(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
+    left /= np.linalg.norm(left)
+    return DrawnMount(
+        kind="Headlight",
+        names=("Headlight",),
+        body=np.array([body + light.body]),
+        pos=light.pos[None],
+        mat=np.column_stack([ahead, left, np.cross(ahead, left)])[None],
+        settings=({},),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.sensors.sketch import OverlayLines
 
@@ -98,6 +99,7 @@ class DrawnRobot:
         cameras: Its cameras, one mount each.
         battery_life: How long its battery lasts when full [s].
         drive_keys: Keys of DRIVE that it has.
+        headlight: Its headlight, which shines along x; None: it has none.
     """
 
     slot: int
@@ -111,6 +113,7 @@ class DrawnRobot:
     cameras: tuple[DrawnMount, ...]
     battery_life: float
     drive_keys: tuple[str, ...] = ()
+    headlight: DrawnMount | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +139,7 @@ class Drawing:
         tags: The arena's RFID tags.
         lamps: Positions of the arena's lamps [m] (lamps, 3); with none the sun shines.
         lamp_rgb: Their brightness, 1 a metre away being white (lamps, 3).
+        cutoff: Power from which on radio links hold [dBm].
     """
 
     arena: str
@@ -148,6 +152,7 @@ class Drawing:
     tags: tuple[DrawnTag, ...]
     lamps: np.ndarray
     lamp_rgb: np.ndarray
+    cutoff: float = RadioSettings().cutoff
 
 
 @dataclass(frozen=True, eq=False)
