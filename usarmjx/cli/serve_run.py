@@ -160,13 +160,15 @@ class PageChoice:
     def prepare(self, host: str, rules: "AccessRules") -> Callable[["ServedWorld", Sockets], "Service"]:
         """Return what makes the page of a world."""
         from usarmjx.server.host_names import check_names
+        from usarmjx.server.log_tail import keep_log
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 
         settings = SpectatorSettings(host, access=rules, names=check_names(self.names))
+        tail = keep_log()
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--spectator-port"]
-            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound)
+            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound, tail)
 
         return make
 

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import socket
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.watchers import DISTANCE, EYE, SIDE, classes, gallery, shows
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.cli.app import app
+from usarmjx.server.access import AccessRules
+from usarmjx.server.console import NOT_ALLOWED
 from usarmjx.server.pictures.spectator import (
     CHASE_ABOVE,
     CHASE_BEHIND,
@@ -26,8 +29,9 @@ from usarmjx.server.pictures.spectator import (
     MAX_MOVE,
     STEEPEST,
     Spectator,
+    start_position,
 )
-from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+from usarmjx.server.pictures.spectator_server import Page, SpectatorServer, SpectatorSettings
 from usarmjx.server.protocol.multi_view import MultiView
 
 SIZE = (96, 72)
@@ -230,6 +234,45 @@ def test_a_browser_gets_the_page_and_the_page_its_pictures(world):
             assert later["caption"] == "Eye, Cyclops: over it"
             assert later["time"] > caption["time"]
         robot.close()
+
+
+def tell(socket, line):
+    """What the console answers."""
+    socket.send(json.dumps({"console": line}))
+    return json.loads(socket.recv(timeout=PATIENCE))["console"]
+
+
+def test_the_pages_console_edits_robots_and_says_where_the_camera_is(world):
+    with watched(world) as (port, page):
+        robot = Peer(port, "INIT {ClassName USARBot.Cyclops} {Name Eye} {Start S0}")
+        robot.until(b"STA")
+        with connect(f"ws://127.0.0.1:{page}/view") as socket:
+            for _ in range(3):
+                look(socket)
+            x, y, z = start_position(world.arena)
+            camera, shown, *_ = tell(socket, "showdebug").splitlines()
+            assert camera.startswith(f"camera: {{Location {x:.2f},{-y:.2f},{-z:.2f}}}")
+            assert float(re.fullmatch(r"free view, ([0-9.]+) pictures a second", shown)[1]) > 0
+            assert "Eye (Cyclops)" in tell(socket, "editactor class=Cyclops")
+            assert "msgTimer=0.5" in tell(socket, "editactor name=Eye msgTimer=0.5")
+            robot.until(b"STA")
+            times = [robot.sta_times(1)[0] for _ in range(3)]
+            assert np.diff(times) == pytest.approx([0.5, 0.5], abs=0.03)
+            assert "nothing here can make this world stand still" in tell(socket, "pause")
+            look(socket, click="left")
+            assert "Eye, Cyclops" in tell(socket, "showdebug")
+        robot.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "token", "may"),
+    [("192.0.2.1", "", False), ("192.0.2.1", "secret", True), ("::ffff:127.0.0.1", "", True)],
+)
+def test_the_console_of_a_page_is_for_this_machine_or_those_with_the_token(world, address, token, may):
+    service = SpectatorServer(world, SpectatorSettings(port=0, size=SIZE, access=AccessRules(token=token)))
+    page = Page(SimpleNamespace(remote_address=(address, 1)), Spectator(world, SIZE))
+    told = service._console(page).run("editactor")
+    assert told.startswith("say which one") if may else told == f"editactor: {NOT_ALLOWED}"
 
 
 def test_pages_from_elsewhere_and_too_many_are_turned_away(world):

@@ -140,6 +140,14 @@ class Spectator:
             return robot_view(robot, "", self.size)
         return self._from(self._chase_viewpoint(robot))
 
+    def eye(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return from where it looks: position [m] (3,) and orientation (3, 3); None: from several places."""
+        tiles = self.view().tiles
+        if len(tiles) != 1:
+            return None
+        viewpoint = self.world.viewpoint(tiles[0][0])
+        return np.asarray(viewpoint.pos), np.asarray(viewpoint.mat)
+
     def caption(self) -> str:
         """Return what it is, in words."""
         robot = self._attached()

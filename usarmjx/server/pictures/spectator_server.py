@@ -7,20 +7,24 @@ import logging
 import math
 import socket
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.access import EVERYBODY, AccessRules, parse_address
+from usarmjx.server.console import SpectatorConsole, WatchingCamera
 from usarmjx.server.gate import Gate
 from usarmjx.server.host_names import for_own_names
+from usarmjx.server.log_tail import LogTail
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
@@ -29,11 +33,16 @@ from usarmjx.server.protocol.images import jpeg
 from usarmjx.server.web_gate import asking_token, gated_connection
 from usarmjx.server.worlds.served_world import ServedWorld
 
+if TYPE_CHECKING:
+    from usarmjx.view.controls import WorldControls
+
 log = logging.getLogger(__name__)
 
 PAGE = Path(__file__).with_name("spectator.html")
 MAX_MESSAGE_SIZE = 1024
 """Longest message of a page [bytes]."""
+MANY_PICTURES = 20
+"""How many a second there are is told of the last so many."""
 FORMAT = 2
 """Type of the pictures, see `images.FORMATS`: good."""
 
@@ -73,6 +82,7 @@ class Page:
         ready: Whether it waits for a picture.
         due: When it gets the next one at the earliest [s].
         idle_since: Since when it has asked for nothing [s]; infinite while it waits for a picture.
+        shown: When it got the last pictures [s].
     """
 
     socket: ServerConnection
@@ -80,6 +90,16 @@ class Page:
     ready: bool = False
     due: float = field(default_factory=time.monotonic)
     idle_since: float = field(default_factory=time.monotonic)
+    shown: deque[float] = field(default_factory=lambda: deque(maxlen=MANY_PICTURES))
+
+    def camera(self) -> WatchingCamera | None:
+        """Return from where it looks now; None: from several places."""
+        eye = self.spectator.eye()
+        if eye is None:
+            return None
+        spent = self.shown[-1] - self.shown[0] if self.shown else 0.0
+        rate = (len(self.shown) - 1) / spent if spent else 0.0
+        return WatchingCamera(*eye, rate, self.spectator.caption())
 
 
 class SpectatorServer:
@@ -89,15 +109,24 @@ class SpectatorServer:
         world: The served world.
         settings: How to show it.
         bound: A socket that is bound to the port already.
+        tail: The log, for the console; None: it is not kept.
 
     Attributes:
         port: The port in use, once started.
+        controls: What pauses the world; None: nothing does.
+        number: The world's number among those of `controls`.
     """
 
     def __init__(
-        self, world: ServedWorld, settings: SpectatorSettings, bound: socket.socket | None = None
+        self,
+        world: ServedWorld,
+        settings: SpectatorSettings,
+        bound: socket.socket | None = None,
+        tail: LogTail | None = None,
     ) -> None:
-        self._world, self._settings, self._bound = world, settings, bound
+        self._world, self._settings, self._bound, self._tail = world, settings, bound, tail
+        self.controls: WorldControls | None = None
+        self.number = 0
         self._pages: list[Page] = []
         self._gate = Gate(settings.access, settings.max_connections, "pages")
         self._render_thread = RenderThread(world)
@@ -166,6 +195,19 @@ class SpectatorServer:
                 await page.socket.send(json.dumps({"caption": captions[page], "time": shown}))
                 await page.socket.send(picture)
                 page.idle_since = time.monotonic()
+                page.shown.append(page.idle_since)
+
+    def _console(self, page: Page) -> SpectatorConsole:
+        """Return the console of a page: all of it on this machine, or where a token had to be said."""
+        return SpectatorConsole(
+            self._world,
+            self.controls,
+            number=self.number,
+            camera=page.camera,
+            tail=self._tail,
+            trusted=bool(self._settings.access.token)
+            or parse_address(page.socket.remote_address[0]).is_loopback,
+        )
 
     async def _accept(self, socket: ServerConnection) -> None:
         if len(self._pages) >= self._settings.max_connections:
@@ -180,6 +222,8 @@ class SpectatorServer:
                 page.ready |= isinstance(message, dict) and bool(message.get("ready"))
                 page.idle_since = math.inf if page.ready else max(page.idle_since, time.monotonic())
                 page.spectator.handle_message(message)
+                if isinstance(message, dict) and isinstance(line := message.get("console"), str):
+                    await socket.send(json.dumps({"console": self._console(page).run(line)}))
                 await self._stepped.wait()  # a message per control step: no page may keep the world from it
         except ConnectionClosed:
             pass
@@ -207,4 +251,6 @@ def _answer(connection: ServerConnection, request: Request) -> Response | None:
     host = request.headers.get_all("Host")
     if any([origin.partition("://")[2]] != host for origin in request.headers.get_all("Origin")):
         return connection.respond(HTTPStatus.FORBIDDEN, "this page is from elsewhere\n")
+    if "websocket" not in ",".join(request.headers.get_all("Upgrade")).lower():
+        return connection.respond(HTTPStatus.UPGRADE_REQUIRED, "/view is for websockets\n")
     return None
