@@ -1,25 +1,48 @@
 """The live page: worlds in three dimensions in a browser, by viser."""
 
+import logging
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
 import viser
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.view.drawing import Drawing, Frame, FrameSource
+from usarmjx.view.framing import FOV, WALL_HEIGHT, CameraPose, framed
+from usarmjx.view.layers import LAYERS
+from usarmjx.view.layers.base import Layer
+from usarmjx.view.page_parts import LayerSwitches, ViewButtons, WorldChoice
 from usarmjx.view.panel import Panel
+from usarmjx.view.stage import Cell, Stage, in_rows
+from usarmjx.view.viewpoint import Onlooker, move_camera, robot_on_ray
+from usarmjx.view.viser_server import make_viser_server
 
 if TYPE_CHECKING:
     from usarmjx.view.controls import WorldControls
 
+log = logging.getLogger(__name__)
+
 UPDATE_PERIOD = 1 / 20
 """The page is brought up to date so often at most [s]."""
+MAX_WALL = 16
+"""So many worlds stand side by side at most."""
+WORLDS_AT_ONCE = 4
+"""Of worlds side by side so many are looked at in an update, in turn, beside the one that is chosen."""
+OVER_PATH = "/over"
+"""What the layers draw is below this node, which stands where the chosen world does."""
 PanelMaker: TypeAlias = Callable[["ViewerPage"], Panel]
 """Makes a panel of a page."""
 
 
 class ViewerPage:
     """A page that shows worlds as they are; several people may look at it at once.
+
+    Which world it shows and what is switched on is the same for all; each has a viewpoint of their own.
+    All methods but the constructor are for the thread that runs the worlds. What people do at the page comes
+    in threads of viser's and waits in `post` for the next update.
 
     Args:
         source: Where drawings and frames come from.
@@ -35,9 +58,12 @@ class ViewerPage:
         source: Where drawings and frames come from.
         controls: What may be done to the worlds.
         world: The world that is looked at.
+        wall: Whether others stand beside it.
         drawing: Its drawing.
         frame: Its last frame.
         robot: Slot of the robot that was chosen last, by whom ever.
+        onlookers: Who is there, by viser's numbers of clients.
+        layers: What is drawn over the world, by name.
     """
 
     def __init__(
@@ -51,13 +77,30 @@ class ViewerPage:
         panels: Sequence[PanelMaker] = (),
         server: viser.ViserServer | None = None,
     ) -> None:
-        self.server = server or viser.ViserServer(host, port, label=title or None, verbose=False)
-        self.source, self.controls, self.world = source, controls, 0
+        self.server = server or make_viser_server(host, port)
+        self.source, self.controls, self.world, self.wall = source, controls, 0, False
         self.robot: int | None = None
+        self.onlookers: dict[int, Onlooker] = {}
+        self.layers: dict[str, Layer] = {name: make() for name, make in LAYERS}
+        self._posted: deque[Callable[[], None]] = deque()
+        self._next_update, self._turn = 0.0, 0
+        self._frames: list[Frame] = []
+        self._over = self.server.scene.add_frame(OVER_PATH, show_axes=False)
+        self._stage = Stage(self.server.scene)
         self.drawing: Drawing = source.drawing(self.world)
         self.frame: Frame = source.frame(self.world)
+        self.server.gui.set_panel_label(title or None)
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        self._worlds = WorldChoice(self)
+        self._buttons = ViewButtons(self)
         self.panels = [make(self) for make in panels]
-        self._next_update = 0.0
+        self._switches = LayerSwitches(self)
+        with numpy_backend():
+            self._begin(self._drawings())
+        self.server.on_client_connect(self._greet)
+        self.server.on_client_disconnect(self._part)
+        self.server.scene.on_click()(self._clicked)
+        self.server.scene.on_click(modifier="shift")(self._freed)
 
     def update(self) -> None:
         """Show the worlds as they are; does nothing sooner than `UPDATE_PERIOD` after the last time."""
@@ -65,10 +108,151 @@ class ViewerPage:
         if now < self._next_update:
             return
         self._next_update = now + UPDATE_PERIOD
-        self.drawing, self.frame = self.source.drawing(self.world), self.source.frame(self.world)
-        for panel in self.panels:
-            panel.update(self.drawing, self.frame)
+        if self.server.get_clients() or self._posted:
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Show the worlds as they are, at once."""
+        with numpy_backend(), self.server.atomic():
+            while self._posted:
+                self._guarded(self._posted.popleft())
+            drawings = self._drawings()
+            shown = [cell.drawing for cell in self._stage.cells]
+            if len(drawings) != len(shown) or any(a is not b for a, b in zip(drawings, shown, strict=True)):
+                self._begin(drawings)
+            self._take_frames()
+            self._stage.update(self._frames)
+            for layer in self._switches.on:
+                self._guarded(lambda layer=layer: layer.update(self.drawing, self.frame))
+            for panel in self.panels:
+                self._guarded(lambda panel=panel: panel.update(self.drawing, self.frame))
+        self._buttons.update()
+        for onlooker in list(self.onlookers.values()):
+            self._guarded(
+                lambda onlooker=onlooker: onlooker.update(self.drawing, self.frame, self._cell.offset)
+            )
 
     def close(self) -> None:
         """Hang up on everybody and free the port."""
         self.server.stop()
+
+    def post(self, action: Callable[[], None]) -> None:
+        """Let something be done at the next update; for all threads."""
+        self._posted.append(action)
+
+    def choose_world(self, world: int, wall: bool = False) -> None:
+        """Look at another world, or at several side by side of which it is the chosen one."""
+        self.world, self.wall = world, wall
+        self._begin(self._drawings())
+        pose = self.first_pose()
+        for onlooker in list(self.onlookers.values()):
+            onlooker.free()
+            move_camera(onlooker.client, self._pose_for(onlooker.client, pose))
+
+    def choose_robot(self, client: int, robot: int | None) -> None:
+        """Let somebody look at a robot, or at none."""
+        onlooker = self.onlookers.get(client)
+        if onlooker is None:
+            return
+        if robot is None:
+            onlooker.free()
+        else:
+            onlooker.attach(robot)
+            self.robot = robot
+
+    def first_pose(self, aspect: float = 1.6) -> CameraPose:
+        """Return from where all that is shown fills a picture of some aspect."""
+        lows, highs = [], []
+        for cell in self._stage.cells:
+            (west, east), (south, north) = cell.drawing.extent
+            floor = cell.drawing.floor
+            lows.append(np.array([west, south, floor]) + cell.offset)
+            highs.append(np.array([east, north, floor + WALL_HEIGHT]) + cell.offset)
+        return framed(np.min(lows, axis=0), np.max(highs, axis=0), aspect)
+
+    @property
+    def _cell(self) -> Cell:
+        """Where the chosen world stands."""
+        return self._stage.cells[self._numbers().index(self.world)]
+
+    def _numbers(self) -> list[int]:
+        """Return which worlds stand on the stage."""
+        if not self.wall:
+            return [self.world]
+        first = self.world // MAX_WALL * MAX_WALL
+        return list(range(first, min(first + MAX_WALL, self.source.num_worlds)))
+
+    def _drawings(self) -> list[Drawing]:
+        return [self.source.drawing(number) for number in self._numbers()]
+
+    def _begin(self, drawings: Sequence[Drawing]) -> None:
+        """Show other drawings."""
+        numbers = self._numbers()
+        offsets = in_rows(drawings) if self.wall else [np.zeros(3)]
+        self._stage.begin([Cell(*pair) for pair in zip(drawings, offsets, strict=True)])
+        self._frames = [self.source.frame(number) for number in numbers]
+        self.drawing, self.frame = self._cell.drawing, self._frames[numbers.index(self.world)]
+        self._stage.update(self._frames)
+        if self.robot not in self.drawing.robots:
+            self.robot = None
+        self._over.position = self._cell.offset
+        for layer in self.layers.values():
+            self._guarded(lambda layer=layer: layer.begin(self.server.scene, self.drawing, OVER_PATH))
+        for panel in self.panels:
+            self._guarded(lambda panel=panel: panel.begin(self.drawing))
+        camera, pose = self.server.initial_camera, self.first_pose()
+        camera.position, camera.look_at, camera.fov = pose.pos, pose.look_at, FOV
+
+    def _take_frames(self) -> None:
+        """Look at the chosen world, and at some of those beside it."""
+        numbers = self._numbers()
+        chosen = numbers.index(self.world)
+        others = [n for n in range(len(numbers)) if n != chosen]
+        now = (
+            {others[(self._turn + n) % len(others)] for n in range(WORLDS_AT_ONCE)} if others else set[int]()
+        )
+        self._turn += WORLDS_AT_ONCE
+        for n in {chosen, *now}:
+            self._frames[n] = self.source.frame(numbers[n])
+        self.frame = self._frames[chosen]
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Do something that must not stop the world if it fails."""
+        try:
+            action()
+        except Exception:
+            log.exception("a part of the page could not be brought up to date")
+
+    def _greet(self, client: viser.ClientHandle) -> None:
+        def join() -> None:
+            self.onlookers[client.client_id] = Onlooker(client)
+            if client.camera.aspect < 1.0:  # a phone
+                move_camera(client, self._pose_for(client, self.first_pose()))
+
+        self.post(join)
+
+    def _part(self, client: viser.ClientHandle) -> None:
+        self.post(lambda: self.onlookers.pop(client.client_id, None) and None)
+
+    def _pose_for(self, client: viser.ClientHandle, pose: CameraPose) -> CameraPose:
+        return pose if client.camera.aspect > 1.6 else self.first_pose(client.camera.aspect)
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        """Attach the view to the robot under the pointer, or to the next one."""
+
+        def attach() -> None:
+            onlooker = self.onlookers.get(event.client_id)
+            if onlooker is None:
+                return
+            start = np.array(event.ray_origin) - self._cell.offset
+            robot = robot_on_ray(self.drawing, self.frame, start, np.array(event.ray_direction))
+            if robot is None:
+                onlooker.attach_next(self.drawing, self.frame)
+            else:
+                onlooker.attach(robot)
+            self.robot = onlooker.robot
+
+        self.post(attach)
+
+    def _freed(self, event: viser.SceneClickEvent) -> None:
+        self.post(lambda: self.choose_robot(event.client_id, None))

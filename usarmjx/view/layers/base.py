@@ -1,4 +1,4 @@
-"""What can be switched on and off in the page: one class for each kind of thing that is drawn over a world."""
+"""What can be switched on and off in the page: a class for each kind of thing that is drawn over a world."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar

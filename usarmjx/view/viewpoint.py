@@ -1,0 +1,173 @@
+"""From where each person at the page looks: freely, over a robot, or through its camera (manual 5.1)."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
+from usarmjx.view.framing import FOV, UP, CameraPose
+
+CHASE_BEHIND, CHASE_ABOVE = (0.6, 2.0), (0.4, 1.2)
+"""Over a robot one is so far behind and above it: [m], and lengths of the robot (chosen)."""
+LOOK_AHEAD = 1.0
+"""Through a camera one looks at what is so far ahead [m]: about that point the mouse turns the picture."""
+PICK_MARGIN = 0.15
+"""A click so far beside a robot still means it [m]."""
+
+
+class ViewMode(Enum):
+    """How a view follows a robot; the value is what the page calls it."""
+
+    FREE = "Free"
+    OVER = "Over it"
+    CAMERA = "Its camera"
+
+
+@dataclass
+class Onlooker:
+    """Somebody at the page.
+
+    Attributes:
+        client: Who.
+        robot: Slot of the robot that the view is attached to; None: it is free.
+        mode: How it follows the robot.
+        camera: Which of the robot's cameras it looks through.
+    """
+
+    client: viser.ClientHandle
+    robot: int | None = None
+    mode: ViewMode = ViewMode.FREE
+    camera: int = 0
+    _last_pose: CameraPose | None = field(default=None, repr=False)
+
+    def attach(self, robot: int | None) -> None:
+        """Follow a robot; as before, or at first by its camera as the viewing client did."""
+        self.robot, self.camera, self._last_pose = robot, 0, None
+        if robot is None:
+            self.mode = ViewMode.FREE
+        elif self.mode is ViewMode.FREE:
+            self.mode = ViewMode.CAMERA
+
+    def attach_next(self, drawing: Drawing, frame: Frame, step: int = 1) -> None:
+        """Follow the next robot, or the one before; after the last comes the first."""
+        slots = sorted(drawing.robots.keys() & frame.robots.keys())
+        if not slots:
+            self.attach(None)
+        elif self.robot in slots:
+            self.attach(slots[(slots.index(self.robot) + step) % len(slots)])
+        else:
+            self.attach(slots[0 if step > 0 else -1])
+
+    def toggle(self) -> None:
+        """Change between a robot's camera and the view over it."""
+        if self.robot is not None:
+            self.mode = ViewMode.OVER if self.mode is ViewMode.CAMERA else ViewMode.CAMERA
+            self._last_pose = None
+
+    def update(self, drawing: Drawing, frame: Frame, offset: np.ndarray) -> None:
+        """Move the view with the robot.
+
+        Args:
+            drawing: The world that it is in.
+            frame: Where all is.
+            offset: How far that world is moved aside [m] (3,).
+        """
+        if self.robot is None:
+            return
+        if self.robot not in drawing.robots or self.robot not in frame.robots:
+            self.attach(None)
+            self._set_fov(FOV)
+            return
+        robot = drawing.robots[self.robot]
+        if self.mode is ViewMode.CAMERA and robot.cameras:
+            self.camera %= len(robot.cameras)
+            self._move(camera_pose(robot, frame, self.camera), offset)
+            self._set_fov(float(frame.robots[self.robot].fovs[self.camera]))
+        else:
+            self._move(chase_pose(robot, frame), offset)
+            self._set_fov(FOV)
+
+    def free(self) -> None:
+        """Let go of the robot, and look on from where one is."""
+        self.attach(None)
+        self._set_fov(FOV)
+
+    def _move(self, pose: CameraPose, offset: np.ndarray) -> None:
+        last = self._last_pose
+        moved = last is None or any(
+            not np.allclose(one, other, atol=1e-4)
+            for one, other in ((pose.pos, last.pos), (pose.look_at, last.look_at), (pose.up, last.up))
+        )
+        if not moved:
+            return
+        self._last_pose = pose
+        move_camera(self.client, CameraPose(pose.pos + offset, pose.look_at + offset, pose.up))
+
+    def _set_fov(self, fov: float) -> None:
+        if abs(self.client.camera.fov - fov) > 1e-3:
+            self.client.camera.fov = fov
+
+
+def move_camera(client: viser.ClientHandle, pose: CameraPose) -> None:
+    """Let somebody look from elsewhere, at once."""
+    with client.atomic():
+        client.camera.up_direction = pose.up
+        client.camera.position = pose.pos
+        client.camera.look_at = pose.look_at
+
+
+def camera_pose(robot: DrawnRobot, frame: Frame, camera: int) -> CameraPose:
+    """Return from where a robot's camera looks now."""
+    mount = robot.cameras[camera]
+    body = int(mount.body[0])
+    turn = _turn(frame, body)
+    pos, mat = frame.pos[body] + turn @ mount.pos[0], turn @ mount.mat[0]
+    return CameraPose(pos, pos + LOOK_AHEAD * mat[:, 0], mat[:, 2])
+
+
+def chase_pose(robot: DrawnRobot, frame: Frame) -> CameraPose:
+    """Return from where one looks over a robot: from behind and above, whichever way it leans."""
+    pos = frame.pos[robot.body]
+    ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
+    length = float(robot.dimensions[0])
+    norm = float(np.linalg.norm(ahead))
+    ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
+    behind, above = (fixed + share * length for fixed, share in (CHASE_BEHIND, CHASE_ABOVE))
+    return CameraPose(pos - behind * ahead + above * UP, pos + 0.5 * length * ahead, UP)
+
+
+def robot_on_ray(drawing: Drawing, frame: Frame, start: np.ndarray, ray: np.ndarray) -> int | None:
+    """Return the slot of the nearest robot that a ray meets; None if it meets none.
+
+    Args:
+        drawing: The robots' sizes.
+        frame: Where they are.
+        start: Where the ray begins [m] (3,).
+        ray: Where it goes; of unit length (3,).
+    """
+    met: list[tuple[float, int]] = []
+    for slot, robot in drawing.robots.items():
+        if slot not in frame.robots:
+            continue
+        turn = _turn(frame, robot.body)
+        half = robot.dimensions / 2 + PICK_MARGIN
+        middle = frame.pos[robot.body] + turn[:, 2] * robot.dimensions[2] / 4
+        distance = _box_distance((start - middle) @ turn, ray @ turn, half)
+        if distance is not None:
+            met.append((distance, slot))
+    return min(met)[1] if met else None
+
+
+def _box_distance(start: np.ndarray, ray: np.ndarray, half: np.ndarray) -> float | None:
+    """Return how far along a ray a box about the origin begins [m]; None if the ray misses it."""
+    ray = np.where(np.abs(ray) < 1e-9, 1e-9, ray)
+    sides = np.sort([(-half - start) / ray, (half - start) / ray], axis=0)
+    enters, leaves = sides[0].max(), sides[1].min()
+    return max(float(enters), 0.0) if leaves >= max(float(enters), 0.0) else None
+
+
+def _turn(frame: Frame, body: int) -> np.ndarray:
+    return Rotation.from_quat(frame.quat[body], scalar_first=True).as_matrix()
