@@ -13,7 +13,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c import buffer_warnings, move_geoms
 from usarmjx.engines.c_rays import CRayCaster
-from usarmjx.engines.faults import PutBack, step_and_recover
+from usarmjx.engines.faults import PutBack, put_all_back, step_and_recover
 from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.moved import MovedGeoms
@@ -105,6 +105,10 @@ class CWorld:
         before, floor = buffer_warnings(self.data), self._arena.floor
         put_back = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
         return buffer_warnings(self.data) - before, put_back
+
+    def put_all_back(self, robots: Mapping[int, RobotIndex], homes: Mapping[int, Array]) -> None:
+        """Put robots back to their homes, see `advance`, and all else that moves where the model has it."""
+        put_all_back(self.model, self.data, robots, homes, self._arena.floor)
 
     def pose(self, index: RobotIndex) -> np.ndarray:
         """Return where a robot is: position [m] and orientation (7,)."""

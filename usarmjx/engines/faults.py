@@ -119,6 +119,19 @@ def step_and_recover(
     return recovery.report(gone)
 
 
+def put_all_back(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    indices: Mapping[int, RobotIndex],
+    homes: Mapping[int, Array],
+    floor: float,
+) -> None:
+    """Put robots, loose objects and doors where they belong, at rest; arguments are `step_and_recover`'s."""
+    recovery = _Recovery(model, data, indices, {})
+    recovery.put_back(set(range(model.ntree)), homes, floor)
+    mujoco.mj_kinematics(model, data)
+
+
 class _Recovery:
     """Kinematic trees of a world: what is in which, which are bad, which touch."""
 

@@ -82,6 +82,28 @@ def reset(
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=xp.zeros(scene.model.nv), act=xp.zeros(scene.model.na))
+    return _with_new_robots(scene, world, physics), qpos
+
+
+def restarted(scene: Scene, world: World, physics: PhysicsState) -> World:
+    """Return a world at the start of its next episode in the same arena, its robots where they are.
+
+    Args:
+        scene: The scene.
+        world: The world as it was; its key, number and faults live on.
+        physics: Where everything is.
+    """
+    world = world.replace(
+        episode=world.episode + 1,
+        step=xp.zeros((), xp.int32),
+        tags=no_dropped_tags(),
+        links=None if scene.radio is None else no_links(scene.num_robots),
+    )
+    return _with_new_robots(scene, world, physics)
+
+
+def _with_new_robots(scene: Scene, world: World, physics: PhysicsState) -> World:
+    """Return a world whose robots have not been told anything yet and whose sensors start now."""
     groups: list[GroupState] = []
     for group in scene.groups:
         active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
@@ -91,7 +113,7 @@ def reset(
         started(scene, world, physics, group, state)
         for group, state in zip(scene.groups, world.groups, strict=True)
     ]
-    return world.replace(groups=tuple(groups)), qpos
+    return world.replace(groups=tuple(groups))
 
 
 def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: Array) -> GroupState:

@@ -6,10 +6,10 @@ that seed.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, wraps
-from typing import Any, ParamSpec, TypeVar
+from functools import cached_property
+from typing import Any
 
 import jax
 import mujoco
@@ -39,7 +39,7 @@ from usarmjx.sim.control import idle_command
 from usarmjx.sim.looks import looks_of
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
 from usarmjx.sim.radio import update_links
-from usarmjx.sim.reset import new_group_state, started
+from usarmjx.sim.reset import new_group_state, restarted, started
 from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
 from usarmjx.sim.scene import RosterEntry, Scene, parking_position
 from usarmjx.sim.site import moved_geom_poses
@@ -64,21 +64,6 @@ STEPS_AHEAD = 10
 """For so many control steps it is worked out at once where what moves by itself will be."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
-
-
-Params = ParamSpec("Params")
-T = TypeVar("T")
-
-
-def on_numpy(method: Callable[Params, T]) -> Callable[Params, T]:
-    """Let a method run its pure functions on NumPy."""
-
-    @wraps(method)
-    def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
-        with numpy_backend():
-            return method(*args, **kwargs)
-
-    return run
 
 
 class SingleWorld:
@@ -187,7 +172,7 @@ class SingleWorld:
         where = ",".join(f"{value:.2f}" for value in poses[0][0])
         raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
 
-    @on_numpy
+    @numpy_backend()
     def _started(self, group: RobotGroup) -> GroupState:
         """Return the state of the one robot of a group whose sensors start now, as they do at a reset."""
         since = np.full(1, time_of(self.scene, self.world), np.float32)
@@ -232,7 +217,7 @@ class SingleWorld:
 
     # What happens in a tick
 
-    @on_numpy
+    @numpy_backend()
     def step(self) -> PutBack:
         """Advance by one control step under the commands in force.
 
@@ -268,7 +253,7 @@ class SingleWorld:
     def _height(self, index: RobotIndex) -> float:
         return float(self.engine.data.qpos[index.root_qposadr + 2])
 
-    @on_numpy
+    @numpy_backend()
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
         """Read the sensors that are due of some robots; by slot and sensor."""
         scene, members = self._part(frozenset(slots))
@@ -335,7 +320,7 @@ class SingleWorld:
         group, member = self.scene.group_of(slot)
         self._replace(group, member, **fields)
 
-    @on_numpy
+    @numpy_backend()
     def sensor_input(self, slot: int) -> SensorInput:
         """Return what a robot senses of itself, no rays cast."""
         scene, _ = self._part(frozenset([slot]))
@@ -343,7 +328,7 @@ class SingleWorld:
         own = {name: _row(getattr(inputs, name), 0) for name in ("state", "bodies", "hits")}
         return inputs.replace(**own)
 
-    @on_numpy
+    @numpy_backend()
     def operate(self, slot: int, effecter: int, opcode: Opcode, value: float) -> OperationResult:
         """Let a robot operate one of its effecters, by index."""
         group, member = self.scene.group_of(slot)
@@ -364,7 +349,19 @@ class SingleWorld:
 
     # All of it
 
-    @on_numpy
+    @numpy_backend()
+    def reset(self) -> None:
+        """Begin the next episode: robots, loose objects and doors back where they began, and time at 0.
+
+        Robots have forgotten what they were told, and their batteries are full. Where two appeared at one
+        place, the second is put next to it.
+        """
+        indices = self._indices()
+        self.engine.put_all_back(indices, self._homes)
+        self.world = restarted(self.scene, self.world, self.physics)
+        self._tops = {slot: self._height(index) for slot, index in indices.items()}
+
+    @numpy_backend()
     def links(self) -> Links:
         """Return the radio links, evaluated at most once in a control step, or radio `period`.
 
@@ -375,7 +372,7 @@ class SingleWorld:
         self.world = self.world.replace(links=links)
         return links
 
-    @on_numpy
+    @numpy_backend()
     def sight(self) -> CSight:
         """Return what casts cameras' rays at the world as it is now, whatever becomes of it."""
         self.engine.move(self._moved())
@@ -383,7 +380,7 @@ class SingleWorld:
             self._looks = self.scene, looks_of(self.scene)
         return CSight(self.engine.model, self.engine.data, self._looks[1])
 
-    @on_numpy
+    @numpy_backend()
     def render_scene(self) -> RenderScene:
         """Return all that cameras see; NumPy's arrays."""
         return build_render_scene(self.scene, self.world, self.physics)[0]

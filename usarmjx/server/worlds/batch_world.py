@@ -94,6 +94,7 @@ class BatchWorld(ServedWorld):
         self.arena = self._batch.arena_of(self._state, instance)
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
         self._steps, self._episode = self._shared.steps, int(self._state.worlds.episode[instance])
+        self._homes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._shared.served.append(self)
         if not self._steps:
             self._advance()
@@ -158,7 +159,7 @@ class BatchWorld(ServedWorld):
         raise UsageError(f"no parked {robot.name} left in the roster: add more of them to --roster")
 
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        lifted = self.floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
+        lifted = floor_correction(name, pos[2] - kinematic_tree_of(robot).clearance, self.arena.floor)
         command = jax.tree.map(np.array, idle_command(robot))
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         self._start(new, np.array((pos[0], pos[1], pos[2] + lifted)), quat_from_angles(*angles))
@@ -167,6 +168,7 @@ class BatchWorld(ServedWorld):
     def _start(self, robot: Robot, pos: np.ndarray, quat: np.ndarray) -> None:
         """Put a robot there whose slot is free, as new."""
         self._set_pose(robot.slot, pos, quat)
+        self._homes[robot.slot] = pos, quat
         number, member = self.scene.group_of(robot.slot)
         group = self.scene.groups[number].part(np.array([member]))
         world, physics = self.one_world()
@@ -262,6 +264,26 @@ class BatchWorld(ServedWorld):
         """Forget a robot that has gone without its client."""
         del self.robots[robot.slot]
 
+    def prepare_reset(self) -> None:
+        """Compile what `reset` needs; may run in a thread."""
+        nowhere = jnp.zeros(self._batch.worlds, bool)
+        jax.block_until_ready(self._batch.reset_where(self._state, nowhere).worlds)
+
+    def reset(self) -> None:
+        """Begin this world's next episode; clients' robots go back to where they appeared."""
+        here = np.arange(self._batch.worlds) == self._instance
+        self._state = self._batch.reset_where(self._state, jnp.asarray(here))
+        self._episode = int(self._state.worlds.episode[self._instance])
+        self.arena = self._batch.arena_of(self._state, self._instance)
+        for robot in self.robots.values():
+            self._begin_again(robot)
+        self.forget()
+
+    def _begin_again(self, robot: Robot) -> None:
+        """Bring a client's robot into a world that has just been reset."""
+        robot.begin_again(robot.command)
+        self._start(robot, *self._homes[robot.slot])
+
     def observe(self, due: list[Robot]) -> None:
         """Read all sensors of the batch that are due; keep what the clients of its worlds will want."""
         del due  # one compiled function reads everybody
@@ -310,3 +332,11 @@ class BatchWorld(ServedWorld):
         command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[group].command)
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
+
+
+def floor_correction(name: str, low: float, floor: float) -> float:
+    """Return by how much to raise a robot whose lowest point is at `low` [m], and log it."""
+    raised = max(0.0, floor - low)
+    if raised > 0:
+        log.info("%s would start %.3f m inside the floor: raised", name, raised)
+    return raised

@@ -21,13 +21,16 @@ from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.control import idle_command
+from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.redescribe import redescribe
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 from usarmjx.sim.world import World
 
 log = logging.getLogger(__name__)
+
+MAX_NAMES = 5
+"""So many names of what was put back last are kept."""
 
 
 class DynamicWorld(ServedWorld):
@@ -56,6 +59,7 @@ class DynamicWorld(ServedWorld):
     ) -> None:
         scene = build_scene(arena, (), physics)
         self._single = SingleWorld(scene, seed, number, max_robots)
+        self._began = 0.0
         self.arena, self.period, self.robots = scene.arena, scene.physics.period, {}
         self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
 
@@ -67,7 +71,7 @@ class DynamicWorld(ServedWorld):
     @property
     def time(self) -> float:
         """Simulated time since the world began [s]."""
-        return self._single.time
+        return self._began + self._single.time
 
     def one_world(self) -> tuple[World, PhysicsState]:
         """Return the world and its physics as they are now."""
@@ -76,6 +80,20 @@ class DynamicWorld(ServedWorld):
     def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of the robot's state."""
         self._single.edit(robot.slot, **fields)
+
+    def set_command(self, robot: Robot, command: RobotCommand) -> None:
+        """Replace the robot's command."""
+        # The world's own time begins at 0 again when it is reset, that of its clients goes on.
+        robot.command = command
+        self.edit(robot, command=command.replace(flip_until=command.flip_until - np.float32(self._began)))
+
+    def reset(self) -> None:
+        """Put robots back to where they appeared and all else to where it began, with full batteries."""
+        self._began = self.time
+        self._single.reset()
+        for slot, robot in self.robots.items():
+            robot.begin_again(self._single.state_of(slot).command)
+        self.forget()
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
         """Add a robot to the running world; the states of the others are kept bit for bit."""
@@ -111,6 +129,7 @@ class DynamicWorld(ServedWorld):
         if put_back:
             self.mishaps.put_back += len(put_back.robots) + len(put_back.others)
             names = [self.robots[slot].name for slot in sorted(put_back.robots)]
+            self.mishaps.names = (*self.mishaps.names, *names, *put_back.others)[-MAX_NAMES:]
             log.error("the physics of %s went bad: put back", ", ".join([*names, *put_back.others]))
         for slot in put_back.robots:
             self.robots[slot].command = self._single.state_of(slot).command
@@ -128,7 +147,8 @@ class DynamicWorld(ServedWorld):
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
         outcome = self._single.operate(robot.slot, effecter, opcode, value)
-        robot.command = self._single.state_of(robot.slot).command
+        command = self._single.state_of(robot.slot).command
+        robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(outcome)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:

@@ -266,6 +266,11 @@ class PolicyWorld(BatchWorld):
         self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
         self.policy_batch.claimed[self._instance, robot.slot] = True
 
+    def _begin_again(self, robot: Robot) -> None:
+        """Leave a client's robot where the new episode has it; the task begins with the next action."""
+        robot.begin_again(jax.tree.map(np.array, idle_command(robot.spec)))
+        self.set_command(robot, robot.command)
+
     def remove(self, robot: Robot) -> None:
         """Give the robot back to the policy; it stands still until the next action."""
         if self.robots.get(robot.slot) is robot:

@@ -26,6 +26,7 @@ class Robot:
         drowned: Whether water has killed its battery.
         pending: Readings that have not been reported yet, by index in the suite.
         tile: Its tile of the MultiView, -1 without one.
+        obeys: Whose commands it takes meanwhile in place of its client's.
     """
 
     slot: int
@@ -36,6 +37,7 @@ class Robot:
     drowned: bool = False
     pending: dict[int, np.ndarray] = field(default_factory=dict)
     tile: int = -1
+    obeys: object = None
 
     def __post_init__(self) -> None:
         """Give it what its cameras start with."""
@@ -45,6 +47,12 @@ class Robot:
         self.fovs = [camera.default_fov for camera in self.cameras]
         """Field of view in force of each camera [rad]."""
         self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])
+
+    def begin_again(self, command: RobotCommand) -> None:
+        """Forget what it was told and what it has read."""
+        self.command, self.drowned = command, False
+        self.pending.clear()
+        self.__post_init__()
 
     @property
     def plan(self) -> KinematicTree:

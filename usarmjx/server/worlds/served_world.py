@@ -38,6 +38,7 @@ from usarmjx.server.messages.victims import initial_tag_texts
 from usarmjx.server.protocol.multi_view import MultiView
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.viewports import ViewBindings
+from usarmjx.server.worlds.mishaps import Mishaps
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.traces import Traces
 from usarmjx.sim.control import CommandUpdate, RobotCommand, update_command
@@ -84,19 +85,6 @@ class ViewpointRequest:
     viewpoint: Viewpoint
     width: int
     height: int
-
-
-@dataclass
-class Mishaps:
-    """What has happened to a world's physics so far.
-
-    Attributes:
-        put_back: Robots and objects that went bad and were put back.
-        resets: How often the whole world was reset for that.
-    """
-
-    put_back: int = 0
-    resets: int = 0
 
 
 def status_of(outcome: OperationResult) -> str:
@@ -200,6 +188,10 @@ class ServedWorld(ABC):
 
         return sorted(self.arena.starts, key=is_taken)
 
+    def agents(self) -> dict[str, int]:
+        """Return the names and slots of the robots that a policy drives unless somebody takes them over."""
+        return {}
+
     @abstractmethod
     def remove(self, robot: Robot) -> None:
         """Take the robot out of the world."""
@@ -212,6 +204,12 @@ class ServedWorld(ABC):
         world, _ = self.one_world()
         age = int(world.step) * self.period - float(world.groups[group].battery_start[member])
         return max(0.0, robot.spec.battery_life - age)
+
+    def forget(self) -> None:
+        """Forget what robots have left behind: traces, and texts on tags."""
+        self.traces.clear()
+        self.tag_texts.clear()
+        self.tag_texts.update(initial_tag_texts(self.arena))
 
     def free_tile(self, robot: RobotSpec) -> int:
         """Return the tile of the MultiView that a new robot of a class gets; -1 when there is none."""
@@ -268,6 +266,13 @@ class ServedWorld(ABC):
     @abstractmethod
     def step(self) -> None:
         """Advance by one control step."""
+
+    def prepare_reset(self) -> None:  # noqa: B027 - nothing to compile is fine
+        """Compile what `reset` needs; may run in a thread."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Put the world back to its start; clients keep their robots, and their time goes on."""
 
     @abstractmethod
     def observe(self, due: list[Robot]) -> None:
@@ -384,11 +389,3 @@ class ServedWorld(ABC):
             raise UsageError(
                 f"start position {pos} is out of reach: at most {MAX_COORDINATE} m from the origin"
             )
-
-    @staticmethod
-    def floor_correction(name: str, low: float, floor: float) -> float:
-        """Return by how much to raise a robot whose lowest point is at `low` [m], and log it."""
-        raised = max(0.0, floor - low)
-        if raised > 0:
-            log.info("%s would start %.3f m inside the floor: raised", name, raised)
-        return raised

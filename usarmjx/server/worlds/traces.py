@@ -73,6 +73,11 @@ class Traces:
             del self.points[1::2]
             self.stride *= 2
 
+    def clear(self) -> None:
+        """Forget all points."""
+        self.points.clear()
+        self.stride = 1
+
     def sketch(self) -> OverlayLines:
         """Return all points, to be drawn; numpy arrays."""
         positions = np.array([position for position, _ in self.points], np.float32).reshape(-1, 3)
