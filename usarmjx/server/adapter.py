@@ -137,6 +137,11 @@ class Client:
         numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
         return next(name for name in numbers if name.lower() not in taken)
 
+    def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
+        """Let what went to the client or came from it be recorded, if anything is."""
+        if data and self._world.recorder is not None:
+            self._world.recorder.lines(peer, self.robot.name if self.robot else "", data, sent=sent)
+
     def leave(self) -> None:
         """Take the robot out of the world (the connection is gone)."""
         if self.robot is not None:

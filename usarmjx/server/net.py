@@ -71,6 +71,7 @@ class RobotConnection:
             data = self.client.session.data_to_send()
             if data:
                 self.writer.write(data)
+                self.client.record_lines(self.peer, data, sent=True)
 
     def hang_up(self) -> None:
         """Close the connection; break it off if the client does not read: closing would wait for ever."""
@@ -290,6 +291,7 @@ class BotServer:
         client = connection.client
         while not connection.writer.is_closing():
             data = await connection.reader.read(READ_SIZE)
+            client.record_lines(connection.peer, data, sent=False)
             async with connection.budget:
                 commands = client.session.receive_data(data) if data else client.session.receive_eof()
             await self._obey(connection, commands)

@@ -98,7 +98,7 @@ class Batch:
         self.engine = make_engine(
             kind, scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
         )
-        self._seed, self._numbers = seed, np.arange(first, first + worlds, dtype=np.int32)
+        self.origin, self._numbers = (seed, first, shuffle), np.arange(first, first + worlds, dtype=np.int32)
         self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))
         self._finish_and_compute_inputs = self._compile(jax.vmap(partial(finish_and_compute_inputs, scene)))
@@ -137,7 +137,7 @@ class Batch:
         """
         if arenas is None and self.scene.arenas is not None:
             arenas = jax.tree.map(jnp.asarray, self.scene.arenas.states)
-        keys = self._keys_of(self._seed if seed is None else seed)
+        keys = self._keys_of(self.origin[0] if seed is None else seed)
         worlds, qpos = self._init(keys, self._numbers, arenas)
         everywhere = jnp.ones(self.worlds, bool)
         physics = self.engine.reset(self.engine.start(), everywhere, qpos)

@@ -19,6 +19,8 @@ from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.suite import suite_of
+from usarmjx.recording.inputs import WorldSetup
+from usarmjx.server.worlds.recorded import keep_reading, record_step, single_setup
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.control import RobotCommand, idle_command
@@ -59,9 +61,14 @@ class DynamicWorld(ServedWorld):
     ) -> None:
         scene = build_scene(arena, (), physics)
         self._single = SingleWorld(scene, seed, number, max_robots)
+        self._origin = seed, number, max_robots
         self._began = 0.0
         self.arena, self.period, self.robots = scene.arena, scene.physics.period, {}
         self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
+
+    def setup(self) -> WorldSetup:
+        """Return what the world was made of."""
+        return single_setup(self, self._origin)
 
     @property
     def scene(self) -> Scene:
@@ -100,7 +107,12 @@ class DynamicWorld(ServedWorld):
         for pos, _ in poses:
             self.check_position(pos)
         self.prepare(robot)
-        slot = self._single.add(robot, name, [(pos, quat_from_angles(*angles)) for pos, angles in poses])
+        asked = [(pos, quat_from_angles(*angles)) for pos, angles in poses]
+        if self.recorder is not None:
+            self.recorder.adding(robot, name, asked)
+        slot = self._single.add(robot, name, asked)
+        if self.recorder is not None:
+            self.recorder.joined(slot, name, robot.name)
         with numpy_backend():
             command = idle_command(robot)
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
@@ -114,23 +126,32 @@ class DynamicWorld(ServedWorld):
         """Give a robot another description while it runs; the states of all are kept."""
         self.prepare(spec)
         redescribe(self._single, robot.slot, spec)
+        if self.recorder is not None:
+            self.recorder.redescribed(robot.slot, spec)
         robot.suite = suite_of(spec)
 
     def remove(self, robot: Robot) -> None:
         """Take a robot out of the running world."""
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
+            if self.recorder is not None:
+                self.recorder.removed(robot.slot, robot.name)
             self._single.remove(robot.slot)
             return_freed_memory()
 
     def step(self) -> None:
         """Advance by one control step; robots whose physics goes bad are put back where they appeared."""
+        if self.recorder is not None:
+            self.recorder.told(self.scene, [{"command": one.command} for one in self._single.world.groups])
         put_back = self._single.step()
+        record_step(self, self._single.engine.data)
         if put_back:
             self.mishaps.put_back += len(put_back.robots) + len(put_back.others)
             names = [self.robots[slot].name for slot in sorted(put_back.robots)]
             self.mishaps.names = (*self.mishaps.names, *names, *put_back.others)[-MAX_NAMES:]
             log.error("the physics of %s went bad: put back", ", ".join([*names, *put_back.others]))
+            if self.recorder is not None:
+                self.recorder.event("put back", f"{', '.join([*names, *put_back.others])}: put back")
         for slot in put_back.robots:
             self.robots[slot].command = self._single.state_of(slot).command
 
@@ -142,7 +163,7 @@ class DynamicWorld(ServedWorld):
             robot.drowned = bool(self._single.world.groups[group].drowned[member])
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
-                    robot.pending[sensor] = np.asarray(reading.value)
+                    keep_reading(self, robot, sensor, np.asarray(reading.value))
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""

@@ -31,6 +31,8 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Opcode, effecters_of
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.recording.inputs import WorldSetup
+from usarmjx.recording.recorder import WorldRecorder
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.suite import SensorMemory, suite_of
@@ -109,6 +111,7 @@ class ServedWorld(ABC):
         period: Length of a control step [s].
         robots: The clients' robots, by slot.
         multi_view: How all robots' cameras share a picture, if they do.
+        recorder: What keeps all that happens; None: nothing does.
     """
 
     scene: Scene
@@ -116,6 +119,7 @@ class ServedWorld(ABC):
     period: float
     robots: dict[int, Robot]
     multi_view: MultiView | None = None
+    recorder: WorldRecorder | None = None
 
     @cached_property
     def view_bindings(self) -> ViewBindings:
@@ -262,6 +266,10 @@ class ServedWorld(ABC):
         """
         with numpy_backend():
             self.set_command(robot, update_command(robot.plan, robot.command, update))
+
+    def setup(self) -> WorldSetup:
+        """Return what the world was made of, for who computes it again."""
+        raise NotImplementedError
 
     @abstractmethod
     def step(self) -> None:
