@@ -18,8 +18,8 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.suite import suite_of
 from usarmjx.recording.inputs import WorldSetup
+from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.recorded import keep_reading, record_step, single_setup
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of

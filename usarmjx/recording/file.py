@@ -1,0 +1,183 @@
+"""An MCAP file that a thread writes, so that who has something to keep does not wait for the disk."""
+
+import json
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.files import disk_fault, writing
+from usarmjx.recording.schemas import SCHEMAS, schema_text
+from usarmjx.recording.values import pack
+
+log = logging.getLogger(__name__)
+
+WAKE, FLUSH = 0.1, 0.5
+"""The thread looks for something to write so often, and what it has written is safe after so long [s]."""
+MOST_WAITING = 50_000
+"""Jobs that may wait; who has more to keep waits too."""
+PATIENCE = 5.0
+"""If nothing of so many has been written in this time, the disk has gone [s]."""
+NANO = 10**9
+
+
+class ChannelName(NamedTuple):
+    """A channel of a file.
+
+    Attributes:
+        world: Number of the world that it is about.
+        kind: What it has: a name of `CHANNELS`.
+        about: Of what in the world, as the name of a robot; empty: of all.
+    """
+
+    world: int
+    kind: str
+    about: str = ""
+
+
+CHANNELS = {
+    **dict.fromkeys(("setup", "inputs", "states", "drawings", "frames", "readings"), ""),
+    "lines": "usarmjx.Lines",
+    "events": "usarmjx.Event",
+    "score": "usarmjx.Score",
+    "tf": "foxglove.FrameTransforms",
+    "scene": "foxglove.SceneUpdate",
+    "scan": "foxglove.LaserScan",
+    "trail": "foxglove.PosesInFrame",
+    "log": "foxglove.Log",
+}
+"""Kinds of channels and their schemas; those without one hold what `values.pack` makes."""
+Job = Callable[["RecordingFile"], None]
+"""Writes something, in the file's thread."""
+
+
+class RecordingFile:
+    """A recording being written.
+
+    Args:
+        path: The file, which must not be there yet.
+        about: What the file says of itself, in words by name.
+        several: Whether there are several worlds: then topics begin with a world's number.
+
+    Raises:
+        WriteError: It cannot be written.
+        UsageError: It is there already.
+    """
+
+    def __init__(self, path: Path, about: dict[str, str] | None = None, *, several: bool = False) -> None:
+        self.path, self._several = Path(path), several
+        with writing(self.path):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                self._stream = self.path.open("xb")
+            except FileExistsError as error:
+                raise UsageError(f"{path}: is there already; record to another file") from error
+        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._channels: dict[ChannelName, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._jobs: deque[Job] = deque()
+        self._stop, self._flushed, self._written = Event(), time.monotonic(), 0
+        self.ended = False
+        """Whether nothing is written any more."""
+        with writing(self.path):
+            self._writer.start(library="usarmjx")
+            self._writer.add_metadata("usarmjx", about or {})
+            self._writer.flush()
+        self._thread = Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def put(self, job: Job) -> None:
+        """Have something written soon, after all that was put before."""
+        if self.ended:
+            return
+        self._jobs.append(job)
+        if len(self._jobs) > MOST_WAITING:
+            self._wait()
+
+    def _wait(self) -> None:
+        """Wait for the thread, as long as it gets on."""
+        before, since = self._written, time.monotonic()
+        while len(self._jobs) > MOST_WAITING and not self.ended:
+            time.sleep(WAKE)
+            if self._written != before:
+                before, since = self._written, time.monotonic()
+            elif time.monotonic() > since + PATIENCE:
+                self._end("the disk does not answer")
+
+    def close(self) -> None:
+        """Write what waits, and the index; then the file is complete."""
+        self._stop.set()
+        self._thread.join()
+
+    # What follows runs in the thread.
+
+    def write(self, channel: ChannelName, at: float, value: Any) -> None:  # noqa: ANN401 - as the channel has
+        """Add a message to a channel; for jobs only.
+
+        Args:
+            channel: Where to.
+            at: Simulated time [s].
+            value: What `pack` or JSON can say, as the channel's schema wants it.
+        """
+        number = self._channels.get(channel) or self._register(channel)
+        data = json.dumps(value).encode() if CHANNELS[channel.kind] else pack(value)
+        self._writer.add_message(number, round(at * NANO), data, time.time_ns())
+
+    def _register(self, channel: ChannelName) -> int:
+        schema = CHANNELS[channel.kind]
+        name = schema or f"usarmjx.{channel.kind}"
+        if name not in self._schemas:
+            encoding = "jsonschema" if schema in SCHEMAS else ""
+            self._schemas[name] = self._writer.register_schema(name, encoding, schema_text(schema))
+        where = f"/world{channel.world}" if self._several else ""
+        own = "" if schema.startswith("foxglove.") else "/usarmjx"
+        parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
+        self._channels[channel] = self._writer.register_channel(
+            f"{where}{own}/{parts}",
+            "json" if schema else "msgpack",
+            self._schemas[name],
+            {"world": str(channel.world), "kind": channel.kind, "about": channel.about},
+        )
+        return self._channels[channel]
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.wait(WAKE):
+                self._drain()
+            self._drain()
+            if not self.ended:
+                self._writer.finish()
+        except Exception as error:  # whatever happens here, what is recorded goes on
+            reason = disk_fault(error) or (error.strerror if isinstance(error, OSError) else None)
+            self._end(str(reason or error))
+        finally:
+            self.ended = True
+            self._jobs.clear()
+            try:
+                self._stream.close()
+            except OSError as error:
+                log.debug("%s: %s", self.path, error)
+
+    def _drain(self) -> None:
+        while self._jobs and not self.ended:
+            self._jobs.popleft()(self)
+            self._written += 1
+            if time.monotonic() > self._flushed + FLUSH:
+                self._flush()
+        if time.monotonic() > self._flushed + FLUSH:
+            self._flush()
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._flushed = time.monotonic()
+
+    def _end(self, reason: str) -> None:
+        if not self.ended:
+            self.ended = True
+            log.error("the recording ends here: cannot write %s: %s", self.path, reason)

@@ -1,0 +1,205 @@
+"""Drawings and frames as messages that Foxglove and its like show."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, DrawnShape, Frame
+from usarmjx.view.mesh import meshes_of
+
+WORLD = "world"
+"""The frame that all others are in."""
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+INFO = 2
+"""Foxglove's level of what is no fault."""
+DELETE_ALL = 1
+"""Foxglove's order to forget all that was drawn before."""
+NANO = 10**9
+DIGITS = 4
+"""Digits after the point: tenths of a millimetre."""
+TRAIL_STEP = 0.1
+"""Distance between two poses of a trail [m]."""
+MOST_POSES = 300
+"""In a trail; the older ones go."""
+SCANNERS = ("RangeScanner", "IRScanner")
+"""Kinds of sensors whose readings are a plane scan, from right to left or from below."""
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns the plane of a scan upright."""
+
+
+def stamp(time: float) -> dict[str, int]:
+    """Return a time [s] as Foxglove has it."""
+    nano = round(time * NANO)
+    return {"sec": nano // NANO, "nsec": nano % NANO}
+
+
+def frame_id(drawing: Drawing, body: int) -> str:
+    """Return the name of the frame of a body: of a robot's its name and the part's."""
+    drawn = drawing.bodies[body]
+    if drawn.slot == NOBODY:
+        return drawn.name
+    return "/".join((drawing.robots[drawn.slot].name, *drawn.name.split("/")[2:]))
+
+
+def transforms(drawing: Drawing, frame: Frame) -> dict[str, Any]:
+    """Return where all bodies are that are to be seen, as `foxglove.FrameTransforms`."""
+    now = stamp(frame.time)
+    pos, quat = frame.pos.round(DIGITS).tolist(), frame.quat.round(DIGITS + 1).tolist()
+    return {
+        "transforms": [
+            {
+                "timestamp": now,
+                "parent_frame_id": WORLD,
+                "child_frame_id": frame_id(drawing, body),
+                "translation": _xyz(pos[body]),
+                "rotation": _quaternion(quat[body]),
+            }
+            for body in np.flatnonzero(frame.shown).tolist()
+        ]
+    }
+
+
+def scene_update(drawing: Drawing, time: float) -> dict[str, Any]:
+    """Return what all bodies look like, each in its own frame, as `foxglove.SceneUpdate`."""
+    now = stamp(time)
+    solids = {key: _primitives(shape) for key, shape in drawing.shapes.items()}
+    entities = [
+        {
+            "timestamp": now,
+            "frame_id": frame_id(drawing, body),
+            "id": drawn.name,
+            "lifetime": {"sec": 0, "nsec": 0},
+            "frame_locked": True,
+            "metadata": [],
+            **{kind: [] for kind in ("arrows", "spheres", "cylinders", "lines", "models")},
+            **solids[drawn.shape],
+            "texts": _labels(drawing, body),
+        }
+        for body, drawn in enumerate(drawing.bodies)
+    ]
+    return {"deletions": [{"timestamp": now, "type": DELETE_ALL, "id": ""}], "entities": entities}
+
+
+def _labels(drawing: Drawing, body: int) -> list[dict[str, Any]]:
+    """Return the name of a robot over its chassis; nothing over other bodies."""
+    for robot in drawing.robots.values():
+        if robot.body == body:
+            above = [0.0, 0.0, float(robot.dimensions[2]) + 0.3]
+            return [
+                {
+                    "pose": {"position": _xyz(above), "orientation": _quaternion([1.0, 0.0, 0.0, 0.0])},
+                    "billboard": True,
+                    "font_size": 14,
+                    "scale_invariant": True,
+                    "color": {"r": 1.0, "g": 1.0, "b": 1.0, "a": 1.0},
+                    "text": robot.name,
+                }
+            ]
+    return []
+
+
+def _primitives(shape: DrawnShape) -> dict[str, list[dict[str, Any]]]:
+    """Return boxes as cubes, and all else as triangles."""
+    boxes = np.flatnonzero(shape.kind == BOX)
+    rest = np.flatnonzero(shape.kind != BOX)
+    cubes = [
+        {
+            "pose": {
+                "position": _xyz(shape.pos[box].round(DIGITS).tolist()),
+                "orientation": _quaternion(_quat_of(shape.mat[box]).round(DIGITS + 1).tolist()),
+            },
+            "size": _xyz((2 * shape.size[box]).round(DIGITS).tolist()),
+            "color": _colour(shape.rgb[box], 1.0 - float(shape.transparency[box])),
+        }
+        for box in boxes.tolist()
+    ]
+    picked = DrawnShape(**{name: values[rest] for name, values in vars(shape).items()})
+    triangles = [
+        {
+            "pose": {"position": _xyz([0.0] * 3), "orientation": _quaternion([1.0, 0.0, 0.0, 0.0])},
+            "points": [_xyz(corner) for corner in mesh.vertices.round(DIGITS).tolist()],
+            "color": _colour(mesh.rgb[0], finish.opacity),
+            "colors": [_colour(rgb, finish.opacity) for rgb in mesh.rgb],
+            "indices": mesh.faces.reshape(-1).tolist(),
+        }
+        for finish, mesh in (meshes_of(picked).items() if len(rest) else ())
+    ]
+    return {"cubes": cubes, "triangles": triangles}
+
+
+def laser_scan(
+    drawing: Drawing, robot: DrawnRobot, sensor: int, value: np.ndarray, time: float
+) -> dict[str, Any]:
+    """Return a reading of a plane scanner as `foxglove.LaserScan`; see `is_scanner`."""
+    mount = robot.sensors[sensor]
+    settings = mount.settings[0]
+    first, apart = -float(settings["scan_fov"]) / 2, float(settings["resolution"])
+    ranges = np.minimum(np.asarray(value, float).reshape(-1), float(settings["max_range"]))
+    mat = mount.mat[0] if settings.get("yaw", True) else mount.mat[0] @ UPRIGHT
+    return {
+        "timestamp": stamp(time),
+        "frame_id": frame_id(drawing, int(mount.body[0])),
+        "pose": {
+            "position": _xyz(mount.pos[0].round(DIGITS).tolist()),
+            "orientation": _quaternion(_quat_of(mat).round(DIGITS + 1).tolist()),
+        },
+        "start_angle": first,
+        "end_angle": first + (len(ranges) - 1) * apart,
+        "ranges": ranges.round(3).tolist(),
+        "intensities": [],
+    }
+
+
+def is_scanner(robot: DrawnRobot, sensor: int) -> bool:
+    """Return whether a robot's sensor measures along a plane fan."""
+    return robot.sensors[sensor].kind in SCANNERS
+
+
+class Trails:
+    """The ways of robots, as `foxglove.PosesInFrame`."""
+
+    def __init__(self) -> None:
+        self._poses: dict[str, list[dict[str, Any]]] = {}
+        self._last: dict[str, np.ndarray] = {}
+
+    def add(self, name: str, pos: np.ndarray, quat: np.ndarray, time: float) -> dict[str, Any] | None:
+        """Return a robot's way so far, if it has gone on by `TRAIL_STEP` since the last time."""
+        last = self._last.get(name)
+        if last is not None and np.linalg.norm(pos - last) < TRAIL_STEP:
+            return None
+        self._last[name] = pos
+        poses = self._poses.setdefault(name, [])
+        poses.append(
+            {
+                "position": _xyz(pos.round(DIGITS).tolist()),
+                "orientation": _quaternion(quat.round(DIGITS + 1).tolist()),
+            }
+        )
+        del poses[:-MOST_POSES]
+        return {"timestamp": stamp(time), "frame_id": WORLD, "poses": poses}
+
+
+def log(text: str, name: str, time: float) -> dict[str, Any]:
+    """Return a line as `foxglove.Log`."""
+    return {"timestamp": stamp(time), "level": INFO, "message": text, "name": name, "file": "", "line": 0}
+
+
+def _xyz(values: list[float]) -> dict[str, float]:
+    return {"x": values[0], "y": values[1], "z": values[2]}
+
+
+def _quaternion(values: list[float]) -> dict[str, float]:
+    """Return a quaternion, w first, by its names."""
+    return {"x": values[1], "y": values[2], "z": values[3], "w": values[0]}
+
+
+def _colour(rgb: np.ndarray, opacity: float) -> dict[str, float]:
+    red, green, blue = np.asarray(rgb, float).round(3).tolist()
+    return {"r": red, "g": green, "b": blue, "a": round(opacity, 3)}
+
+
+def _quat_of(mat: np.ndarray) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.asarray(mat, float).reshape(9))
+    return quat

@@ -1,0 +1,189 @@
+"""What happens in a world, as it is told by who runs it, into a recording."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from usarmjx.base.transforms import Vec3
+from usarmjx.engines.base import PhysicsState
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.recording.file import RecordingFile
+from usarmjx.recording.inputs import (
+    Input,
+    Interrupted,
+    OrdersGiven,
+    RobotAdded,
+    RobotPlaced,
+    RobotRedescribed,
+    RobotRemoved,
+    StepState,
+    WorldReset,
+    WorldSetup,
+)
+from usarmjx.recording.messages import WorldMessages
+from usarmjx.sensors.sketch import OverlayLines
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.world import World
+
+FRAME_PERIOD = 0.1
+"""A world is looked at so often [s of its time]; its physics is kept after every control step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A world at one moment, to be drawn by another thread: nothing in it changes any more.
+
+    Attributes:
+        scene: Its scene.
+        world: All but the physics; NumPy arrays.
+        physics: Its physics; NumPy arrays.
+        names: The robots' names by slot; None: those of the roster.
+        trace: Points that robots left behind.
+        score: A task's score so far.
+        time: Simulated time, if it is not the world's own [s].
+    """
+
+    scene: Scene
+    world: World
+    physics: PhysicsState
+    names: Mapping[int, str] | None = None
+    trace: OverlayLines | None = None
+    score: float | None = None
+    time: float | None = None
+
+
+@dataclass
+class WorldRecorder:
+    """Records one world; all methods are quick, the rest is done in the file's thread.
+
+    Args:
+        file: The recording.
+        setup: What the world was made of.
+        number: Number of the world in the recording.
+        since: Time at which the world begins in the recording [s].
+
+    Attributes:
+        steps: Control steps made so far, since the recording began.
+    """
+
+    file: RecordingFile
+    setup: WorldSetup
+    number: int = 0
+    since: float = 0.0
+    steps: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        """Write what the world was made of."""
+        self._messages = WorldMessages(self.number)
+        self._told: tuple[Any, ...] = ()
+        self._known: dict[int, tuple[bytes, ...]] = {}
+        self._next_frame = self._time = 0.0
+        self.file.put(partial(self._messages.setup, self.setup, self.since))
+
+    def _put(self, given: Input) -> None:
+        self.file.put(partial(self._messages.input, given, self.since + self._time))
+
+    def event(self, kind: str, text: str, robot: str = "", slot: int = -1) -> None:
+        """Keep that something happened, in words."""
+        at = self.since + self._time
+        said = {"kind": kind, "robot": robot, "slot": slot, "text": text}
+        self.file.put(partial(self._messages.event, said, at))
+
+    # What comes into the world
+
+    def adding(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, np.ndarray]]) -> None:
+        """A robot is about to join, if there is room."""
+        self._put(RobotAdded(step=self.steps, robot=robot, name=name, poses=tuple(poses)))
+
+    def joined(self, slot: int, name: str, robot: str) -> None:
+        """A robot is there."""
+        self._known.pop(slot, None)
+        self.event("join", f"{name}, a {robot}, joins", name, slot)
+
+    def removed(self, slot: int, name: str) -> None:
+        """A robot has left."""
+        self._put(RobotRemoved(step=self.steps, slot=slot))
+        self._known.pop(slot, None)
+        self.event("leave", f"{name} leaves", name, slot)
+
+    def redescribed(self, slot: int, robot: RobotSpec) -> None:
+        """A robot has got another description."""
+        self._put(RobotRedescribed(step=self.steps, slot=slot, robot=robot))
+
+    def placed(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:
+        """A batch's robot was put somewhere."""
+        self._put(RobotPlaced(step=self.steps, slot=slot, pos=pos, quat=quat))
+
+    def reset(self) -> None:
+        """The world begins anew."""
+        self._put(WorldReset(step=self.steps))
+        self._known.clear()
+        self._told = ()
+        self.event("reset", "the world begins anew")
+
+    def interrupted(self, reason: str) -> None:
+        """What happened now cannot be repeated."""
+        self._put(Interrupted(step=self.steps, reason=reason))
+
+    def told(self, scene: Scene, states: Sequence[Mapping[str, Any]]) -> None:
+        """A control step is about to be made: keep what the robots have been told since the last one.
+
+        Args:
+            scene: The scene.
+            states: Fields of the groups' `GroupState`s, by name; leading axis over robots.
+        """
+        told = tuple(value for state in states for value in state.values())
+        if len(told) == len(self._told) and all(a is b for a, b in zip(told, self._told, strict=True)):
+            return
+        self._told = told
+        orders: dict[int, dict[str, Any]] = {}
+        for group, state in zip(scene.groups, states, strict=True):
+            for member, slot in enumerate(group.slots.tolist()):
+                order = {name: jax.tree.map(lambda x: np.asarray(x)[member], v) for name, v in state.items()}  # noqa: B023
+                content = tuple(leaf.tobytes() for leaf in jax.tree.leaves(order))
+                if self._known.get(slot) != content:
+                    self._known[slot], orders[slot] = content, order
+        if orders:
+            self._put(OrdersGiven(step=self.steps, orders=orders))
+
+    # What becomes of it
+
+    def stepped(
+        self, time: float, qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray, steps: int = 1
+    ) -> None:
+        """Control steps were made; the arrays are copied.
+
+        Args:
+            time: Simulated time [s].
+            qpos: Positions (nq,).
+            qvel: Velocities (nv,).
+            act: Activations (na,).
+            steps: How many.
+        """
+        self.steps, self._time = self.steps + steps, time
+        state = StepState(
+            step=self.steps, time=self.since + time, qpos=qpos.copy(), qvel=qvel.copy(), act=act.copy()
+        )
+        self.file.put(partial(self._messages.state, state))
+
+    @property
+    def frame_is_due(self) -> bool:
+        """Whether it is time for another `look`."""
+        return self._time >= self._next_frame - 1e-6
+
+    def look(self, look: Look) -> None:
+        """Keep what the world looks like now."""
+        self._next_frame = self._time + FRAME_PERIOD
+        self.file.put(partial(self._messages.look, look, self.since + self._time))
+
+    def read(self, slot: int, sensor: int, value: np.ndarray) -> None:
+        """A robot's sensor has measured; the value must not change any more."""
+        self.file.put(partial(self._messages.reading, slot, sensor, value, self.since + self._time))
+
+    def lines(self, peer: str, robot: str, data: bytes, *, sent: bool) -> None:
+        """Lines went to or came from a client."""
+        self.file.put(partial(self._messages.lines, (peer, robot, sent), data, self.since + self._time))

@@ -1,0 +1,116 @@
+"""Values of the package as MessagePack, and back: arrays, and dataclasses of a known list.
+
+Whatever a file says, reading it makes nothing but these; no name of a module or function is looked up.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+
+MODULES = (
+    *("comms.attenuation", "comms.links", "comms.mail"),
+    *("models.build.compose", "models.build.variation"),
+    *("models.drives.ackermann", "models.drives.base", "models.drives.fluid", "models.drives.flying"),
+    *("models.drives.ground", "models.drives.omni", "models.drives.tracks", "models.drives.underwater"),
+    *("models.spec.arena", "models.spec.robot", "models.spec.shapes"),
+    *("recording.inputs", "sensors.sketch", "sim.control", "sim.scene", "view.drawing"),
+)
+"""Where the dataclasses are that files may hold."""
+KIND, KEYS, ITEMS, WORDS = "$kind", "$keys", "$items", "$words"
+"""What marks dataclasses, mappings whose keys are no texts, and arrays of texts."""
+ARRAY = 1
+"""MessagePack's number for an array: its shape, its dtype and its bytes."""
+NUMBERS = "biuf"
+"""Kinds of dtypes of arrays."""
+
+
+@cache
+def _kinds() -> dict[str, type[Any]]:
+    """Return the dataclasses that files may hold, by name."""
+    modules = [import_module(f"usarmjx.{name}") for name in MODULES]
+    return {
+        kind.__name__: kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module.__name__
+    }
+
+
+@cache
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
+def pack(value: Any) -> bytes:  # noqa: ANN401 - any of the values
+    """Return a value as bytes.
+
+    Raises:
+        UsageError: Something in it cannot be kept; names its type.
+    """
+    packed = msgpack.packb(value, default=_plain, strict_types=True)
+    assert packed is not None  # only a Packer that collects returns nothing
+    return packed
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Return what MessagePack does not know as something that it knows."""
+    if isinstance(value, tuple):
+        return list(value)
+    if isinstance(value, np.ndarray):
+        if value.dtype == object:
+            return {WORDS: [str(item) for item in value.tolist()]}
+        if value.dtype.kind in NUMBERS:
+            return msgpack.ExtType(ARRAY, msgpack.packb((value.shape, value.dtype.str, value.tobytes())))
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, str | int):  # a class of texts, an enumeration
+        return str(value) if isinstance(value, str) else int(value)
+    if isinstance(value, Mapping):
+        return {KEYS: [*value], ITEMS: [*value.values()]}
+    kind = type(value)
+    if _kinds().get(kind.__name__) is not kind:
+        raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
+    return {KIND: kind.__name__, **{name: getattr(value, name) for name in _names(kind)}}
+
+
+def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
+    """Return the value in bytes that `pack` made; lists are tuples, and arrays cannot be written to.
+
+    Raises:
+        UsageError: The bytes are something else.
+    """
+    try:
+        return msgpack.unpackb(data, object_hook=_value, ext_hook=_array, use_list=False)
+    except UsageError:
+        raise
+    except Exception as error:  # MessagePack, NumPy and constructors raise what they like at what is broken
+        raise UsageError(f"a message that does not read: {error}") from error
+
+
+def _array(code: int, data: bytes) -> np.ndarray:
+    if code != ARRAY:
+        raise UsageError(f"a value of the unknown kind {code}")
+    shape, dtype, content = msgpack.unpackb(data)
+    if np.dtype(dtype).kind not in NUMBERS:
+        raise UsageError(f"an array of {dtype}")
+    return np.frombuffer(content, dtype).reshape(shape)
+
+
+def _value(plain: dict[str, Any]) -> Any:  # noqa: ANN401
+    if KEYS in plain:
+        return dict(zip(plain[KEYS], plain[ITEMS], strict=True))
+    if WORDS in plain:
+        return np.array(plain[WORDS], object)
+    if KIND not in plain:
+        return plain
+    kind = _kinds().get(plain[KIND])
+    if kind is None:
+        raise UsageError(f"a {plain[KIND]!r}, which this version of usarmjx does not know")
+    return kind(**{name: plain[name] for name in _names(kind) if name in plain})
