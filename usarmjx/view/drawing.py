@@ -17,6 +17,8 @@ from usarmjx.sensors.sketch import OverlayLines
 
 NOBODY = -1
 """Slot of what is no robot's."""
+MAP_PREFIX, MAP_GRID = "map/", "grid of maps"
+"""Names in `Frame.extra`."""
 Setting = float | bool | str
 """Value of a setting of a sensor."""
 
@@ -212,7 +214,9 @@ class Frame:
     trace: OverlayLines | None = None
     score: float | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
-    """What a task adds, by name: `map/<robot>` is a map being built."""
+    """What a task adds, by name. `MAP_PREFIX` with a robot's name: the map that it builds, squares as in
+    `train.mapping.maps` (i, j); `MAP_GRID`: x and y of the middle of their first square, and its
+    side [m] (3,)."""
 
 
 class FrameSource(Protocol):

@@ -1,7 +1,27 @@
-"""The layers of the page, by name."""
+"""The layers of the page, by name: what can be switched on and off over a world.
+
+A layer gets a drawing and then one frame after the other; `base` says how. What they draw with is in `nodes`,
+where sensors are in `mounts`. To add one, write a `NodeLayer` and list it here.
+"""
 
 from usarmjx.base.registry import Registry
 from usarmjx.view.layers.base import Layer
+from usarmjx.view.layers.bodies import CameraLayer, SensorBodyLayer
+from usarmjx.view.layers.echoes import InfraredLayer, SonarLayer
+from usarmjx.view.layers.ground import GridLayer, TagLayer
+from usarmjx.view.layers.lasers import LaserLayer
+from usarmjx.view.layers.light import HeadlightLayer, LampLayer, SkyLayer
+from usarmjx.view.layers.maps import MapLayer
+from usarmjx.view.layers.marks import NameLayer, RingLayer
+from usarmjx.view.layers.radio import RadioLayer
+from usarmjx.view.layers.sketches import RfidLayer, TrailLayer, VictimHitLayer
 
 LAYERS: Registry[type[Layer]] = Registry("layer")
 """All layers, in the order of their switches."""
+
+for _layer in (
+    *(SkyLayer, GridLayer, NameLayer, RingLayer, TrailLayer),
+    *(LaserLayer, SonarLayer, InfraredLayer, RfidLayer, VictimHitLayer, TagLayer),
+    *(RadioLayer, MapLayer, CameraLayer, SensorBodyLayer, LampLayer, HeadlightLayer),
+):
+    LAYERS.add(_layer.name, _layer)

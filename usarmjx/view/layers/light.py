@@ -1,0 +1,195 @@
+"""What lights a world: sun and sky, lamps, and the robots' headlights."""
+
+import math
+
+import numpy as np
+import viser
+
+from usarmjx.cameras.light import HEADLIGHT_BRIGHTNESS, SPOT_INNER_ANGLE, SPOT_OUTER_ANGLE, SUN_DIRECTION
+from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.layers.mounts import mount_poses
+from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer
+
+WHITE_CANDELA = math.pi
+"""Intensity of a point light in three.js that makes a white wall a metre away white."""
+SUN_RGB, SUN_INTENSITY = (255, 236, 206), 2.6
+SKY_RGB, GROUND_RGB, SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9
+INDOOR_RGB, INDOOR_INTENSITY = (255, 226, 190), 0.55
+ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
+"""Colours of what is behind the world: high up, halfway, and below."""
+NIGHT_ZENITH, NIGHT_HORIZON, NIGHT_HAZE = (26, 30, 42), (58, 56, 58), (48, 44, 40)
+MOST_LAMPS, MOST_HEADLIGHTS = 8, 8
+"""So many lamps and headlights light the page: each costs browsers time for all that they draw."""
+BULB_RADIUS = 0.09
+BULB_RGB = (255, 222, 150)
+BEAM_LENGTH = 2.5
+"""Of the lines that show where a headlight shines [m]."""
+BEAM_RGB = (255, 226, 120)
+
+
+class SkyLayer(NodeLayer):
+    """The sun with its shadows, light from the sky, and what is behind the world.
+
+    An arena with lamps is dark inside: there is no sun, and little light from elsewhere.
+    """
+
+    name = "Light"
+    about = "warm sunlight with shadows, and a sky; without it all is lit evenly"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Light the arena."""
+        self._dark = bool((np.asarray(drawing.lamp_rgb) > 0).any())
+        if self._on:
+            self._shine()
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """It stays as it is."""
+        del drawing, frame
+
+    def show(self, on: bool) -> None:
+        """Light the world so, or evenly."""
+        if self._top is not None and on != self._on:
+            (self._shine if on else self._dim)()
+        super().show(on)
+
+    def end(self) -> None:
+        """Light the world evenly."""
+        if self._top is not None and self._on:
+            self._dim()
+        super().end()
+
+    def _shine(self) -> None:
+        self.scene.configure_default_lights(enabled=False)
+        self.scene.configure_environment_map("dawn", environment_intensity=0.25 if self._dark else 0.4)
+        colors = (NIGHT_ZENITH, NIGHT_HORIZON, NIGHT_HAZE) if self._dark else (ZENITH, HORIZON, HAZE)
+        self.scene.set_background_image(backdrop(*colors), format="png")
+        if self._dark:
+            self.scene.add_light_ambient(f"{self.root}/air", color=INDOOR_RGB, intensity=INDOOR_INTENSITY)
+            return
+        self.scene.add_light_hemisphere(
+            f"{self.root}/sky", sky_color=SKY_RGB, ground_color=GROUND_RGB, intensity=SKY_INTENSITY
+        )
+        self.scene.add_light_directional(
+            f"{self.root}/sun",
+            color=SUN_RGB,
+            intensity=SUN_INTENSITY,
+            cast_shadow=True,
+            position=SUN_DIRECTION,
+        )
+
+    def _dim(self) -> None:
+        for name in ("air", "sky", "sun"):
+            self.scene.remove_by_name(f"{self.root}/{name}")
+        self.scene.configure_default_lights(enabled=True, cast_shadow=False)
+        self.scene.configure_environment_map("warehouse")
+        self.scene.set_background_image(None)
+
+
+def backdrop(zenith: tuple[int, ...], horizon: tuple[int, ...], haze: tuple[int, ...]) -> np.ndarray:
+    """Return a picture that goes from one colour at the top over a second to a third (height, 8, 3)."""
+    height = 256
+    down = np.linspace(0.0, 1.0, height)
+    places = (0.0, 0.55, 1.0)
+    rgb = [np.interp(down, places, channel) for channel in zip(zenith, horizon, haze, strict=True)]
+    return np.repeat(np.stack(rgb, -1)[:, None], 8, 1).round().astype(np.uint8)
+
+
+def ball(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (corners, 3) and triangles (triangles, 3) of an octahedron, cut once: nearly a ball."""
+    six = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
+    corners, faces = list(six), []
+    for x in (0, 1):
+        for y in (2, 3):
+            for z in (4, 5):
+                a, b, c = (x, y, z) if (x + y + z) % 2 == 0 else (y, x, z)
+                first = len(corners)
+                middles = [six[a] + six[b], six[b] + six[c], six[c] + six[a]]
+                corners += [middle / np.linalg.norm(middle) for middle in middles]
+                ab, bc, ca = first, first + 1, first + 2
+                faces += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return radius * np.array(corners), np.array(faces)
+
+
+class LampLayer(NodeLayer):
+    """The arena's lamps."""
+
+    name = "Lamps"
+    about = "the arena's lamps, and their light"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Draw bulbs, and let the brightest shine."""
+        rgb = np.asarray(drawing.lamp_rgb, float).reshape(-1, 3)
+        pos = np.asarray(drawing.lamps, float).reshape(-1, 3)
+        there = (rgb > 0).any(-1)
+        rgb, pos = rgb[there], pos[there]
+        bulbs = InstanceNode(self.scene, f"{self.root}/bulbs", ball(BULB_RADIUS))
+        bulbs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), np.tile(BULB_RGB, (len(pos), 1)))
+        brightness = rgb.max(-1)
+        for place in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
+            red, green, blue = (255 * rgb[place] / brightness[place]).astype(int).tolist()
+            self.scene.add_light_point(
+                f"{self.root}/lamp{place}",
+                color=(red, green, blue),
+                intensity=WHITE_CANDELA * float(brightness[place]),
+                position=tuple(pos[place].tolist()),
+            )
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """They stay as they are."""
+        del drawing, frame
+
+
+class HeadlightLayer(NodeLayer):
+    """Headlights that are on."""
+
+    name = "Headlights"
+    about = "the headlights that are on: their light, and lines that show their cones"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Get ready for those that go on."""
+        del drawing
+        self._spots: list[viser.SpotLightHandle] = []
+        self._beams = LineNode(self.scene, f"{self.root}/beams", width=1.5)
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Let those shine that are on."""
+        mounts = [
+            light
+            for slot, robot in frame.robots.items()
+            if robot.light and (light := drawing.robots[slot].headlight) is not None
+        ]
+        poses = [mount_poses(frame, mount) for mount in mounts]
+        self._beams.set(
+            np.concatenate([np.zeros((0, 2, 3)), *(_edges(pos[0], mat[0]) for pos, mat in poses)]),
+            np.array(BEAM_RGB),
+        )
+        for place, (pos, mat) in enumerate(poses[:MOST_HEADLIGHTS]):
+            if place == len(self._spots):
+                self._spots.append(self._spot(place))
+            self._spots[place].position = pos[0]
+            x, y, z = mat[0, :, 0].tolist()
+            self._spots[place].direction = (x, y, z)
+        for place, spot in enumerate(self._spots):
+            spot.visible = place < len(poses)
+
+    def _spot(self, place: int) -> viser.SpotLightHandle:
+        return self.scene.add_light_spot(
+            f"{self.root}/spot{place}",
+            color=(255, 244, 214),
+            intensity=WHITE_CANDELA * HEADLIGHT_BRIGHTNESS * 2,
+            angle=SPOT_OUTER_ANGLE,
+            penumbra=1 - SPOT_INNER_ANGLE / SPOT_OUTER_ANGLE,
+            cast_shadow=False,
+        )
+
+
+def _edges(pos: np.ndarray, mat: np.ndarray) -> np.ndarray:
+    """Return four lines along a headlight's cone (4, 2, 3)."""
+    around = math.pi / 4 + math.pi / 2 * np.arange(4)
+    out = math.sin(SPOT_INNER_ANGLE)
+    ways = np.stack([np.full(4, math.cos(SPOT_INNER_ANGLE)), out * np.cos(around), out * np.sin(around)], -1)
+    ends = pos + BEAM_LENGTH * ways @ mat.T
+    return np.stack([np.broadcast_to(pos, ends.shape), ends], 1)

@@ -1,0 +1,225 @@
+"""What layers draw with: nodes of viser that hold many things at once and are brought up to date by arrays.
+
+A node is made when there is first something to show, and hidden while there is nothing: viser sends what has
+changed only, and knows no empty arrays.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+import viser
+
+from usarmjx.view.drawing import Drawing
+from usarmjx.view.layers.base import Layer
+
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
+
+
+class NodeLayer(Layer):
+    """A layer whose nodes all hang below one.
+
+    Attributes:
+        scene: Where it draws.
+        root: Path of the node that all others are below.
+    """
+
+    name: ClassVar[str]
+    scene: viser.SceneApi
+    root: str
+
+    def __init__(self) -> None:
+        self._on = self.shown_at_first
+        self._top: viser.FrameHandle | None = None
+
+    def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
+        """Start with a new drawing."""
+        self.end()
+        self.scene, self.root = scene, f"{prefix}/{self.name.lower().replace(' ', '_')}"
+        self._top = scene.add_frame(self.root, show_axes=False, visible=self._on)
+        self.draw(drawing)
+
+    def draw(self, drawing: Drawing) -> None:
+        """Draw what stays, and get ready for what does not; a layer with nothing of either does nothing."""
+        del drawing
+
+    def show(self, on: bool) -> None:
+        """Show or hide its nodes."""
+        self._on = on
+        if self._top is not None:
+            self._top.visible = on
+
+    def end(self) -> None:
+        """Remove its nodes."""
+        if self._top is not None:
+            self._top.remove()
+        self._top = None
+
+
+class LineNode:
+    """Straight lines.
+
+    Args:
+        scene: Where to draw.
+        name: Path of the node.
+        width: Of the lines on the screen [pixels].
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str, width: float = 2.0) -> None:
+        self._scene, self._name, self._width = scene, name, width
+        self._handle: viser.LineSegmentsHandle | None = None
+
+    def set(self, ends: np.ndarray, rgb: np.ndarray) -> None:
+        """Show lines.
+
+        Args:
+            ends: Where they start and end [m] (lines, 2, 3).
+            rgb: Their colours, 0 to 255 (lines, 3), or one for all (3,).
+        """
+        ends = np.asarray(ends, np.float32)
+        colors = np.asarray(rgb, np.uint8)
+        if colors.ndim == 2:
+            colors = np.repeat(colors[:, None], 2, 1)
+        if self._handle is None and len(ends):
+            self._handle = self._scene.add_line_segments(
+                self._name, ends, colors, thickness=self._width, thickness_units="screen"
+            )
+        if self._handle is None:
+            return
+        self._handle.visible = bool(len(ends))
+        if len(ends):
+            self._handle.points, self._handle.colors = ends, colors
+
+
+class PointNode:
+    """Points.
+
+    Args:
+        scene: Where to draw.
+        name: Path of the node.
+        size: Of a point [m].
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:
+        self._scene, self._name, self._size = scene, name, size
+        self._handle: viser.PointCloudHandle | None = None
+
+    def set(self, points: np.ndarray, rgb: np.ndarray) -> None:
+        """Show points [m] (points, 3) in colours, 0 to 255 (points, 3)."""
+        points, colors = np.asarray(points, np.float32), np.asarray(rgb, np.uint8)
+        if self._handle is None and len(points):
+            self._handle = self._scene.add_point_cloud(
+                self._name,
+                points,
+                colors,
+                point_size=self._size,
+                point_shape="circle",
+                point_shading="flat",
+                precision="float32",
+            )
+        if self._handle is None:
+            return
+        self._handle.visible = bool(len(points))
+        if len(points):
+            self._handle.points, self._handle.colors = points, colors
+
+
+class MeshNode:
+    """Triangles of one colour that let some of what is behind them through.
+
+    Args:
+        scene: Where to draw.
+        name: Path of the node.
+        rgb: Their colour, 0 to 255.
+        opacity: How little of what is behind is seen, in [0, 1].
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str, rgb: tuple[int, int, int], opacity: float) -> None:
+        self._scene, self._name, self._rgb, self._opacity = scene, name, rgb, opacity
+        self._handle: viser.MeshHandle | None = None
+
+    def set(self, corners: np.ndarray, faces: np.ndarray) -> None:
+        """Show triangles: corners [m] (corners, 3), and which make up each (faces, 3)."""
+        corners, faces = np.asarray(corners, np.float32), np.asarray(faces, np.uint32)
+        if self._handle is None and len(faces):
+            self._handle = self._scene.add_mesh_simple(
+                self._name,
+                corners,
+                faces,
+                color=self._rgb,
+                opacity=self._opacity,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        if self._handle is None:
+            return
+        self._handle.visible = bool(len(faces))
+        if len(faces):
+            self._handle.vertices, self._handle.faces = corners, faces
+
+
+class InstanceNode:
+    """Many bodies of one shape.
+
+    Args:
+        scene: Where to draw.
+        name: Path of the node.
+        corners: The shape's corners (corners, 3).
+        faces: Which of them make up its triangles (faces, 3).
+        opacity: How little of what is behind is seen, in [0, 1].
+        cast_shadow: Whether they throw shadows.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        shape: tuple[np.ndarray, np.ndarray],
+        *,
+        opacity: float = 1.0,
+        cast_shadow: bool = False,
+    ) -> None:
+        self._scene, self._name, self._shape = scene, name, shape
+        self._opacity = None if opacity >= 1 else opacity
+        self._cast_shadow = cast_shadow
+        self._handle: viser.BatchedMeshHandle | None = None
+
+    def set(self, pos: np.ndarray, quat: np.ndarray, scale: np.ndarray, rgb: np.ndarray) -> None:
+        """Show bodies.
+
+        Args:
+            pos: Where they are [m] (bodies, 3).
+            quat: How they are turned, w first (bodies, 4).
+            scale: How many times as large as the shape they are (bodies,) or, by axis, (bodies, 3).
+            rgb: Their colours, 0 to 255 (bodies, 3).
+        """
+        pos, quat, scale = (np.asarray(value, np.float32) for value in (pos, quat, scale))
+        colors = np.asarray(rgb, np.uint8)
+        if self._handle is None and len(pos):
+            self._handle = self._scene.add_batched_meshes_simple(
+                self._name,
+                *self._shape,
+                batched_wxyzs=quat,
+                batched_positions=pos,
+                batched_scales=scale,
+                batched_colors=colors,
+                opacity=self._opacity,
+                side="double",
+                lod="off",
+                cast_shadow=self._cast_shadow,
+                receive_shadow=False,
+            )
+        handle = self._handle
+        if handle is None:
+            return
+        handle.visible = bool(len(pos))
+        if len(pos):
+            handle.batched_positions, handle.batched_wxyzs = pos, quat
+            handle.batched_scales, handle.batched_colors = scale, colors
+
+
+def turned_about_z(yaw: np.ndarray) -> np.ndarray:
+    """Return orientations, w first, of what is turned to the left by angles [rad] (n,), (n, 4)."""
+    half = np.asarray(yaw) / 2
+    zero = np.zeros_like(half)
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], -1)

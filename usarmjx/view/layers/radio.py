@@ -1,0 +1,104 @@
+"""Radio links: who hears whom, how well, and through how many walls."""
+
+import numpy as np
+import viser
+
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT
+from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.layers.colors import scale_colors
+from usarmjx.view.layers.nodes import LineNode, NodeLayer
+
+GAP_SHARE, GAP_SPACING = 0.025, 0.05
+"""How long the gap is that stands for a wall, and from the middle of one to the next: shares of the link."""
+MOST_GAPS = 8
+MOST_LABELS = 15
+"""With more links than this none has a text: they would hide each other and the world."""
+LEAST_SPAN = 10.0
+"""The scale of colours spans at least so much power [dB]."""
+
+
+def dashes(walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parts of links that are drawn: as many gaps as there are walls, in the middle.
+
+    Args:
+        walls: How many walls each link goes through (links,).
+
+    Returns:
+        Which link each part is of (parts,), and where it starts and ends, as shares of it (parts, 2).
+    """
+    gaps = np.minimum(walls, MOST_GAPS)
+    link = np.repeat(np.arange(len(gaps)), gaps + 1)
+    number = np.arange(len(link)) - np.repeat(np.cumsum(gaps + 1) - (gaps + 1), gaps + 1)
+    first, last = number == 0, number == gaps[link]
+    middle = 0.5 + GAP_SPACING * (number - gaps[link] / 2)
+    start = np.where(first, 0.0, middle - (GAP_SPACING - GAP_SHARE) / 2)
+    end = np.where(last, 1.0, middle + (GAP_SPACING - GAP_SHARE) / 2)
+    return link, np.stack([start, end], -1)
+
+
+class RadioLayer(NodeLayer):
+    """Lines between robots that hear each other."""
+
+    name = "Radio links"
+    about = (
+        "lines between robots that hear each other, from weak (red) to strong (green), a gap for each wall"
+    )
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Nothing stays."""
+        del drawing
+        self._lines = LineNode(self.scene, f"{self.root}/lines", width=3.0)
+        self._labels: list[viser.LabelHandle] = []
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show the links as they were at their last evaluation."""
+        links = frame.links
+        slots = np.array(sorted(frame.robots), int)
+        if links is None or len(slots) < 2:
+            self._lines.set(np.zeros((0, 2, 3)), np.zeros((0, 3)))
+            self._write([], np.zeros((0, 3)))
+            return
+        antennas = self._antennas(drawing, frame, slots)
+        low, high = np.triu_indices(len(slots), 1)
+        a, b = slots[low], slots[high]
+        holds = np.asarray(links.in_range)[a, b]
+        low, high, a, b = low[holds], high[holds], a[holds], b[holds]
+        power, walls = np.asarray(links.power)[a, b], np.asarray(links.walls)[a, b]
+        best = max(float(power.max(initial=-np.inf)), drawing.cutoff + LEAST_SPAN)
+        rgb = scale_colors((power - drawing.cutoff) / (best - drawing.cutoff))
+        start, end = antennas[low], antennas[high]
+        link, share = dashes(walls)
+        along = (end - start)[link]
+        parts = start[link, None] + share[..., None] * along[:, None]
+        self._lines.set(parts, rgb[link])
+        few = len(power) <= MOST_LABELS
+        texts = [_text(p, w) for p, w in zip(power.tolist(), walls.tolist(), strict=True)] if few else []
+        self._write(texts, (start + end) / 2)
+
+    def _antennas(self, drawing: Drawing, frame: Frame, slots: np.ndarray) -> np.ndarray:
+        """Return where the robots' antennas are [m] (robots, 3): on top of them, where most have theirs."""
+        robots = [frame.robots[slot] for slot in slots.tolist()]
+        top = np.array([drawing.robots[slot].dimensions[2] / 2 for slot in slots.tolist()])
+        with numpy_backend():
+            up = np.asarray(mat_from_quat(np.array([robot.quat for robot in robots])))[:, :, 2]
+        pos = np.array([robot.pos for robot in robots]) + top[:, None] * up
+        return np.maximum(pos, (-np.inf, -np.inf, drawing.floor + MIN_ANTENNA_HEIGHT))
+
+    def _write(self, texts: list[str], places: np.ndarray) -> None:
+        """Show texts at places [m] (texts, 3)."""
+        while len(self._labels) < len(texts):
+            name = f"{self.root}/text{len(self._labels)}"
+            self._labels.append(self.scene.add_label(name, "", anchor="center-center", font_screen_scale=0.7))
+        for number, label in enumerate(self._labels):
+            label.visible = number < len(texts)
+            if number < len(texts):
+                label.text, label.position = texts[number], places[number]
+
+
+def _text(power: float, walls: int) -> str:
+    """Return what stands beside a link."""
+    behind = "" if not walls else f", {walls} wall{'s' * (walls > 1)}"
+    return f"{power:.0f} dBm{behind}"
