@@ -27,8 +27,8 @@ class Fans(NamedTuple):
     """Rays that start in the origins of moving frames and are fixed in them: a fan for each frame.
 
     Attributes:
-        pos: Origins [m] (fans, 3).
-        mat: Orientations (fans, 3, 3).
+        pos: Origins [m] (..., fans, 3).
+        mat: Orientations (..., fans, 3, 3).
         directions: Unit vectors in the frames (fans, lines, 3).
     """
 
@@ -37,12 +37,13 @@ class Fans(NamedTuple):
     directions: np.ndarray
 
     def rays(self) -> tuple[Array, Array]:
-        """Return starts [m] and unit vectors in world axes, fan by fan, both (rays, 3)."""
+        """Return starts [m] and unit vectors in world axes, fan by fan, both (..., rays, 3)."""
         if on_numpy():  # a matrix product for each fan
-            along = self.directions @ self.mat.swapaxes(1, 2)
+            along = self.directions @ self.mat.mT
         else:
-            along = matvec(self.mat[:, None], self.directions)
-        return xp.broadcast_to(self.pos[:, None], along.shape).reshape(-1, 3), along.reshape(-1, 3)
+            along = matvec(self.mat[..., None, :, :], self.directions)
+        start, flat = xp.broadcast_to(self.pos[..., None, :], along.shape), (*along.shape[:-3], -1, 3)
+        return start.reshape(flat), along.reshape(flat)
 
 
 class Cone(NamedTuple):

@@ -28,6 +28,7 @@ from usarmjx.sensors.rays.bundles import (
     cone_box_distance,
     cone_sphere_distance,
 )
+from usarmjx.sensors.rays.choice import caster_in_use
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius, surface_normal
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.wanted import cast_if_wanted
@@ -161,8 +162,9 @@ def nearest_hits(
         fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
     seen = indexed_blocks(geoms, query.transparent)
-    if jax.default_backend() == "gpu":
-        return gpu_hits(seen, (origin, direction) if fans is None else fans, query)
+    on_gpu = {"warp": warp_hits, "pallas": gpu_hits}.get(caster_in_use())
+    if on_gpu is not None:
+        return on_gpu(seen, (origin, direction) if fans is None else fans, query)
     pairs = len(origin) * sum(len(part.block.owner) for part in seen)
     return (culled_hits if pairs > CULLING_THRESHOLD else brute_force_hits)(seen, origin, direction, query)
 
@@ -296,6 +298,25 @@ def gpu_hits(
         bundle_size=query.bundle_size,
         max_distance=query.max_distance,
         interpret=interpret,
+    )
+    return GeomHits(*found)
+
+
+def warp_hits(
+    seen: Sequence[IndexedBlock],
+    rays: tuple[Array, Array] | Fans,
+    query: RayQuery = DEFAULT_QUERY,
+) -> GeomHits:
+    """As `nearest_hits`: see `raycast_warp`."""
+    from usarmjx.sensors.rays.warp_calls import nearest_of_bundles  # Warp need not be installed
+
+    wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
+    found = nearest_of_bundles(
+        seen,
+        rays,
+        (query.exclude_owner, wanted),
+        bundle_size=query.bundle_size,
+        max_distance=query.max_distance,
     )
     return GeomHits(*found)
 

@@ -1,0 +1,371 @@
+"""The raycaster on Warp: a warp of threads for each bundle of rays takes a world's geoms front to back.
+
+First each lane looks at a few geoms and finds out how far away the bundle's cone meets them. Then geom after
+geom, the nearest first, every lane tests its ray against one, until the next is farther than what all rays
+have met. On a CPU, where tests run it, each thread is a bundle of one ray.
+"""
+# pyright: basic
+
+import warp as wp
+
+from usarmjx.sensors.rays import bundles
+from usarmjx.sensors.rays.warp_kinds import (
+    cone_box_distance,
+    cone_sphere_distance,
+    distance_of,
+    half_lengths,
+)
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+WARP_SIZE = wp.constant(32)
+PASS_GEOMS = wp.constant(256)
+"""Most geoms whose distances a bundle keeps while the nearest are tested."""
+BLOCK_DIM = 128
+"""Threads of a block: as many as its shared memory is for."""
+SLOT_BITS = wp.constant(wp.uint32(255))
+"""The last bits of a key: which geom of a pass it is. The first ones sort as the distance does."""
+LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
+BEYOND = wp.constant(wp.uint32(0x7F800000))
+"""Keys from here on are of geoms that the cone misses: the bits of infinity."""
+CONE_MARGIN = wp.constant(bundles.CONE_MARGIN)
+MIN_SLOPE = wp.constant(bundles.MIN_SLOPE)
+MIN_COSINE = wp.constant(bundles.MIN_COSINE)
+TINY = wp.constant(1e-12)
+ROWS = wp.constant(5)
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 32;
+#else
+    return 1;
+#endif
+""")
+def lanes() -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1) x += __shfl_xor_sync(0xffffffffu, x, step);
+#endif
+    return x;
+""")
+def sum_of_lanes(x: float) -> float: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1) x = fminf(x, __shfl_xor_sync(0xffffffffu, x, step));
+#endif
+    return x;
+""")
+def least_of_lanes(x: float) -> float: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+#if __CUDA_ARCH__ >= 800
+    return __reduce_min_sync(0xffffffffu, x);
+#else
+    for (int step = 16; step > 0; step >>= 1) {
+        const wp::uint32 other = __shfl_xor_sync(0xffffffffu, x, step);
+        x = other < x ? other : x;
+    }
+    return x;
+#endif
+#else
+    return x;
+#endif
+""")
+def least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __any_sync(0xffffffffu, x) != 0;
+#else
+    return x;
+#endif
+""")
+def any_lane(x: bool) -> bool: ...
+
+
+@wp.func_native(f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ wp::uint32 all_kept[{BLOCK_DIM // 32}][256];
+    wp::uint32* const kept = all_kept[threadIdx.x / 32];
+    if (!writes) return kept[place];
+    const unsigned mask = __ballot_sync(0xffffffffu, key < 0x7F800000u);
+    if (key < 0x7F800000u) kept[total + __popc(mask & ((1u << (threadIdx.x % 32)) - 1u))] = key;
+    __syncwarp();
+    return total + __popc(mask);
+#else
+    static wp::uint32 kept[256];
+    if (!writes) return kept[place];
+    if (key < 0x7F800000u) kept[total++] = key;
+    return total;
+#endif
+""")
+def key_list(writes: bool, place: int, total: int, key: wp.uint32) -> wp.uint32: ...
+
+
+@wp.func
+def keep(total: int, key: wp.uint32) -> int:
+    """Append the lanes' keys to those that are kept, without what the cone misses; return how many there are."""
+    return int(key_list(True, 0, total, key))
+
+
+@wp.func
+def kept(place: int) -> wp.uint32:
+    """Return one of the keys that are kept."""
+    return key_list(False, place, 0, LAST_KEY)
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4 v = __ldg(reinterpret_cast<const float4*>(values.data) + index);
+    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+#else
+    return values.data[index];
+#endif
+""")
+def four_at(values: wp.array[wp.vec4], index: int) -> wp.vec4: ...
+
+
+@wp.struct
+class Cone:
+    """As `bundles.Cone`."""
+
+    tip: wp.vec3
+    axis: wp.vec3
+    tip_radius: float
+    slope: float
+
+
+@wp.func
+def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> Cone:
+    """Return the cone about the rays of all lanes."""
+    cone = Cone()
+    share = 1.0 / float(lanes())
+    cone.tip = start
+    cone.tip_radius = CONE_MARGIN
+    if not same_start:
+        cone.tip = share * wp.vec3(sum_of_lanes(start[0]), sum_of_lanes(start[1]), sum_of_lanes(start[2]))
+        away = start - cone.tip
+        cone.tip_radius = CONE_MARGIN + wp.sqrt(-least_of_lanes(-wp.dot(away, away)))
+    axis = share * wp.vec3(sum_of_lanes(along[0]), sum_of_lanes(along[1]), sum_of_lanes(along[2]))
+    cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
+    cosine = least_of_lanes(wp.dot(along, cone.axis))
+    slope = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0)) / wp.max(cosine, MIN_COSINE) + MIN_SLOPE
+    cone.slope = wp.where(cosine < MIN_COSINE, -1.0, slope)
+    return cone
+
+
+@wp.func
+def local(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, v: wp.vec3) -> wp.vec3:
+    """Return a vector in a geom's frame."""
+    return wp.vec3(
+        r0[0] * v[0] + r1[0] * v[1] + r2[0] * v[2],
+        r0[1] * v[0] + r1[1] * v[1] + r2[1] * v[2],
+        r0[2] * v[0] + r1[2] * v[1] + r2[2] * v[2],
+    )
+
+
+@wp.func
+def approach(geoms: wp.array[wp.vec4], at: int, room: int, cone: Cone, exclude: float) -> float:
+    """Return how far away the cone meets a geom, infinite for a miss and for the viewer's own [m]."""
+    place = four_at(geoms, at)
+    r0 = four_at(geoms, at + room)
+    near = float(wp.inf)
+    if r0[3] != exclude:
+        away = wp.vec3(place[0], place[1], place[2]) - cone.tip
+        if cone.slope < 0.0:
+            near = 0.0
+        elif place[3] > 0.0:
+            near = cone_sphere_distance(away, cone.axis, place[3], cone.tip_radius, cone.slope)
+        else:
+            r1 = four_at(geoms, at + 2 * room)
+            r2 = four_at(geoms, at + 3 * room)
+            s = four_at(geoms, at + 4 * room)
+            half = half_lengths(int(r1[3]), wp.vec3(s[0], s[1], s[2]))
+            near = cone_box_distance(
+                half, local(r0, r1, r2, -away), local(r0, r1, r2, cone.axis), cone.tip_radius, cone.slope
+            )
+    return near
+
+
+@wp.struct
+class Best:
+    """The nearest up to now: how far away [m] and which."""
+
+    distance: float
+    geom: float
+
+
+@wp.func
+def keep_near(
+    geoms: wp.array[wp.vec4], first: int, count: int, begin: int, lane: int, cone: Cone, exclude: float
+) -> int:
+    """Keep the keys of those geoms of a pass that the cone meets, and return how many they are."""
+    total = int(0)
+    number = wp.min(count - begin, PASS_GEOMS)
+    group = int(0)
+    while group < number:
+        slot = group + lane
+        key = LAST_KEY
+        if slot < number:
+            near = approach(geoms, first + begin + slot, count, cone, exclude)
+            key = (wp.cast(near, wp.uint32) & ~SLOT_BITS) | wp.uint32(slot)
+        total = keep(total, key)
+        group += lanes()
+    return total
+
+
+@wp.func
+def least_kept(least: wp.uint32, lane: int, total: int) -> wp.uint32:
+    """Return the least key of this lane's that is no less than a number."""
+    mine = LAST_KEY
+    place = lane
+    while place < total:
+        other = kept(place)
+        if other >= least:
+            mine = wp.min(mine, other)
+        place += lanes()
+    return mine
+
+
+@wp.func
+def nearest(
+    geoms: wp.array[wp.vec4],
+    first: int,
+    count: int,
+    lane: int,
+    start: wp.vec3,
+    along: wp.vec3,
+    same_start: bool,
+    exclude: float,
+    reach: float,
+) -> Best:
+    """Return what this lane's ray meets first among the geoms of a world."""
+    best = Best()
+    best.distance = reach
+    best.geom = -1.0
+    cone = cone_about(start, along, same_start)
+    begin = int(0)
+    while begin < count:
+        total = keep_near(geoms, first, count, begin, lane, cone, exclude)
+        mine = least_kept(wp.uint32(0), lane, total)
+        key = least_key_of_lanes(mine)
+        while key < BEYOND and any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
+            at = first + begin + int(key & SLOT_BITS)
+            place = four_at(geoms, at)
+            r0 = four_at(geoms, at + count)
+            r1 = four_at(geoms, at + 2 * count)
+            r2 = four_at(geoms, at + 3 * count)
+            s = four_at(geoms, at + 4 * count)
+            away = start - wp.vec3(place[0], place[1], place[2])
+            t = distance_of(
+                int(r1[3]), local(r0, r1, r2, away), local(r0, r1, r2, along), wp.vec3(s[0], s[1], s[2])
+            )
+            if t < best.distance:
+                best.distance = t
+                best.geom = r2[3]
+            if mine <= key:
+                mine = least_kept(key + wp.uint32(1), lane, total)
+            key = least_key_of_lanes(mine)
+        begin += PASS_GEOMS
+    if best.geom < 0.0:
+        best.distance = wp.inf
+    return best
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def cast_fans(
+    geoms: wp.array[wp.vec4],
+    world: wp.array[int],
+    exclude: wp.array[int],
+    wanted: wp.array[int],
+    pos: wp.array[wp.vec3],
+    mat: wp.array[wp.mat33],
+    lines: wp.array[wp.vec3],
+    count: int,
+    fans: int,
+    bundle: int,
+    reach: float,
+    distance: wp.array[float],
+    geom: wp.array[int],
+):
+    """Cast the rays of fans; a warp for each bundle of each cast."""
+    t = wp.tid()
+    rays = lines.shape[0]
+    bundles_per_cast = (rays + bundle - 1) / bundle
+    lane = t & 31
+    b = t >> 5
+    cast = b / bundles_per_cast
+    begin = (b - cast * bundles_per_cast) * bundle
+    ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
+    best = Best()
+    best.distance = wp.inf
+    best.geom = -1.0
+    if wanted[cast] > 0:
+        fan = cast * fans
+        if fans > 1:
+            fan += ray / (rays / fans)
+        first = world[cast] * count * ROWS
+        best = nearest(
+            geoms,
+            first,
+            count,
+            lane & (lanes() - 1),
+            pos[fan],
+            mat[fan] * lines[ray],
+            fans == 1,
+            float(exclude[cast]),
+            reach,
+        )
+    distance[cast * rays + ray] = best.distance
+    geom[cast * rays + ray] = int(best.geom)
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def cast_rays(
+    geoms: wp.array[wp.vec4],
+    world: wp.array[int],
+    exclude: wp.array[int],
+    wanted: wp.array[int],
+    origin: wp.array[wp.vec3],
+    direction: wp.array[wp.vec3],
+    count: int,
+    rays: int,
+    bundle: int,
+    reach: float,
+    distance: wp.array[float],
+    geom: wp.array[int],
+):
+    """Cast given rays; a warp for each bundle of each cast."""
+    t = wp.tid()
+    bundles_per_cast = (rays + bundle - 1) / bundle
+    lane = t & 31
+    b = t >> 5
+    cast = b / bundles_per_cast
+    begin = (b - cast * bundles_per_cast) * bundle
+    ray = cast * rays + wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
+    best = Best()
+    best.distance = wp.inf
+    best.geom = -1.0
+    if wanted[cast] > 0:
+        first = world[cast] * count * ROWS
+        best = nearest(
+            geoms,
+            first,
+            count,
+            lane & (lanes() - 1),
+            origin[ray],
+            direction[ray],
+            False,
+            float(exclude[cast]),
+            reach,
+        )
+    distance[ray] = best.distance
+    geom[ray] = int(best.geom)

@@ -1,0 +1,240 @@
+"""As `kernels` and the cones' tests of `bundles`, for Warp: one ray or one cone and one geom at a time.
+
+Vectors are in the geom's frame. What each means is said there; the arithmetic is the same.
+"""
+# pyright: basic
+
+import mujoco
+import warp as wp
+
+from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
+from usarmjx.sensors.rays import kernels
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+TINY = wp.constant(kernels.TINY)
+EDGE_MARGIN = wp.constant(kernels.EDGE_MARGIN)
+GRID_PITCH = wp.constant(kernels.GRID_PITCH)
+HALF_BAR = wp.constant(kernels.BAR_WIDTH / 2)
+UNBOUNDED = wp.constant(kernels.UNBOUNDED)
+PLANE = wp.constant(int(mujoco.mjtGeom.mjGEOM_PLANE))
+BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
+SPHERE = wp.constant(int(mujoco.mjtGeom.mjGEOM_SPHERE))
+CAPSULE = wp.constant(int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+CYLINDER = wp.constant(int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+ELLIPSOID = wp.constant(int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
+TRIANGLE = wp.constant(TRIANGLE_KIND)
+FENDER = wp.constant(FENDER_KIND)
+
+
+@wp.func
+def not_zero(x: float) -> float:
+    return wp.where(wp.abs(x) < TINY, TINY, x)
+
+
+@wp.func
+def ahead(t: float) -> float:
+    return wp.where(t >= 0.0, t, wp.inf)
+
+
+@wp.func
+def ray_plane(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    front = d[2] < -TINY
+    t = wp.where(front, -o[2] / wp.where(front, d[2], -1.0), -1.0)
+    inside = t >= 0.0
+    inside = inside and (s[0] <= 0.0 or wp.abs(o[0] + t * d[0]) <= s[0])
+    inside = inside and (s[1] <= 0.0 or wp.abs(o[1] + t * d[1]) <= s[1])
+    return wp.where(inside, t, wp.inf)
+
+
+@wp.func
+def ray_box(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    near = float(-wp.inf)
+    far = float(wp.inf)
+    for i in range(3):
+        share = 1.0 / not_zero(d[i])
+        middle = o[i] * share
+        half = s[i] * wp.abs(share)
+        near = wp.max(near, -middle - half)
+        far = wp.min(far, half - middle)
+    return wp.where(near <= far, wp.min(ahead(near), ahead(far)), wp.inf)
+
+
+@wp.func
+def ball(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
+    middle = -wp.dot(o, d)
+    foot = o + middle * d
+    under = radius * radius - wp.dot(foot, foot)
+    root = wp.sqrt(wp.max(under, 0.0))
+    return wp.where(under >= 0.0, wp.vec2(middle - root, middle + root), wp.vec2(wp.inf, wp.inf))
+
+
+@wp.func
+def ray_sphere(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = ball(o, d, s[0])
+    return wp.min(ahead(t[0]), ahead(t[1]))
+
+
+@wp.func
+def tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
+    flat = d[0] * d[0] + d[1] * d[1]
+    safe = wp.max(flat, TINY)
+    middle = -(o[0] * d[0] + o[1] * d[1]) / safe
+    x = o[0] + middle * d[0]
+    y = o[1] + middle * d[1]
+    under = radius * radius - x * x - y * y
+    half = wp.sqrt(wp.max(under, 0.0) / safe)
+    hit = under >= 0.0 and flat > TINY
+    return wp.where(hit, wp.vec2(middle - half, middle + half), wp.vec2(wp.inf, wp.inf))
+
+
+@wp.func
+def within(t: float, z: float, low: float, high: float) -> float:
+    return wp.where(t >= 0.0 and z >= low and z <= high, t, wp.inf)
+
+
+@wp.func
+def ray_cylinder(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = tube(o, d, s[0])
+    best = wp.min(
+        within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
+    )
+    share = 1.0 / not_zero(d[2])
+    for i in range(2):
+        cap = (wp.where(i == 0, -s[1], s[1]) - o[2]) * share
+        x = o[0] + cap * d[0]
+        y = o[1] + cap * d[1]
+        best = wp.min(best, wp.where(x * x + y * y <= s[0] * s[0], ahead(cap), wp.inf))
+    return best
+
+
+@wp.func
+def ray_capsule(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = tube(o, d, s[0])
+    best = wp.min(
+        within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
+    )
+    top = ball(wp.vec3(o[0], o[1], o[2] - s[1]), d, s[0])
+    bottom = ball(wp.vec3(o[0], o[1], o[2] + s[1]), d, s[0])
+    for i in range(2):
+        best = wp.min(best, within(top[i], o[2] + top[i] * d[2], s[1], wp.inf))
+        best = wp.min(best, within(bottom[i], o[2] + bottom[i] * d[2], -wp.inf, -s[1]))
+    return best
+
+
+@wp.func
+def ray_ellipsoid(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    start = wp.cw_div(o, s)
+    along = wp.cw_div(d, s)
+    stretch = wp.dot(along, along)
+    middle = -wp.dot(start, along) / stretch
+    foot = start + middle * along
+    under = 1.0 - wp.dot(foot, foot)
+    half = wp.sqrt(wp.max(under, 0.0) / stretch)
+    return wp.where(under >= 0.0, wp.min(ahead(middle - half), ahead(middle + half)), wp.inf)
+
+
+@wp.func
+def ray_triangle(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = -o[2] / not_zero(d[2])
+    x = o[0] + t * d[0]
+    y = o[1] + t * d[1]
+    second = x * s[2] - y * s[1]
+    third = y * s[0]
+    area = s[0] * s[2]
+    slack = EDGE_MARGIN * area
+    inside = second >= -slack and third >= -slack and second + third <= area + slack and area > 0.0
+    return wp.where(inside, ahead(t), wp.inf)
+
+
+@wp.func
+def between_bars(x: float, half: float) -> bool:
+    return wp.abs(x - GRID_PITCH * wp.floor(x / GRID_PITCH + 0.5)) > HALF_BAR and half >= GRID_PITCH / 2.0
+
+
+@wp.func
+def in_hole(p: wp.vec3, s: wp.vec3) -> bool:
+    free_x = between_bars(p[0], s[0])
+    free_y = between_bars(p[1], s[1])
+    free_z = between_bars(p[2], s[2])
+    over_x = wp.abs(p[0]) - s[0]
+    over_y = wp.abs(p[1]) - s[1]
+    over_z = wp.abs(p[2]) - s[2]
+    on_x = over_x >= over_y and over_x >= over_z
+    on_y = not on_x and over_y >= over_z
+    return wp.where(on_x, free_y and free_z, wp.where(on_y, free_x and free_z, free_x and free_y))
+
+
+@wp.func
+def ray_fender(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = ray_box(o, d, s)
+    reach = wp.where(t < wp.inf, t, 0.0)
+    return wp.where(in_hole(o + reach * d, s), wp.inf, t)
+
+
+@wp.func
+def distance_of(kind: int, o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    """Distance to a geom's surface, infinite for a miss [m]."""
+    t = float(wp.inf)
+    if kind == BOX:
+        t = ray_box(o, d, s)
+    elif kind == CYLINDER:
+        t = ray_cylinder(o, d, s)
+    elif kind == TRIANGLE:
+        t = ray_triangle(o, d, s)
+    elif kind == PLANE:
+        t = ray_plane(o, d, s)
+    elif kind == SPHERE:
+        t = ray_sphere(o, d, s)
+    elif kind == CAPSULE:
+        t = ray_capsule(o, d, s)
+    elif kind == ELLIPSOID:
+        t = ray_ellipsoid(o, d, s)
+    elif kind == FENDER:
+        t = ray_fender(o, d, s)
+    return t
+
+
+@wp.func
+def half_lengths(kind: int, s: wp.vec3) -> wp.vec3:
+    """Half lengths of the box about a geom; not of a triangle, whose box is not about its position."""
+    half = wp.vec3(s[0], s[1], s[2])
+    if kind == PLANE:
+        half = wp.vec3(wp.where(s[0] > 0.0, s[0], UNBOUNDED), wp.where(s[1] > 0.0, s[1], UNBOUNDED), 0.0)
+    elif kind == CYLINDER:
+        half = wp.vec3(s[0], s[0], s[1])
+    elif kind == CAPSULE:
+        half = wp.vec3(s[0], s[0], s[0] + s[1])
+    elif kind == SPHERE:
+        half = wp.vec3(s[0], s[0], s[0])
+    return half
+
+
+@wp.func
+def cone_box_distance(half: wp.vec3, tip: wp.vec3, axis: wp.vec3, tip_radius: float, slope: float) -> float:
+    near = float(0.0)
+    far = float(wp.inf)
+    for i in range(3):
+        room = half[i] + tip_radius
+        position = wp.where(axis[i] >= 0.0, tip[i], -tip[i])
+        speed = wp.abs(axis[i])
+        opening = speed + slope
+        closing = not_zero(speed - slope)
+        share = 1.0 / (opening * closing)
+        enter = (-position - room) * closing * share
+        leave = (room - position) * opening * share
+        near = wp.max(near, wp.where(closing < 0.0, wp.max(enter, leave), enter))
+        far = wp.where(closing > 0.0, wp.min(far, leave), far)
+    return wp.where(near <= far, near, wp.inf)
+
+
+@wp.func
+def cone_sphere_distance(
+    offset: wp.vec3, axis: wp.vec3, radius: float, tip_radius: float, slope: float
+) -> float:
+    far = wp.dot(offset, offset)
+    along = wp.dot(offset, axis)
+    reach = radius + tip_radius
+    width = reach + slope * (along + radius)
+    inside = far - along * along <= width * width and along > -reach
+    return wp.where(inside, wp.max(wp.sqrt(far) - reach, 0.0), wp.inf)
