@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import STEER_SUFFIX, RobotSpec
 from usarmjx.sensors.rfid import Rfid
+from usarmjx.server.arrivals import appear
 from usarmjx.server.fault_log import INTERVAL, FaultLog, summary
 from usarmjx.server.messages.sensors import (
     configuration,
@@ -31,12 +31,16 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
 from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode
-from usarmjx.sim.scene import start_height
 
 log = logging.getLogger(__name__)
 
 BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
+ORDERS = (
+    *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
+    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov),
+)
+"""What a robot that somebody else drives meanwhile does not do for its client."""
 RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
 """The wire's orders that add to the present position, or to the speed or torque in force (KRobot.uc)."""
 
@@ -78,7 +82,9 @@ class Client:
 
     def handle(self, command: wire.Command) -> None:
         """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
-        if not self.lost:
+        if self.robot is not None and self.robot.obeys not in (None, self) and isinstance(command, ORDERS):
+            self.session.add_fault(f"{self.robot.name} is driven from the page: {type(command).__name__}")
+        elif not self.lost:
             self._handlers[type(command)](command)
 
     def log_faults(self, *, is_last: bool = False) -> None:
@@ -103,39 +109,17 @@ class Client:
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
         try:
-            poses = self._start_poses_for(init, spec)
-            tile = self._world.free_tile(spec)
-            robot = self._world.spawn_at(spec, init.name or self._free_name(spec), poses)
+            robot = appear(self._world, init, spec)
         except UsageError as error:
             self.session.note_refusal(str(error))
             return False
-        robot.tile, self.robot = tile, robot
-        self.next_report = robot.spawn_time + spec.msg_timer
+        self.adopt(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
 
-    def _start_poses_for(self, init: wire.Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:
-        """Return where an INIT lets the robot appear, the best first: where it says, or at any start pose."""
-        arena = self._world.arena
-        tags = {start.tag.lower(): start for start in arena.starts}
-        if init.start and init.start.lower() not in tags:
-            known = ", ".join(start.tag for start in tags.values())
-            raise UsageError(f"no start pose {clip(init.start)}; known: {known}")
-        angles = flip_wire_angles(init.rotation) if init.rotation else None
-        if init.location is not None and not init.start:
-            return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
-        if not tags:
-            raise UsageError(f"arena {arena.name} has no start poses: give a Location")
-        starts = [tags[init.start.lower()]] if init.start else self._world.starts_for(spec)
-        return [
-            ((*start.at[:2], start_height(arena, start, spec)), angles or (0.0, 0.0, start.yaw))
-            for start in starts
-        ]
-
-    def _free_name(self, spec: RobotSpec) -> str:
-        taken = {robot.name.lower() for robot in self._world.robots.values()}
-        numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
-        return next(name for name in numbers if name.lower() not in taken)
+    def adopt(self, robot: Robot, since: float) -> None:
+        """Have a robot that is in the world already, and report from a time on [s]."""
+        self.robot, self.next_report = robot, since + robot.spec.msg_timer
 
     def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
         """Let what went to the client or came from it be recorded, if anything is."""

@@ -318,6 +318,17 @@ class BotServer:
                 commands = client.session.answer_init(accepted)
             connection.last_asked = time.monotonic()
 
+    def _hand_over(self, client: Client, init: Init, spec: RobotSpec) -> bool:
+        """Give a client the guest's robot of that class and name, where it is; say whether there is one."""
+        for guest in self.guests:
+            robot = guest.robot
+            if robot is None or guest.lost or (robot.name.lower(), robot.spec) != (init.name.lower(), spec):
+                continue
+            guest.robot, robot.obeys = None, None
+            client.adopt(robot, self.world.time)
+            return True
+        return False
+
     async def prepare(self, spec: RobotSpec) -> None:
         """Let a thread do what takes long before the first robot of a class can appear.
 
@@ -350,7 +361,7 @@ class BotServer:
                 await self._stepped.wait()
             self._check_is_here(connection)
             began = self._joins.clock()
-            accepted = client.spawn(init, spec)
+            accepted = self._hand_over(client, init, spec) or client.spawn(init, spec)
             cost = self._joins.clock() - began
             self._joins.spend(cost)
             if not accepted:

@@ -64,7 +64,8 @@ def test_robots_stay_and_know_nothing_of_before(court):
     world.reset()
     assert world.robots == {robot.slot: robot}
     assert world.battery(robot) == pytest.approx(P2DX.battery_life)
-    assert not robot.command.light and not robot.pending
+    assert not robot.command.light
+    assert not robot.pending
     assert robot.fovs == [camera.default_fov for camera in robot.cameras]
     assert 7 not in world.tag_texts
     steps(world, 50)
