@@ -22,7 +22,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.base import SENSORS, SensorInput
+from usarmjx.sensors.base import ROBOT_FIELDS, SENSORS, SensorInput, is_for_teams
 from usarmjx.sensors.rays.raycast import Hits, RayQuery
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.sensors.surroundings import surroundings_at
@@ -356,3 +356,46 @@ def test_a_caster_of_ones_own_is_asked_for_the_rays_of_sensors_that_are_due_only
         expected += [turn if due[i] else np.inf] * suite.ray_counts[i]
     np.testing.assert_array_equal(hits.distance, expected)
     np.testing.assert_array_equal(hits.cosine, np.isfinite(expected))
+
+
+# --- several robots at once ---------------------------------------------------------------------
+
+
+def test_several_robots_read_and_look_at_once_as_each_would_alone():
+    suite = suite_of(EVERYTHING)
+    course = course_of(suite)
+    around = around_at(np.float32(TIMES[-1]))
+    slots = np.arange(len(TIMES), dtype=np.int32)
+
+    def cast(origin, direction, query, fans):
+        assert fans is None
+        return met(origin, direction, around, np.random.default_rng(int(query.exclude_owner)))
+
+    with numpy_backend():
+        keys = random.fold_in(random.key(SEED), slots)
+        moments = [jax.tree.map(lambda rows, i=i: rows[i], course) for i in slots]
+        memories = [start(suite, moment) for moment in moments]
+        # Each has other sensors that are not due yet.
+        turns = [np.arange(len(suite.sensors)) % (i + 1) == 0 for i in slots]
+        memories = [
+            memory.replace(due=np.where(turn, 0.0, TIMES[-1] + 1).astype(np.float32))
+            for memory, turn in zip(memories, turns, strict=True)
+        ]
+        now = [moment._replace(time=np.float32(TIMES[-1]), around=around) for moment in moments]
+        inputs = [sensed(suite, moment) for moment in now]
+        alone = [
+            (suite.hits(cast, one.bodies, slot, turn, around), suite.read(one, memory, key))
+            for one, slot, turn, memory, key in zip(inputs, slots, turns, memories, keys, strict=True)
+        ]
+        own = [{name: getattr(one, name) for name in ROBOT_FIELDS} for one in inputs]
+        team = inputs[0].replace(**jax.tree.map(lambda *rows: np.stack(rows), *own))
+        memory = jax.tree.map(lambda *rows: np.stack(rows), *memories)
+        together = (
+            suite.hits(cast, team.bodies, slots, np.stack(turns), around),
+            suite.read(team, memory, keys),
+        )
+    expected = jax.tree.map(lambda *rows: np.stack(rows), *alone)
+    assert jax.tree.structure(together) == jax.tree.structure(expected)
+    jax.tree.map(np.testing.assert_array_equal, together, expected)
+    kinds = {sensor.kind for sensor in suite.sensors if is_for_teams(sensor.read)}
+    assert kinds >= {"Sonar", "IR", "RangeScanner", "Odometry", "INS", "Encoder", "GroundTruth"}

@@ -198,7 +198,7 @@ def _lanes(keys: np.ndarray, numbers: int, count: int) -> tuple[int, int]:
 
 def _packed(words: np.ndarray) -> int:
     """Return numbers as lanes."""
-    return int.from_bytes((words & MASK).astype("<u8").tobytes(), "little")
+    return int.from_bytes((words.astype("<u8") & np.uint64(MASK)).tobytes(), "little")
 
 
 @cache

@@ -5,10 +5,12 @@ The batch maps these functions over robots and worlds; nothing here knows of eit
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
+import jax
 import numpy as np
 from flax import struct
 
@@ -32,6 +34,24 @@ NOISE_SETTINGS = ("noise", "sigma", "max_noise", "min_noise")
 """Settings that are sizes of random errors; `precision` is the inverse of one."""
 
 NO_RAYS = np.zeros((0, 3), np.float32)
+ROBOT_FIELDS = ("state", "bodies", "hits")
+"""What of the inputs of several robots has a leading axis over them."""
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def for_teams(method: Method) -> Method:
+    """Mark a sensor's `read` or `fans` whose arrays may all have a leading axis over robots.
+
+    On NumPy it is called once for all robots of a class, where others are called robot by robot. What a
+    subclass has in its place has the mark only if it is marked itself.
+    """
+    vars(method)["for_teams"] = True
+    return method
+
+
+def is_for_teams(method: Callable[..., Any]) -> bool:
+    """Return whether a sensor's method has the mark of `for_teams`."""
+    return getattr(method, "for_teams", False)
 
 
 class SensorInput(struct.PyTreeNode, kw_only=True):
@@ -57,6 +77,11 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
     def surroundings_or_empty(self) -> Surroundings:
         """The surroundings, `NO_SURROUNDINGS` where none were given."""
         return NO_SURROUNDINGS if self.surroundings is None else self.surroundings
+
+    def of(self, robots: Array | int) -> "SensorInput":
+        """Return, of the inputs of several robots, those of one, or of whichever are masked (robots,)."""
+        own = {name: getattr(self, name) for name in ROBOT_FIELDS}
+        return self.replace(**jax.tree.map(lambda x: x[robots], own))
 
 
 class Reading(struct.PyTreeNode, kw_only=True):
@@ -252,10 +277,14 @@ class Sensor(ABC):
         return np.array([parts.index(mount.parent) for mount in self.mounts])
 
     def mount_poses(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """Return the world poses of the mounts: positions (mounts, 3), orientations (mounts, 3, 3)."""
+        """Return the world poses of the mounts: positions (..., mounts, 3), orientations (..., mounts, 3, 3).
+
+        Args:
+            bodies: Poses of a robot's bodies, or of several robots' (...,).
+        """
         index, at, local = self._mounts_on_bodies
-        mat = bodies.mat[index]
-        return bodies.pos[index] + matvec(mat, at), matmul(mat, local)
+        mat = bodies.mat[..., index, :, :]
+        return bodies.pos[..., index, :] + matvec(mat, at), matmul(mat, local)
 
     @cached_property
     def _mounts_on_bodies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector, wr
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings, for_teams
 from usarmjx.sensors.noise import noisy, relative_normal
 
 SHARE = NumberLimits(low=-1.0, low_exclusive=True)
@@ -91,23 +91,27 @@ class Odometry(Sensor):
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
     def _ticks(self, inputs: SensorInput) -> Array:
-        return xp.trunc(inputs.state.joint_pos[self._pair] / self.settings[0].encoder_resolution)
+        return xp.trunc(inputs.state.joint_pos[..., self._pair] / self.settings[0].encoder_resolution)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> OdometryMemory:
         """Here and now are the reference."""
         return OdometryMemory(pose=xp.zeros(3), ticks=self._ticks(inputs))
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: OdometryMemory, key: Array) -> tuple[OdometryMemory, Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
         ticks = self._ticks(inputs)
         robot, settings = self.plan.robot, self.settings[0]
         radius = robot.wheel_radius * (1 + settings.diameter_error)
         ways = (ticks - memory.ticks) * settings.encoder_resolution * radius
-        left, right = relative_normal(key, ways, settings.mean, settings.sigma)
-        x, y, heading = memory.pose
+        ways = relative_normal(key, ways, settings.mean, settings.sigma)
+        left, right = ways[..., 0], ways[..., 1]
+        x, y, heading = (memory.pose[..., i] for i in range(3))
         advance = (left + right) / 2
         turned = heading + (right - left) / (robot.wheel_separation * (1 + settings.separation_error))
-        pose = xp.stack([x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)])
+        pose = xp.stack(
+            [x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)], -1
+        )
         return OdometryMemory(pose=pose, ticks=ticks), pose
 
     def handle_set(
@@ -180,6 +184,7 @@ class Ins(Sensor):
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: InsMemory, key: Array) -> tuple[InsMemory, Array]:
         """The manual's seven steps.
 
@@ -188,23 +193,24 @@ class Ins(Sensor):
         """
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
-        pos, mat = pos[0], mat[0]
-        elapsed = inputs.time - memory.time
+        pos, mat = pos[..., 0, :], mat[..., 0, :, :]
+        elapsed = inputs.time - memory.time[..., None]
         span = xp.maximum(elapsed, 1e-6)
         turn_key, path_key = random.split(key)
-        rate = rotation_vector(memory.true_mat.T @ mat) / span  # 1
+        rate = rotation_vector(memory.true_mat.mT @ mat) / span  # 1
         rate = relative_normal(turn_key, rate, settings.mean, settings.sigma)  # 2
         drift = memory.drift_rate * elapsed
-        estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[3:])  # 3
+        estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[..., 3:])  # 3
         path = pos - memory.true_pos
-        distance = xp.linalg.norm(path) * xp.sign(xp.dot(path, mat[:, 0]))  # 4
+        distance = xp.linalg.norm(path, axis=-1) * xp.sign((path * mat[..., 0]).sum(-1))  # 4
         distance = relative_normal(path_key, distance, settings.mean, settings.sigma)  # 5
         angles = angles_from_mat(estimate, xp)
-        _, pitch, yaw = angles
-        heading = xp.stack([xp.cos(pitch) * xp.cos(yaw), xp.cos(pitch) * xp.sin(yaw), -xp.sin(pitch)])
-        position = memory.pos + distance * heading + drift[:3]  # 6, 7
-        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=inputs.time)
-        return memory, xp.concatenate([position, angles])
+        pitch, yaw = angles[..., 1], angles[..., 2]
+        heading = xp.stack([xp.cos(pitch) * xp.cos(yaw), xp.cos(pitch) * xp.sin(yaw), -xp.sin(pitch)], -1)
+        position = memory.pos + distance[..., None] * heading + drift[..., :3]  # 6, 7
+        now = xp.broadcast_to(inputs.time, memory.time.shape)
+        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=now)
+        return memory, xp.concatenate([position, angles], -1)
 
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: InsMemory
@@ -260,12 +266,13 @@ class Encoder(Sensor):
 
     def _angles(self, inputs: SensorInput) -> Array:
         joints, sign = self._joints
-        return xp.asarray(inputs.state.joint_pos[joints] * sign)
+        return xp.asarray(inputs.state.joint_pos[..., joints] * sign)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> Array:
         """Counts start at zero."""
         return self._angles(inputs)
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: Array, key: Array) -> tuple[Array, Array]:
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(inputs) - memory
@@ -294,10 +301,11 @@ class GroundTruth(Sensor):
     kind = "GroundTruth"
     settings_class = GroundTruthSettings
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: tuple[()], key: Array) -> tuple[tuple[()], Array]:
         """Return the pose."""
         pos, mat = self.mount_poses(inputs.bodies)
-        return memory, xp.concatenate([pos[0], angles_from_mat(mat[0], xp)])
+        return memory, xp.concatenate([pos[..., 0, :], angles_from_mat(mat[..., 0, :, :], xp)], -1)
 
 
 for _sensor in (Odometry, Ins, Encoder, GroundTruth):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from itertools import pairwise
 
 import jax
@@ -10,7 +9,7 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, vmap, xp
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.sensors.base import NoisySensorSettings
 
 OutputCurve = tuple[tuple[float, float], ...]
@@ -40,16 +39,16 @@ def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
 def noisy(key: Array, data: Array, settings: Sequence[NoisySensorSettings]) -> Array:
     """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
 
-    Keys are folded by place: a sensor's noise does not depend on those after it.
+    Keys are folded by place: a sensor's noise does not depend on those after it. On NumPy of robots' keys
+    (robots,) and data (robots, sensors, ...) as well.
     """
     noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
     keys = random.fold_in(key, np.arange(len(settings)))
-    rows = (-1, *[1] * (data.ndim - 1))
+    rows = (-1, *[1] * (data.ndim - random.axes(keys)))
     told = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
     if _is_zero(mean) and _is_zero(sigma):
         return told
-    others = vmap(partial(random.fold_in, data=1))(keys)
-    return relative_normal(others, told, mean.reshape(rows), sigma.reshape(rows))
+    return relative_normal(random.fold_in(keys, 1), told, mean.reshape(rows), sigma.reshape(rows))
 
 
 def _is_zero(values: Array) -> bool:

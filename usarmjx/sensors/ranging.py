@@ -12,7 +12,7 @@ from usarmjx.base.backend import xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
 from usarmjx.models.spec.shapes import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, for_teams
 from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
 from usarmjx.sensors.rays.bundles import Fans
 
@@ -47,10 +47,15 @@ def farthest(settings: tuple[RangeSettings, ...]) -> float:
 
 
 def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Array) -> Array:
-    """Turn true distances [m] (sensors, n) into what each sensor reports [m] (sensors, n).
+    """Turn true distances [m] (..., sensors, n) into what each sensor reports [m] (..., sensors, n).
 
     Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
     the reading is MaxRange exactly; the distortion curve comes last.
+
+    Args:
+        distance: The distances.
+        settings: Of each sensor.
+        key: Of the noise; as many axes as the distances have before the sensors.
     """
     low, high = (
         np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range")
@@ -60,7 +65,7 @@ def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Ar
     ranges = xp.where(hit, xp.clip(told, low, high), high)
     curves = [s.output_curve for s in settings]
     if any(curves):
-        return xp.stack([apply_output_curve(row, curve) for row, curve in zip(ranges, curves, strict=True)])
+        return xp.stack([apply_output_curve(ranges[..., i, :], curve) for i, curve in enumerate(curves)], -2)
     return ranges
 
 
@@ -113,6 +118,7 @@ class Sonar(Sensor):
         """Farther away than MaxRange it sees nothing [m]."""
         return farthest(self.settings)
 
+    @for_teams
     def fans(self, bodies: BodyPoses) -> Fans:
         """All beams' lines."""
         return Fans(*self.mount_poses(bodies), self._cones)
@@ -127,11 +133,13 @@ class Sonar(Sensor):
         """Cosine of the widest angle from the normal under which each hears a surface (mounts, 1)."""
         return np.array([[math.cos(settings.max_incidence)] for settings in self.settings], np.float32)
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
-        heard = inputs.hits.cosine.reshape(len(self.mounts), -1) >= self._min_cosines
-        distance = xp.where(heard, inputs.hits.distance.reshape(heard.shape), xp.inf).min(-1)
-        return memory, range_readings(distance[:, None], self.settings, key)[:, 0]
+        hits, beams = inputs.hits, len(self.mounts)
+        heard = hits.cosine.reshape(*hits.cosine.shape[:-1], beams, -1) >= self._min_cosines
+        distance = xp.where(heard, hits.distance.reshape(heard.shape), xp.inf).min(-1)
+        return memory, range_readings(distance[..., None], self.settings, key)[..., 0]
 
 
 @dataclass(frozen=True)
@@ -161,9 +169,10 @@ class Ir(Sensor):
         pos, mat = self.mount_poses(bodies)
         return pos, mat[:, :, 0]
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
-        return memory, range_readings(inputs.hits.distance[:, None], self.settings, key)[:, 0]
+        return memory, range_readings(inputs.hits.distance[..., None], self.settings, key)[..., 0]
 
 
 @dataclass(frozen=True)
@@ -240,6 +249,7 @@ class RangeScanner(Sensor):
         """Unit directions of the beams about the mount's x axis (beams, 3)."""
         return fan_directions(self.settings[0])
 
+    @for_teams
     def fans(self, bodies: BodyPoses) -> Fans:
         """One line per step of the fan."""
         return Fans(*self.mount_poses(bodies), self._fan)
@@ -249,9 +259,10 @@ class RangeScanner(Sensor):
         """The one fan that all beams are (1, beams, 3)."""
         return self.directions()[None]
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""
-        return memory, range_readings(inputs.hits.distance[None], self.settings, key)[0]
+        return memory, range_readings(inputs.hits.distance[..., None, :], self.settings, key)[..., 0, :]
 
     def handle_set(
         self,

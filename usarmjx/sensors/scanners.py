@@ -8,7 +8,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, TURN, ManualKey
-from usarmjx.sensors.base import SENSORS, SensorInput
+from usarmjx.sensors.base import SENSORS, SensorInput, for_teams
 from usarmjx.sensors.ranging import (
     Ir,
     RangeScanner,
@@ -106,10 +106,11 @@ class RangeScanner3D(RangeScanner):
         """Unit directions of the beams about the mount's x axis, row by row (beams, 3)."""
         return grid_directions(self.settings[0]).reshape(-1, 3)
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once, all beams at the same moment."""
-        ranges = range_readings(inputs.hits.distance[None], self.settings, key)[0]
-        return memory, ranges.reshape(self.settings[0].shape)
+        ranges = range_readings(inputs.hits.distance[..., None, :], self.settings, key)[..., 0, :]
+        return memory, ranges.reshape(*ranges.shape[:-1], *self.settings[0].shape)
 
 
 for _sensor in (IrScanner, RangeScanner3D):

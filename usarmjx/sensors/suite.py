@@ -1,4 +1,8 @@
-"""All sensors of a robot class, read together, each when it is due."""
+"""All sensors of a robot class, read together, each when it is due.
+
+A batch maps `Suite.hits` and `Suite.read` of one robot over robots and worlds. On NumPy they are of several
+robots too, all arrays with a leading axis over them: what sensors have `for_teams` is called once then.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +17,12 @@ from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, xp
+from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors import co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim
-from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput
+from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_for_teams
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import CameraSettings, resolve_settings
@@ -93,6 +97,10 @@ class Suite:
         """Return which sensors measure at a time [s] () (sensors,)."""
         return time >= memory.due - CLOCK_SLACK
 
+    def _rays_of(self, i: int) -> slice:
+        """Return which of all rays are those of sensor `i`."""
+        return slice(self._ray_ends[i] - self.ray_counts[i], self._ray_ends[i])
+
     def cast_rays(
         self,
         geoms: Geoms,
@@ -117,11 +125,13 @@ class Suite:
         Args:
             cast: Casts them.
             bodies: Poses of the robot's bodies.
-            slot: The robot's slot ().
+            slot: The robot's slot (); of several (robots,).
             due: Which sensors measure now (sensors,); rays of the others are not cast and meet nothing. None:
                 all do.
             surroundings: Victims and tags.
         """
+        if on_numpy():
+            return self._hits_on_numpy(cast, bodies, np.asarray(slot), due, surroundings)
         hits = [
             self._hits_of(sensor, cast, bodies, slot, None if due is None else due[i], surroundings)
             for i, sensor in enumerate(self.sensors)
@@ -142,28 +152,40 @@ class Suite:
         surroundings: Surroundings,
     ) -> Hits:
         """Return what the rays of one sensor meet, if anybody wants to know."""
-        if on_numpy() and wanted is not None and not wanted:
-            return self._misses[sensor]
         fans = sensor.fans(bodies)
         origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
-        query = RayQuery(
-            transparent=sensor.transparent,
-            bundle_size=sensor.bundle_size,
-            max_distance=sensor.max_distance,
-            incidence=sensor.needs_incidence,
-            exclude_owner=slot,
-            wanted=wanted,
-        )
         with named_scope(sensor.kind):
-            return cast(origin, direction, query, fans)
+            return cast(origin, direction, _query(sensor, slot, wanted), fans)
 
-    @cached_property
-    def _misses(self) -> dict[Sensor, Hits]:
-        """What rays meet that are not cast, on NumPy."""
-        return {
-            sensor: Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
-            for sensor, count in zip(self.sensors, self.ray_counts, strict=True)
-        }
+    def _hits_on_numpy(
+        self,
+        cast: RayCaster,
+        bodies: BodyPoses,
+        slot: np.ndarray,
+        due: Array | None,
+        surroundings: Surroundings,
+    ) -> Hits:
+        """As `hits`, of one robot () or of several (robots,)."""
+        count = sum(self.ray_counts)
+        distance = np.full((*slot.shape, count), np.inf, np.float32)
+        cosine = np.zeros(distance.shape, np.float32)
+        for i, sensor in enumerate(self.sensors):
+            wanted = np.ones(slot.shape, bool) if due is None else np.asarray(due[..., i])
+            if not self.ray_counts[i] or not wanted.any():
+                continue
+            together = sensor.fans(bodies) if not slot.ndim or is_for_teams(sensor.fans) else None
+            rays = None if together is None else together.rays()
+            for robot in zip(*np.nonzero(wanted), strict=True) if slot.ndim else [()]:
+                if rays is not None:
+                    origin, direction = (part[robot] for part in rays)
+                else:
+                    own = BodyPoses(pos=bodies.pos[robot], mat=bodies.mat[robot])
+                    fans = sensor.fans(own)
+                    origin, direction = sensor.aimed_rays(own, surroundings) if fans is None else fans.rays()
+                met = cast(origin, direction, _query(sensor, slot[robot]), None)
+                distance[(*robot, self._rays_of(i))] = met.distance
+                cosine[(*robot, self._rays_of(i))] = met.cosine
+        return Hits(distance=distance, cosine=cosine)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> SensorMemory:
         """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
@@ -201,7 +223,7 @@ class Suite:
         """Return a key for each sensor, folded by its place: adding one leaves the noise of others alone."""
         count = len(self.sensors)
         if on_numpy():
-            return random.fold_in(key, np.arange(count))
+            return np.moveaxis(random.fold_in(key, np.arange(count)), -2, 0)
         return [random.fold_in(key, i) for i in range(count)]
 
     def _read_one(
@@ -213,11 +235,20 @@ class Suite:
         key: Array,
     ) -> tuple[Any, Array]:
         """Return what sensor `i` of a robot remembers after it measures, and what it measures."""
-        mine = slice(self._ray_ends[i] - self.ray_counts[i], self._ray_ends[i])
+        mine = (..., self._rays_of(i))
         hits = Hits(distance=inputs.hits.distance[mine], cosine=inputs.hits.cosine[mine])
+        inputs = inputs.replace(hits=hits)
         with named_scope(sensor.kind):
-            memory, value = sensor.read(inputs.replace(hits=hits), memory, key)
-        return memory, np.asarray(value) if on_numpy() else value
+            if not on_numpy():
+                return sensor.read(inputs, memory, key)
+            if random.axes(key) and not is_for_teams(sensor.read):
+
+                def of_robot(robot: int, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
+                    return sensor.read(inputs.of(robot), memory, key)
+
+                return vmap(of_robot)(np.arange(len(key)), memory, key)
+            memory, value = sensor.read(inputs, memory, key)
+            return memory, np.asarray(value)
 
     def read(
         self, inputs: SensorInput, memory: SensorMemory, key: Array
@@ -226,7 +257,7 @@ class Suite:
         interval, manual = self._intervals
         fresh, keys = self.due(inputs.time, memory), self._keys(key)
         kept = [
-            self._read_if(i, sensor, fresh[i], inputs, memory, keys[i])
+            self._read_if(i, sensor, fresh[..., i], inputs, memory, keys[i])
             for i, sensor in enumerate(self._as_noisy_as(inputs))
         ]
         # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.
@@ -234,7 +265,7 @@ class Suite:
         following = xp.where(manual, xp.inf, xp.where(late, inputs.time, memory.due) + interval)
         due = xp.where(fresh, following, memory.due)
         own, last = tuple(own for own, _ in kept), tuple(value for _, value in kept)
-        readings = tuple(Reading(value=value, fresh=fresh[i]) for i, value in enumerate(last))
+        readings = tuple(Reading(value=value, fresh=fresh[..., i]) for i, value in enumerate(last))
         return SensorMemory(due=due, own=own, last=last), readings
 
     def _read_if(
@@ -242,9 +273,15 @@ class Suite:
     ) -> tuple[Any, Array]:
         """As `_read_one` of a sensor that is due, else what there was before."""
         before = memory.own[i], memory.last[i]
-        if on_numpy():
-            return self._read_one(i, sensor, inputs, before[0], key) if fresh else before
+        if on_numpy() and not fresh.any():
+            return before
+        if on_numpy() and not fresh.all():
+            old = jax.tree.map(lambda x: x[fresh], before[0])
+            after = self._read_one(i, sensor, inputs.of(fresh), old, key[fresh])
+            return jax.tree.map(lambda new, old: set_at(old, fresh, new), after, before)
         after = self._read_one(i, sensor, inputs, before[0], key)
+        if on_numpy():
+            return after
         return jax.tree.map(lambda new, old: jnp.where(fresh, new, old), after, before)
 
     def find(self, kind: str, name: str) -> int | None:
@@ -297,6 +334,18 @@ def carry_over(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorM
     both = zip(before.sensors, after.sensors, strict=True)
     changed = np.array([old.settings != new.settings for old, new in both], bool)
     return SensorMemory(due=np.where(changed, fresh.due, memory.due), own=own, last=last)
+
+
+def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:
+    """Return how a sensor of the robot in a slot () casts its rays, if anybody wants to know ()."""
+    return RayQuery(
+        transparent=sensor.transparent,
+        bundle_size=sensor.bundle_size,
+        max_distance=sensor.max_distance,
+        incidence=sensor.needs_incidence,
+        exclude_owner=slot,
+        wanted=wanted,
+    )
 
 
 @lru_cache(maxsize=64)

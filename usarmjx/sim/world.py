@@ -235,7 +235,8 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
     def one(bodies: BodyPoses, slot: Array, due: Array) -> Hits:
         return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
 
-    return vmap(one)(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
+    together = one if on_numpy() else vmap(one)
+    return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
 
 
 def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
@@ -393,7 +394,11 @@ def observe(
     readings: list[tuple[Reading, ...]] = []
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
         with named_scope(group.robot.name):
-            memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
+            if on_numpy() and sensor_input.noise_factor is None:
+                keys = random.fold_in(key, group.slots)
+                memory, values = group.suite.read(sensor_input, state.memory, keys)
+            else:
+                memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)
     return world.replace(groups=tuple(groups)), tuple(readings)
