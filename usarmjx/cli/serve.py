@@ -36,6 +36,7 @@ from usarmjx.cli.tools import (
     UnitOption,
     configure_from,
 )
+from usarmjx.cli.viewer_options import ViewerOption, ViewerPortOption, add_viewer, viewer_socket
 from usarmjx.cli.waiting import announce
 from usarmjx.server.json_log import configure_log
 from usarmjx.server.ports import IMAGE_PORT, POSITION_PORT, WSS2_PORT, bound_ports, count_up
@@ -130,6 +131,8 @@ def serve(
         int | None,
         typer.Option(min=0, max=65535, help="Show the world on a page of this port; else no page."),
     ] = None,
+    viewer: ViewerOption = True,
+    viewer_port: ViewerPortOption = None,
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
@@ -166,6 +169,7 @@ def serve(
         with (
             bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
             metrics_socket(host, metrics_port, port_offset) as metrics,
+            viewer_socket(host, viewer_port, port_offset, viewer) as page,
         ):
             if not log_json:
                 warn_if_open(bound[0]["--port"].getsockname()[0], rules)
@@ -187,4 +191,7 @@ def serve(
             servers = make_servers(served, settings, makers, bound, numbers, worlds)
             if metrics is not None:
                 add_metrics(servers, realtime_factor, metrics, numbers)
+            if page is not None:
+                radios = [choice.radio for choice in choices if isinstance(choice, RadioChoice)]
+                add_viewer(servers, page, host, rules, allow_host or (), next(iter(radios), None))
             run(servers, realtime_factor, signals)

@@ -42,7 +42,7 @@ class Gate:
     def __init__(
         self, rules: AccessRules, room: int, name: str, now: Callable[[], float] = time.monotonic
     ) -> None:
-        self.rules = rules
+        self.rules, self._room = rules, room
         self._limit = -(-3 * room // 4) if rules.per_address is None else rules.per_address
         self._name, self._now = name, now
         self._counts: Counter[IPAddress] = Counter()
@@ -63,6 +63,11 @@ class Gate:
             return False
         self._counts[found] += 1
         return True
+
+    @property
+    def is_full(self) -> bool:
+        """Whether more are let in than there is room for; a service with places of its own need not ask."""
+        return self._counts.total() > self._room
 
     def leave(self, address: str) -> None:
         """Note that a connection that was let in has ended."""

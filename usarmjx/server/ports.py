@@ -14,6 +14,8 @@ WSS_PORT, WSS2_PORT, POSITION_PORT = 5874, 50000, 7435
 """Of the wireless server (USARComServer.ini: ListenPort), the stand-alone one, and the position service."""
 IMAGE_PORT = 5003
 """Of the image server (manual 3.2.5)."""
+VIEWER_PORT = 8100
+"""Of the live page."""
 LAST_PORT = 65535
 FIRST_DIALLED = 1024
 """No port below is dialled for a client: those are the system's."""

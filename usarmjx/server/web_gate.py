@@ -20,6 +20,7 @@ COOKIE = "usarmjx"
 TOKEN_QUERY = "token="
 """What comes before the token in an address."""
 NO_TOKEN = "this server asks for its token: open /?token=...\n"
+FROM_ELSEWHERE = "this page is from elsewhere\n"
 
 
 def gated_connection(gate: Gate) -> type[ServerConnection]:
@@ -71,6 +72,15 @@ def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
         return response
 
     return answer_known
+
+
+def is_own_page(request: Request) -> bool:
+    """Return whether a request is no page's from elsewhere: browsers say where a page is that asks.
+
+    There is one Host header: `host_names.for_own_names` has seen to that.
+    """
+    host = request.headers.get_all("Host")
+    return all([origin.partition("://")[2]] == host for origin in request.headers.get_all("Origin"))
 
 
 def _cookies(request: Request) -> list[str]:

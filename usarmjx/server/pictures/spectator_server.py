@@ -30,7 +30,7 @@ from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
-from usarmjx.server.web_gate import asking_token, gated_connection
+from usarmjx.server.web_gate import FROM_ELSEWHERE, asking_token, gated_connection, is_own_page
 from usarmjx.server.worlds.served_world import ServedWorld
 
 if TYPE_CHECKING:
@@ -247,10 +247,8 @@ def _answer(connection: ServerConnection, request: Request) -> Response | None:
         return response
     if request.path != "/view":
         return connection.respond(HTTPStatus.NOT_FOUND, "there is / and /view\n")
-    # There is one host: `for_own_names` has seen to that.
-    host = request.headers.get_all("Host")
-    if any([origin.partition("://")[2]] != host for origin in request.headers.get_all("Origin")):
-        return connection.respond(HTTPStatus.FORBIDDEN, "this page is from elsewhere\n")
+    if not is_own_page(request):
+        return connection.respond(HTTPStatus.FORBIDDEN, FROM_ELSEWHERE)
     if "websocket" not in ",".join(request.headers.get_all("Upgrade")).lower():
         return connection.respond(HTTPStatus.UPGRADE_REQUIRED, "/view is for websockets\n")
     return None

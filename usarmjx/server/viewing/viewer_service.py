@@ -1,0 +1,138 @@
+"""The live page of the worlds that are served: it costs nothing until somebody opens it."""
+
+import asyncio
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.gate import Gate
+from usarmjx.server.ports import bound_socket
+
+if TYPE_CHECKING:
+    import viser
+
+    from usarmjx.view.drawing import FrameSource
+    from usarmjx.view.page import ViewerPage
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ViewerSettings:
+    """How to serve the page.
+
+    Attributes:
+        host: Address to listen on.
+        port: Port to listen on; 0: a free one.
+        max_connections: Most connections of browsers at once; a page that is open has one.
+        access: Who may connect.
+        names: What browsers may call this server, beside localhost and its IP addresses.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    max_connections: int = 16
+    access: AccessRules = EVERYBODY
+    names: tuple[str, ...] = ()
+
+
+class ViewerService:
+    """A `net.Service`: the page, which is made when a browser asks for it first.
+
+    Args:
+        source: What there is to see; asked in the server's loop.
+        settings: How to serve it.
+        bound: A socket that is bound to the port already.
+        make_page: Makes the page of a server of viser's, in the server's loop; None: one that shows the
+            source and no more.
+
+    Attributes:
+        page: The page; None before it is asked for.
+        port: The port in use.
+    """
+
+    def __init__(
+        self,
+        source: "FrameSource",
+        settings: ViewerSettings,
+        bound: socket.socket | None = None,
+        make_page: "Callable[[viser.ViserServer], ViewerPage] | None" = None,
+    ) -> None:
+        self.source, self._settings, self._make_page = source, settings, make_page
+        self.page: ViewerPage | None = None
+        self.port = settings.port
+        self._bound = bound
+        self._gate = Gate(settings.access, settings.max_connections, "viewers")
+        self._server: viser.ViserServer | None = None
+        self._opener: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopped = False
+
+    async def start(self) -> list[str]:
+        """Listen; return lines for the user.
+
+        Raises:
+            UsageError: The port is taken or the address is not ours.
+        """
+        host = self._settings.host
+        self._bound = self._bound or bound_socket(host, self.port)
+        self.port = self._bound.getsockname()[1]
+        self._bound.listen()
+        self._bound.setblocking(False)
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(self._bound, self._open)
+        return [self.announcement()]
+
+    def announcement(self) -> str:
+        """Return where the page is, for the user."""
+        shown = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
+        token = "?token=..." if self._settings.access.token else ""
+        return f"see it at http://{shown}:{self.port}/{token}"
+
+    def tick(self) -> None:
+        """The worlds have made a control step."""
+        if self.page is None and self._server is not None:
+            self.page = self._new_page(self._server)
+        if self.page is not None:
+            self.page.update()
+
+    def stop(self) -> None:
+        """Close all connections."""
+        self._stopped = True
+        self._unwatch()
+        if self._opener is not None:
+            self._opener.join()
+        if self._server is not None:
+            self._server.stop()
+        elif self._bound is not None:
+            self._bound.close()
+
+    def _open(self) -> None:
+        """Start viser in a thread: somebody has asked for the page, and the worlds must not wait."""
+        self._unwatch()
+        self._opener = threading.Thread(target=self._start_server, name="viewer", daemon=True)
+        self._opener.start()
+
+    def _unwatch(self) -> None:
+        if self._loop is not None and self._bound is not None and self._bound.fileno() >= 0:
+            self._loop.remove_reader(self._bound)
+
+    def _start_server(self) -> None:
+        assert self._bound is not None
+        try:
+            import usarmjx.view.page  # noqa: F401 - `tick` shall not wait for it
+            from usarmjx.server.viewing.front import gated_viser
+
+            self._server = gated_viser(self._bound, self._settings.host, self._gate, self._settings.names)
+        except Exception:
+            log.exception("the page for viewers cannot be served")
+            self._bound.close()
+
+    def _new_page(self, server: "viser.ViserServer") -> "ViewerPage":
+        from usarmjx.view.page import ViewerPage
+
+        return ViewerPage(self.source, server=server) if self._make_page is None else self._make_page(server)
