@@ -41,6 +41,7 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import OPAQUE, SKY
+from usarmjx.sensors.rays.choice import caster_in_use
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12
@@ -253,6 +254,15 @@ def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """
+    if not on_numpy() and caster_in_use() == "warp" and geoms.blocks and start.size:
+        from usarmjx.comms.warp_count import count_on_warp  # Warp need not be installed
+
+        return count_on_warp(geoms, start, end)
+    return count_on_jax(geoms, start, end)
+
+
+def count_on_jax(geoms: Geoms, start: Array, end: Array) -> Array:
+    """As `count_walls`, on NumPy too."""
     middle: XYZ = tuple(xp.moveaxis((start + end) / 2, -1, 0))
     half: XYZ = tuple(xp.moveaxis((end - start) / 2, -1, 0))
     counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)]

@@ -1,0 +1,178 @@
+"""As `walls` and `clipping` count, on Warp: a thread for each segment goes over the solids of its world.
+
+What each function means is said there; the arithmetic is the same, so that exchanging a segment's ends
+changes no bit of the answer.
+"""
+# pyright: basic
+
+import mujoco
+import warp as wp
+
+from usarmjx.comms import clipping
+from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
+from usarmjx.sensors.rays.raycast_warp import four_at, local
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+TINY = wp.constant(1e-12)
+SIDE_MARGIN = wp.constant(clipping.SIDE_MARGIN)
+ROWS = wp.constant(5)
+PLANE = wp.constant(int(mujoco.mjtGeom.mjGEOM_PLANE))
+BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
+SPHERE = wp.constant(int(mujoco.mjtGeom.mjGEOM_SPHERE))
+CAPSULE = wp.constant(int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+CYLINDER = wp.constant(int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+ELLIPSOID = wp.constant(int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
+TRIANGLE = wp.constant(TRIANGLE_KIND)
+COLUMN = wp.constant(COLUMN_KIND)
+
+
+@wp.func
+def crosses_plane(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    t = -m[2] / wp.where(h[2] == 0.0, 1.0, h[2])
+    crossed = wp.abs(m[2]) < wp.abs(h[2])
+    crossed = crossed and (s[0] <= 0.0 or wp.abs(m[0] + t * h[0]) < s[0])
+    return crossed and (s[1] <= 0.0 or wp.abs(m[1] + t * h[1]) < s[1])
+
+
+@wp.func
+def separates(mj: float, mk: float, hj: float, hk: float, sj: float, sk: float) -> bool:
+    """Whether the cross product of an axis of a box and a segment keeps them apart."""
+    room = sj * wp.abs(hk) + sk * wp.abs(hj)
+    return wp.abs(mj * hk - mk * hj) >= room and room != 0.0
+
+
+@wp.func
+def crosses_box(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    apart = wp.abs(m[0]) >= s[0] + wp.abs(h[0])
+    apart = apart or wp.abs(m[1]) >= s[1] + wp.abs(h[1])
+    apart = apart or wp.abs(m[2]) >= s[2] + wp.abs(h[2])
+    apart = apart or separates(m[1], m[2], h[1], h[2], s[1], s[2])
+    apart = apart or separates(m[2], m[0], h[2], h[0], s[2], s[0])
+    return not (apart or separates(m[0], m[1], h[0], h[1], s[0], s[1]))
+
+
+@wp.func
+def nearest_squared(m: wp.vec3, h: wp.vec3) -> float:
+    t = wp.clamp(-wp.dot(m, h) / wp.max(wp.dot(h, h), TINY), -1.0, 1.0)
+    at = m + t * h
+    return wp.dot(at, at)
+
+
+@wp.func
+def crosses_cylinder(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    slope = wp.where(wp.abs(h[2]) < TINY, TINY, h[2])
+    centre = -m[2] / slope
+    width = s[1] / wp.abs(slope)
+    low = wp.clamp(centre - width, -1.0, 1.0)
+    high = wp.clamp(centre + width, -1.0, 1.0)
+    t = wp.clamp(-(m[0] * h[0] + m[1] * h[1]) / wp.max(h[0] * h[0] + h[1] * h[1], TINY), low, high)
+    x = m[0] + t * h[0]
+    y = m[1] + t * h[1]
+    return wp.abs(m[2]) < s[1] + wp.abs(h[2]) and x * x + y * y < s[0] * s[0]
+
+
+@wp.func
+def crosses_capsule(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    square = s[0] * s[0]
+    end = wp.vec3(0.0, 0.0, s[1])
+    in_ball = nearest_squared(m - end, h) < square or nearest_squared(m + end, h) < square
+    return in_ball or crosses_cylinder(m, h, s)
+
+
+@wp.func
+def crosses(kind: int, m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    """Whether a segment meets the inside of a solid that is one geom."""
+    crossed = bool(False)
+    if kind == BOX:
+        crossed = crosses_box(m, h, s)
+    elif kind == PLANE:
+        crossed = crosses_plane(m, h, s)
+    elif kind == CYLINDER:
+        crossed = crosses_cylinder(m, h, s)
+    elif kind == SPHERE:
+        crossed = nearest_squared(m, h) < s[0] * s[0]
+    elif kind == CAPSULE:
+        crossed = crosses_capsule(m, h, s)
+    elif kind == ELLIPSOID:
+        crossed = nearest_squared(wp.cw_div(m, s), wp.cw_div(h, s)) < 1.0
+    return crossed
+
+
+@wp.func
+def positive_interval(start: float, slope: float) -> wp.vec2:
+    t = -start / wp.where(slope == 0.0, 1.0, slope)
+    low = wp.where(slope > 0.0, wp.max(t, -1.0), -1.0)
+    high = wp.where(slope < 0.0, wp.min(t, 1.0), 1.0)
+    return wp.where(slope == 0.0 and start <= 0.0, wp.vec2(1.0, -1.0), wp.vec2(low, high))
+
+
+@wp.func
+def intersection(one: wp.vec2, other: wp.vec2) -> wp.vec2:
+    return wp.vec2(wp.max(one[0], other[0]), wp.min(one[1], other[1]))
+
+
+@wp.func
+def crosses_column(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    inside = positive_interval(-m[2], -h[2])
+    bottom = positive_interval(m[2] + s[0] * m[0] + s[1] * m[1] + s[2], h[2] + s[0] * h[0] + s[1] * h[1])
+    inside = intersection(inside, bottom)
+    inside = intersection(inside, positive_interval(m[0] + SIDE_MARGIN, h[0]))
+    inside = intersection(inside, positive_interval(m[1] + SIDE_MARGIN, h[1]))
+    inside = intersection(inside, positive_interval(1.0 + SIDE_MARGIN - m[0] - m[1], -h[0] - h[1]))
+    return inside[0] < inside[1]
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def count_crossings(
+    geoms: wp.array[wp.vec4],
+    world: wp.array[int],
+    start: wp.array[wp.vec3],
+    end: wp.array[wp.vec3],
+    count: int,
+    segments: int,
+    crossings: wp.array[int],
+):
+    """Count the solids that each segment crosses.
+
+    Pieces of a solid follow one another; its last one is where the next geom has another owner or kind.
+    """
+    t = wp.tid()
+    first = world[t / segments] * count * ROWS
+    middle = (start[t] + end[t]) * 0.5
+    half = (end[t] - start[t]) * 0.5
+    total = int(0)
+    inside = wp.vec2(-1.0, 1.0)
+    met = bool(False)
+    index = int(0)
+    while index < count:
+        at = first + index
+        place = four_at(geoms, at)
+        r0 = four_at(geoms, at + count)
+        r1 = four_at(geoms, at + 2 * count)
+        r2 = four_at(geoms, at + 3 * count)
+        size = four_at(geoms, at + 4 * count)
+        s = wp.vec3(size[0], size[1], size[2])
+        m = local(r0, r1, r2, middle - wp.vec3(place[0], place[1], place[2]))
+        h = local(r0, r1, r2, half)
+        kind = int(r1[3])
+        if kind == TRIANGLE or kind == COLUMN:
+            if kind == TRIANGLE:
+                inside = intersection(inside, positive_interval(-m[2], -h[2]))
+            else:
+                met = met or crosses_column(m, h, s)
+            last = index + 1 == count
+            if not last:
+                last = (
+                    four_at(geoms, at + 1 + count)[3] != r0[3]
+                    or four_at(geoms, at + 1 + 2 * count)[3] != r1[3]
+                )
+            if last:
+                if met or (kind == TRIANGLE and inside[0] < inside[1]):
+                    total += 1
+                inside = wp.vec2(-1.0, 1.0)
+                met = False
+        elif crosses(kind, m, h, s):
+            total += 1
+        index += 1
+    crossings[t] = total
