@@ -96,6 +96,8 @@ class DynamicWorld(ServedWorld):
 
     def reset(self) -> None:
         """Put robots back to where they appeared and all else to where it began, with full batteries."""
+        if self.recorder is not None:
+            self.recorder.reset()
         self._began = self.time
         self._single.reset()
         for slot, robot in self.robots.items():
