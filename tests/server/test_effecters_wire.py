@@ -202,7 +202,7 @@ def test_the_headlight_shows_in_sta_and_obeys_drive_too(world, client):
         for _ in range(10):
             world.step()
         client.session.data_to_send()
-        client.next_report = world.time
+        client.robot.next_report = world.time
         client.report()
         return parse_message(client.session.data_to_send().decode().split("\r\n")[0]).get("LightToggle")
 

@@ -30,6 +30,7 @@ from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
+from usarmjx.server.worlds.turns import first_report
 from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode
 
 log = logging.getLogger(__name__)
@@ -57,7 +58,6 @@ class Client:
     def __init__(self, world: ServedWorld, peer: str, fault_log: FaultLog | None = None) -> None:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
-        self.next_report = 0.0
         self._trace_state: RobotTrace | None = None
         self._fault_log = fault_log or FaultLog(log)
         self._next_log, self._logged = 0.0, 0
@@ -119,7 +119,8 @@ class Client:
 
     def adopt(self, robot: Robot, since: float) -> None:
         """Have a robot that is in the world already, and report from a time on [s]."""
-        self.robot, self.next_report = robot, since + robot.spec.msg_timer
+        self.robot = robot
+        robot.next_report = first_report(robot, self._world.robots.values(), since, self._world.period)
 
     def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
         """Let what went to the client or came from it be recorded, if anything is."""
@@ -362,12 +363,12 @@ class Client:
 
     def due(self) -> bool:
         """Whether the robot's message timer has run out."""
-        return self.robot is not None and self._world.time >= self.next_report - 1e-6
+        return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
 
     def report(self) -> None:
         """Send STA, the sensors with fresh readings, and MISSTA, in the original's order (KRobot.uc)."""
         robot, time = self._present, self._world.time
-        self.next_report += robot.spec.msg_timer
+        robot.next_report += robot.spec.msg_timer
         joints = self._world.state(robot).joint_pos
         battery = self._battery(robot)
         self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))

@@ -1,5 +1,6 @@
 """A client's robot in a served world."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +28,7 @@ class Robot:
         pending: Readings that have not been reported yet, by index in the suite.
         tile: Its tile of the MultiView, -1 without one.
         obeys: Whose commands it takes meanwhile in place of its client's.
+        next_report: When it reports next [s]; never without a client.
     """
 
     slot: int
@@ -38,6 +40,7 @@ class Robot:
     pending: dict[int, np.ndarray] = field(default_factory=dict)
     tile: int = -1
     obeys: object = None
+    next_report: float = math.inf
 
     def __post_init__(self) -> None:
         """Give it what its cameras start with."""
