@@ -32,7 +32,7 @@ MAX_RATE, MAX_BURST = 200.0, 400.0
 POLICY = "; ".join(
     [
         "default-src 'self' 'unsafe-inline' data: blob:",
-        "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob: data:",
+        "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:",
         "connect-src 'self' data: blob:",
         "worker-src 'self' blob: data:",
         "frame-ancestors 'none'",
