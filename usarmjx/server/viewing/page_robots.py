@@ -94,8 +94,7 @@ class PageRobots:
             client.adopt(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
             self._server.guests.append(client)
         else:
-            client.adopt(robot, math.inf)
-            robot.obeys = client
+            client.robot, robot.obeys = robot, client
         self._hands[slot] = Hand(client, own=False)
         log.info("the page has taken over %s", self._name(slot))
 
