@@ -1,11 +1,13 @@
 """Drawings and frames as messages that Foxglove and its like show."""
 
+import math
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, DrawnShape, Frame
+from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, DrawnShape, Frame, RobotFrame
 from usarmjx.view.mesh import meshes_of
 
 WORLD = "world"
@@ -18,10 +20,14 @@ DELETE_ALL = 1
 NANO = 10**9
 DIGITS = 4
 """Digits after the point: tenths of a millimetre."""
-TRAIL_STEP = 0.1
+ALL_PERIOD = 5.0
+"""What stands still is told so often [s]."""
+TRAIL_STEP = 0.2
 """Distance between two poses of a trail [m]."""
-MOST_POSES = 300
-"""In a trail; the older ones go."""
+TRAIL_PERIOD = 2.0
+"""A trail is told no more often than this [s]."""
+MOST_POSES = 200
+"""In a trail; then every other one goes, and the step is twice as long."""
 SCANNERS = ("RangeScanner", "IRScanner")
 """Kinds of sensors whose readings are a plane scan, from right to left or from below."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -42,22 +48,40 @@ def frame_id(drawing: Drawing, body: int) -> str:
     return "/".join((drawing.robots[drawn.slot].name, *drawn.name.split("/")[2:]))
 
 
-def transforms(drawing: Drawing, frame: Frame) -> dict[str, Any]:
-    """Return where all bodies are that are to be seen, as `foxglove.FrameTransforms`."""
-    now = stamp(frame.time)
-    pos, quat = frame.pos.round(DIGITS).tolist(), frame.quat.round(DIGITS + 1).tolist()
-    return {
-        "transforms": [
-            {
-                "timestamp": now,
-                "parent_frame_id": WORLD,
-                "child_frame_id": frame_id(drawing, body),
-                "translation": _xyz(pos[body]),
-                "rotation": _quaternion(quat[body]),
-            }
-            for body in np.flatnonzero(frame.shown).tolist()
-        ]
-    }
+class Transforms:
+    """Where bodies are, as `foxglove.FrameTransforms`: those that have moved, and all from time to time."""
+
+    def __init__(self) -> None:
+        self._drawing: Drawing | None = None
+        self._pos = self._quat = np.zeros(0)
+        self._names: list[str] = []
+        self._all_due = 0.0
+
+    def message(self, drawing: Drawing, frame: Frame) -> dict[str, Any]:
+        """Return where bodies are that are to be seen."""
+        is_new = drawing is not self._drawing
+        if is_new:
+            self._drawing = drawing
+            self._names = [frame_id(drawing, body) for body in range(len(drawing.bodies))]
+        told = frame.shown
+        if is_new or frame.time >= self._all_due:
+            self._all_due = frame.time + ALL_PERIOD
+        else:
+            told = told & ((frame.pos != self._pos).any(-1) | (frame.quat != self._quat).any(-1))
+        self._pos, self._quat, now = frame.pos, frame.quat, stamp(frame.time)
+        pos, quat = frame.pos.astype(float).round(DIGITS), frame.quat.astype(float).round(DIGITS + 1)
+        return {
+            "transforms": [
+                {
+                    "timestamp": now,
+                    "parent_frame_id": WORLD,
+                    "child_frame_id": self._names[body],
+                    "translation": _xyz(pos[body].tolist()),
+                    "rotation": _quaternion(quat[body].tolist()),
+                }
+                for body in np.flatnonzero(told).tolist()
+            ]
+        }
 
 
 def scene_update(drawing: Drawing, time: float) -> dict[str, Any]:
@@ -106,10 +130,10 @@ def _primitives(shape: DrawnShape) -> dict[str, list[dict[str, Any]]]:
     cubes = [
         {
             "pose": {
-                "position": _xyz(shape.pos[box].round(DIGITS).tolist()),
-                "orientation": _quaternion(_quat_of(shape.mat[box]).round(DIGITS + 1).tolist()),
+                "position": _xyz(_short(shape.pos[box])),
+                "orientation": _quaternion(_short(_quat_of(shape.mat[box]))),
             },
-            "size": _xyz((2 * shape.size[box]).round(DIGITS).tolist()),
+            "size": _xyz(_short(2 * shape.size[box])),
             "color": _colour(shape.rgb[box], 1.0 - float(shape.transparency[box])),
         }
         for box in boxes.tolist()
@@ -118,7 +142,7 @@ def _primitives(shape: DrawnShape) -> dict[str, list[dict[str, Any]]]:
     triangles = [
         {
             "pose": {"position": _xyz([0.0] * 3), "orientation": _quaternion([1.0, 0.0, 0.0, 0.0])},
-            "points": [_xyz(corner) for corner in mesh.vertices.round(DIGITS).tolist()],
+            "points": [_xyz(corner) for corner in mesh.vertices.astype(float).round(DIGITS).tolist()],
             "color": _colour(mesh.rgb[0], finish.opacity),
             "colors": [_colour(rgb, finish.opacity) for rgb in mesh.rgb],
             "indices": mesh.faces.reshape(-1).tolist(),
@@ -141,8 +165,8 @@ def laser_scan(
         "timestamp": stamp(time),
         "frame_id": frame_id(drawing, int(mount.body[0])),
         "pose": {
-            "position": _xyz(mount.pos[0].round(DIGITS).tolist()),
-            "orientation": _quaternion(_quat_of(mat).round(DIGITS + 1).tolist()),
+            "position": _xyz(_short(mount.pos[0])),
+            "orientation": _quaternion(_short(_quat_of(mat))),
         },
         "start_angle": first,
         "end_angle": first + (len(ranges) - 1) * apart,
@@ -156,33 +180,45 @@ def is_scanner(robot: DrawnRobot, sensor: int) -> bool:
     return robot.sensors[sensor].kind in SCANNERS
 
 
+@dataclass
+class _Trail:
+    """A robot's way: where it was, and when it is told next [s]."""
+
+    poses: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    last: list[float] = field(default_factory=list[float])
+    step: float = TRAIL_STEP
+    due: float = 0.0
+    is_told: bool = False
+
+
 class Trails:
     """The ways of robots, as `foxglove.PosesInFrame`."""
 
     def __init__(self) -> None:
-        self._poses: dict[str, list[dict[str, Any]]] = {}
-        self._last: dict[str, np.ndarray] = {}
+        self._trails: dict[str, _Trail] = {}
 
-    def add(self, name: str, pos: np.ndarray, quat: np.ndarray, time: float) -> dict[str, Any] | None:
-        """Return a robot's way so far, if it has gone on by `TRAIL_STEP` since the last time."""
-        last = self._last.get(name)
-        if last is not None and np.linalg.norm(pos - last) < TRAIL_STEP:
+    def add(self, name: str, robot: RobotFrame, time: float) -> dict[str, Any] | None:
+        """Return a robot's way so far, if it has gone on and was not told lately."""
+        trail, here = self._trails.setdefault(name, _Trail()), robot.pos.tolist()
+        if not trail.poses or math.dist(here, trail.last) >= trail.step:
+            trail.last, trail.is_told = here, False
+            trail.poses.append({"position": _xyz(here), "orientation": _quaternion(robot.quat.tolist())})
+        if len(trail.poses) > MOST_POSES:
+            del trail.poses[1::2]
+            trail.step *= 2
+        if trail.is_told or time < trail.due:
             return None
-        self._last[name] = pos
-        poses = self._poses.setdefault(name, [])
-        poses.append(
-            {
-                "position": _xyz(pos.round(DIGITS).tolist()),
-                "orientation": _quaternion(quat.round(DIGITS + 1).tolist()),
-            }
-        )
-        del poses[:-MOST_POSES]
-        return {"timestamp": stamp(time), "frame_id": WORLD, "poses": poses}
+        trail.is_told, trail.due = True, time + TRAIL_PERIOD
+        return {"timestamp": stamp(time), "frame_id": WORLD, "poses": trail.poses}
 
 
 def log(text: str, name: str, time: float) -> dict[str, Any]:
     """Return a line as `foxglove.Log`."""
     return {"timestamp": stamp(time), "level": INFO, "message": text, "name": name, "file": "", "line": 0}
+
+
+def _short(values: np.ndarray) -> list[float]:
+    return np.asarray(values, float).round(DIGITS + 1).tolist()
 
 
 def _xyz(values: list[float]) -> dict[str, float]:

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from usarmjx.base.errors import UsageError
 from usarmjx.recording import foxglove
 from usarmjx.recording.file import ChannelName, RecordingFile
@@ -14,7 +12,7 @@ from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import Drawing, Frame
 
 if TYPE_CHECKING:
-    from usarmjx.recording.recorder import Look
+    from usarmjx.recording.recorder import Look, Measured
 
 
 class WorldMessages:
@@ -29,7 +27,7 @@ class WorldMessages:
         self._key: tuple[object, ...] | None = None
         self._capture: Capture | None = None
         self._drawing: Drawing | None = None
-        self._trails = foxglove.Trails()
+        self._trails, self._transforms = foxglove.Trails(), foxglove.Transforms()
         self._score: float | None = None
 
     def _channel(self, kind: str, about: str = "") -> ChannelName:
@@ -64,17 +62,18 @@ class WorldMessages:
         text = data.decode("utf-8", "replace")
         file.write(self._channel("lines"), at, {"peer": peer, "robot": robot, "sent": sent, "text": text})
 
-    def reading(self, slot: int, sensor: int, value: np.ndarray, at: float, file: RecordingFile) -> None:
-        """Write what a sensor measured; a plane scan for Foxglove too."""
+    def readings(self, measured: "Measured", at: float, file: RecordingFile) -> None:
+        """Write what sensors measured; plane scans for Foxglove too."""
+        slots, sensors, values = zip(*measured, strict=True)
+        said = {"slots": slots, "sensors": sensors, "values": values}
+        file.write(self._channel("readings"), at, said)
         drawing = self._drawing
-        file.write(self._channel("readings"), at, {"slot": slot, "sensor": sensor, "value": value})
-        if drawing is None or slot not in drawing.robots:
-            return
-        robot = drawing.robots[slot]
-        if foxglove.is_scanner(robot, sensor):
-            about = f"{robot.name}/{robot.sensors[sensor].names[0]}"
-            scan = foxglove.laser_scan(drawing, robot, sensor, value, at)
-            file.write(self._channel("scan", about), at, scan)
+        for slot, sensor, value in measured:
+            robot = None if drawing is None else drawing.robots.get(slot)
+            if drawing is not None and robot is not None and foxglove.is_scanner(robot, sensor):
+                about = f"{robot.name}/{robot.sensors[sensor].names[0]}"
+                scan = foxglove.laser_scan(drawing, robot, sensor, value, at)
+                file.write(self._channel("scan", about), at, scan)
 
     def look(self, look: "Look", at: float, file: RecordingFile) -> None:
         """Write what a world looks like, and its drawing where that is another one."""
@@ -95,10 +94,10 @@ class WorldMessages:
     def _write_frame(self, drawing: Drawing, frame: Frame, file: RecordingFile) -> None:
         at = frame.time
         file.write(self._channel("frames"), at, frame)
-        file.write(self._channel("tf"), at, foxglove.transforms(drawing, frame))
+        file.write(self._channel("tf"), at, self._transforms.message(drawing, frame))
         for slot, robot in frame.robots.items():
             name = drawing.robots[slot].name
-            trail = self._trails.add(name, robot.pos, robot.quat, at)
+            trail = self._trails.add(name, robot, at)
             if trail is not None:
                 file.write(self._channel("trail", name), at, trail)
         if frame.score is not None and frame.score != self._score:

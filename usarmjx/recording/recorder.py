@@ -29,8 +29,10 @@ from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
 
-FRAME_PERIOD = 0.1
+FRAME_PERIOD = 0.2
 """A world is looked at so often [s of its time]; its physics is kept after every control step."""
+Measured = list[tuple[int, int, np.ndarray]]
+"""Slots, indices of sensors in the suite, and what they measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,7 @@ class WorldRecorder:
         self._messages = WorldMessages(self.number)
         self._told: tuple[Any, ...] = ()
         self._known: dict[int, tuple[bytes, ...]] = {}
+        self._measured: Measured = []
         self._next_frame = self._time = 0.0
         self.file.put(partial(self._messages.setup, self.setup, self.since))
 
@@ -164,6 +167,7 @@ class WorldRecorder:
             act: Activations (na,).
             steps: How many.
         """
+        self._flush_readings()
         self.steps, self._time = self.steps + steps, time
         state = StepState(
             step=self.steps, time=self.since + time, qpos=qpos.copy(), qvel=qvel.copy(), act=act.copy()
@@ -182,7 +186,12 @@ class WorldRecorder:
 
     def read(self, slot: int, sensor: int, value: np.ndarray) -> None:
         """A robot's sensor has measured; the value must not change any more."""
-        self.file.put(partial(self._messages.reading, slot, sensor, value, self.since + self._time))
+        self._measured.append((slot, sensor, value))
+
+    def _flush_readings(self) -> None:
+        if self._measured:
+            self.file.put(partial(self._messages.readings, self._measured, self.since + self._time))
+            self._measured = []
 
     def lines(self, peer: str, robot: str, data: bytes, *, sent: bool) -> None:
         """Lines went to or came from a client."""

@@ -1,4 +1,4 @@
-"""JSON schemas of messages that other programs read: Foxglove's, by their published names and fields, and ours."""
+"""JSON schemas of what other programs read: Foxglove's, by their published names and fields, and ours."""
 
 import json
 from typing import Any

@@ -23,8 +23,8 @@ MODULES = (
     *("recording.inputs", "sensors.sketch", "sim.control", "sim.scene", "view.drawing"),
 )
 """Where the dataclasses are that files may hold."""
-KIND, KEYS, ITEMS, WORDS = "$kind", "$keys", "$items", "$words"
-"""What marks dataclasses, mappings whose keys are no texts, and arrays of texts."""
+KIND, WORDS = "$kind", "$words"
+"""What marks dataclasses, and arrays of texts."""
 ARRAY = 1
 """MessagePack's number for an array: its shape, its dtype and its bytes."""
 NUMBERS = "biuf"
@@ -73,7 +73,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, str | int):  # a class of texts, an enumeration
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, Mapping):
-        return {KEYS: [*value], ITEMS: [*value.values()]}
+        return dict(value)
     kind = type(value)
     if _kinds().get(kind.__name__) is not kind:
         raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
@@ -87,7 +87,9 @@ def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
         UsageError: The bytes are something else.
     """
     try:
-        return msgpack.unpackb(data, object_hook=_value, ext_hook=_array, use_list=False)
+        return msgpack.unpackb(
+            data, object_hook=_value, ext_hook=_array, use_list=False, strict_map_key=False
+        )
     except UsageError:
         raise
     except Exception as error:  # MessagePack, NumPy and constructors raise what they like at what is broken
@@ -104,8 +106,6 @@ def _array(code: int, data: bytes) -> np.ndarray:
 
 
 def _value(plain: dict[str, Any]) -> Any:  # noqa: ANN401
-    if KEYS in plain:
-        return dict(zip(plain[KEYS], plain[ITEMS], strict=True))
     if WORDS in plain:
         return np.array(plain[WORDS], object)
     if KIND not in plain:

@@ -84,9 +84,8 @@ def record_step(world: "ServedWorld", physics: "PhysicsState | mujoco.MjData") -
     recorder = world.recorder
     if recorder is None:
         return
-    recorder.stepped(
-        world.time, *(np.asarray(values) for values in (physics.qpos, physics.qvel, physics.act))
-    )
+    qpos, qvel, act = (np.asarray(one) for one in (physics.qpos, physics.qvel, physics.act))
+    recorder.stepped(world.time, qpos, qvel, act)
     if recorder.frame_is_due:
         state, seen = world.one_world()
         recorder.look(

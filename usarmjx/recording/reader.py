@@ -1,0 +1,243 @@
+"""Recordings, complete or broken off anywhere, as messages and as what the page shows."""
+
+import json
+from bisect import bisect_right
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from usarmjx.base.errors import UsageError
+from usarmjx.recording.file import CHANNELS, NANO, ChannelName
+from usarmjx.recording.inputs import WorldSetup
+from usarmjx.recording.values import unpack
+
+MOST_BYTES = 1 << 28
+"""Of a part of a file; its writer makes parts of half a second."""
+CACHED_CHUNKS = 16
+"""Parts of a file that are kept in memory."""
+
+
+class RecordedMessage(NamedTuple):
+    """A message of a recording.
+
+    Attributes:
+        time: Simulated time [s].
+        channel: Where it is from.
+        value: What it says.
+    """
+
+    time: float
+    channel: ChannelName
+    value: Any
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A chunk of a file: its times [ns], where it is, and the ids of its channels."""
+
+    start: int
+    end: int
+    offset: int
+    channels: frozenset[int]
+
+
+class Recording:
+    """A recording that is read.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        path: The file.
+        is_complete: Whether it was closed; else its end is missing.
+        about: What the file says of itself, in words by name.
+        start: When it begins [s].
+        end: When it ends [s].
+
+    Raises:
+        UsageError: It cannot be read, or is no recording of ours.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        try:
+            self._stream: IO[bytes] = self.path.open("rb")
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
+        self._channels: dict[int, ChannelName] = {}
+        self.about: dict[str, str] = {}
+        self._parts: list[_Part] = []
+        self.is_complete = self._read_summary()
+        if not self.is_complete:
+            self._scan()
+        if not self._channels or not self._parts:
+            self.close()
+            raise UsageError(f"{path}: is no recording of usarmjx, or nothing is left of it")
+        self.start = min(part.start for part in self._parts) / NANO
+        self.end = max(part.end for part in self._parts) / NANO
+        self._records = lru_cache(maxsize=CACHED_CHUNKS)(self._read_part)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def _read_summary(self) -> bool:
+        """Read what the end of a complete file says; return whether it is there."""
+        try:
+            reader = SeekingReader(self._stream, record_size_limit=MOST_BYTES)
+            summary = reader.get_summary()
+            if summary is None:
+                return False
+            for metadata in reader.iter_metadata():
+                self._take_metadata(metadata)
+        except Exception:  # what a broken file makes of its last bytes is anything
+            return False
+        for channel in summary.channels.values():
+            self._take_channel(channel)
+        self._parts = [
+            _Part(
+                index.message_start_time,
+                index.message_end_time,
+                index.chunk_start_offset,
+                frozenset(index.message_index_offsets),
+            )
+            for index in summary.chunk_indexes
+        ]
+        return True
+
+    def _scan(self) -> None:
+        """Read a file from its beginning, as far as it is whole."""
+        self._stream.seek(0)
+        self._parts, self._channels = [], {}
+        records = StreamReader(self._stream, emit_chunks=True, record_size_limit=MOST_BYTES).records
+        while True:
+            try:
+                offset = max(self._stream.tell(), 8)
+                record = next(records, None)
+                if record is None:
+                    return
+                if isinstance(record, Metadata):
+                    self._take_metadata(record)
+                elif isinstance(record, Chunk):
+                    inside = _records_of(record)
+                    for one in inside:
+                        if isinstance(one, Channel):
+                            self._take_channel(one)
+                    used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
+                    times = record.message_start_time, record.message_end_time
+                    self._parts.append(_Part(*times, offset, used))
+            except Exception:  # the rest is missing, and its beginning may be anything
+                return
+
+    def _take_metadata(self, metadata: Metadata) -> None:
+        if metadata.name == "usarmjx":
+            self.about |= metadata.metadata
+
+    def _take_channel(self, channel: Channel) -> None:
+        said = channel.metadata
+        if said.get("kind") in CHANNELS and said.get("world", "").isdecimal():
+            self._channels[channel.id] = ChannelName(int(said["world"]), said["kind"], said.get("about", ""))
+
+    def _read_part(self, part: _Part) -> tuple[Message, ...]:
+        try:
+            self._stream.seek(part.offset + 9)
+            records = _records_of(Chunk.read(ReadDataStream(self._stream)))
+        except Exception as error:
+            raise UsageError(f"{self.path}: is broken at byte {part.offset}: {error}") from error
+        return tuple(record for record in records if isinstance(record, Message))
+
+    @property
+    def worlds(self) -> tuple[int, ...]:
+        """Numbers of the worlds in it."""
+        return tuple(sorted({channel.world for channel in self._channels.values()}))
+
+    @property
+    def channels(self) -> tuple[ChannelName, ...]:
+        """The channels in it."""
+        return tuple(self._channels.values())
+
+    def messages(
+        self, kinds: Collection[str], world: int | None = None, since: float | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Yield messages in the order in which they were written.
+
+        Args:
+            kinds: Of which kinds of channels.
+            world: Of which world; None: of all.
+            since: Leave out what is older [s].
+
+        Raises:
+            UsageError: The file is broken.
+        """
+        first = 0 if since is None else round(since * NANO)
+        wanted = self._wanted(kinds, world)
+        for part in self._parts:
+            if part.end >= first and not wanted.isdisjoint(part.channels):
+                for message in self._records(part):
+                    if message.log_time >= first and message.channel_id in wanted:
+                        yield self._decoded(message)
+
+    def last(self, kind: str, world: int, time: float) -> RecordedMessage | None:
+        """Return the last message of a kind up to a time [s]; None: there is none yet."""
+        wanted, latest = self._wanted([kind], world), round(time * NANO)
+        place = bisect_right(self._parts, latest, key=lambda part: part.start)
+        for part in reversed(self._parts[:place]):
+            if not wanted.isdisjoint(part.channels):
+                for message in reversed(self._records(part)):
+                    if message.log_time <= latest and message.channel_id in wanted:
+                        return self._decoded(message)
+        return None
+
+    def following(self, kind: str, world: int, time: float) -> RecordedMessage | None:
+        """Return the first message of a kind after a time [s]; None: there is none."""
+        wanted, first = self._wanted([kind], world), round(time * NANO)
+        for part in self._parts:
+            if part.end > first and not wanted.isdisjoint(part.channels):
+                for message in self._records(part):
+                    if message.log_time > first and message.channel_id in wanted:
+                        return self._decoded(message)
+        return None
+
+    def setup(self, world: int) -> WorldSetup:
+        """Return what a world was made of.
+
+        Raises:
+            UsageError: The file does not say.
+        """
+        found = next(self.messages(["setup"], world), None)
+        if found is None or not isinstance(found.value, WorldSetup):
+            raise UsageError(f"{self.path}: does not say what world {world} was made of")
+        return found.value
+
+    def _wanted(self, kinds: Collection[str], world: int | None) -> frozenset[int]:
+        return frozenset(
+            number
+            for number, channel in self._channels.items()
+            if channel.kind in kinds and world in (None, channel.world)
+        )
+
+    def _decoded(self, message: Message) -> RecordedMessage:
+        channel = self._channels[message.channel_id]
+        try:
+            value = json.loads(message.data) if CHANNELS[channel.kind] else unpack(message.data)
+        except (ValueError, UsageError) as error:
+            raise UsageError(f"{self.path}: at {message.log_time / NANO:.2f} s: {error}") from error
+        return RecordedMessage(message.log_time / NANO, channel, value)
+
+
+def _records_of(chunk: Chunk) -> list[Any]:
+    """Return what is in a chunk.
+
+    Raises:
+        ValueError: It is larger than ours are.
+    """
+    if chunk.uncompressed_size > MOST_BYTES:
+        raise ValueError(f"a part of {chunk.uncompressed_size} bytes; at most {MOST_BYTES}")
+    return breakup_chunk(chunk, validate_crc=True)

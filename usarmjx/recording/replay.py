@@ -1,0 +1,236 @@
+"""Recordings computed again: the same world, told the same at the same steps, must be the same to the bit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.recording.inputs import (
+    SINGLE,
+    Input,
+    Interrupted,
+    OrdersGiven,
+    RobotAdded,
+    RobotPlaced,
+    RobotRedescribed,
+    RobotRemoved,
+    StepState,
+    WorldReset,
+    WorldSetup,
+)
+from usarmjx.recording.reader import Recording
+from usarmjx.recording.versions import versions
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.putting import put_robot
+from usarmjx.sim.redescribe import redescribe
+from usarmjx.sim.scene import Scene, build_scene
+from usarmjx.sim.single_world import SingleWorld
+
+PARTS = ("qpos", "qvel", "act")
+WORDS = {"qpos": "position", "qvel": "velocity", "act": "servo"}
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """What computing a recording again has shown.
+
+    Attributes:
+        steps: Control steps that came out the same.
+        difference: The first difference, in words; empty: there is none.
+        note: What else there is to say, in words.
+    """
+
+    steps: int
+    difference: str = ""
+    note: str = ""
+
+
+class _Replayed(Protocol):
+    """A world that is computed again."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    def apply(self, given: Input) -> None: ...
+
+    def step(self) -> None: ...
+
+    def state(self) -> Mapping[str, np.ndarray]: ...
+
+
+class _ReplayedSingle:
+    """A `SingleWorld` that is computed again."""
+
+    def __init__(self, setup: WorldSetup) -> None:
+        (arena,) = setup.arenas
+        scene = build_scene(arena, (), setup.physics)
+        self._world = SingleWorld(scene, setup.seed, setup.number, setup.seats)
+
+    @property
+    def scene(self) -> Scene:
+        return self._world.scene
+
+    def apply(self, given: Input) -> None:
+        world = self._world
+        match given:
+            case RobotAdded():
+                try:
+                    world.add(given.robot, given.name, given.poses)
+                except UsageError:
+                    return  # there was no room, nor was there when it was recorded
+            case RobotRemoved():
+                world.remove(given.slot)
+            case RobotRedescribed():
+                redescribe(world, given.slot, given.robot)
+            case WorldReset():
+                world.reset()
+            case OrdersGiven():
+                for slot, order in given.orders.items():
+                    world.edit(slot, **order)
+
+    def step(self) -> None:
+        self._world.step()
+
+    def state(self) -> Mapping[str, np.ndarray]:
+        data = self._world.engine.data
+        return {part: np.asarray(getattr(data, part)) for part in PARTS}
+
+
+class _ReplayedBatch:
+    """A world of a batch, computed again with all the others, which nobody tells anything."""
+
+    def __init__(self, setup: WorldSetup) -> None:
+        arena = setup.arenas[0] if len(setup.arenas) == 1 else setup.arenas
+        self.scene = build_scene(
+            arena, setup.roster, setup.physics, radio=setup.radio, mail=setup.mail, vary=setup.vary
+        )
+        self._batch = Batch(
+            self.scene,
+            setup.worlds,
+            engine=setup.kind,
+            seed=setup.seed,
+            first=setup.first,
+            shuffle=setup.shuffle,
+        )
+        self._number, self._repeat, self._state = setup.number, setup.repeat, self._batch.reset()
+        if setup.start is not None:
+            engine, everywhere = self._batch.engine, jnp.ones(setup.worlds, bool)
+            start = jnp.tile(jnp.asarray(setup.start), (setup.worlds, 1))
+            self._state = self._state.replace(physics=engine.reset(engine.start(), everywhere, start))
+        for _ in range(setup.steps_before):
+            self._state = self._batch.step(self._state)
+
+    def apply(self, given: Input) -> None:
+        match given:
+            case RobotPlaced():
+                where = self._number, given.slot, given.pos, given.quat
+                self._state = put_robot(self._batch, self._state, *where)
+            case WorldReset():
+                here = np.arange(self._batch.worlds) == self._number
+                self._state = self._batch.reset_where(self._state, jnp.asarray(here))
+            case OrdersGiven():
+                for slot, order in given.orders.items():
+                    self._order(slot, order)
+
+    def _order(self, slot: int, order: Mapping[str, Any]) -> None:
+        group, member = self.scene.group_of(slot)
+        state, at = self._state.worlds.groups[group], (self._number, member)
+        new = {
+            name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(state, name), value)
+            for name, value in order.items()
+        }
+        self._state = self._batch.with_group(self._state, group, state.replace(**new))
+
+    def step(self) -> None:
+        batch = self._batch
+        self._state = batch.step(self._state) if self._repeat == 1 else batch.run(self._state, self._repeat)
+
+    def state(self) -> Mapping[str, np.ndarray]:
+        physics = self._batch.physics(self._state)
+        return {part: np.asarray(getattr(physics, part))[self._number] for part in PARTS}
+
+
+def check_recording(recording: Recording, number: int) -> ReplayResult:
+    """Compute a world of a recording again, and compare every control step.
+
+    Args:
+        recording: The recording.
+        number: Number of the world.
+
+    Raises:
+        UsageError: The recording cannot be computed again; says why.
+    """
+    setup = recording.setup(number)
+    if setup.why_not:
+        raise UsageError(f"{recording.path}: world {number} cannot be computed again: {setup.why_not}")
+    replayed: _Replayed = _ReplayedSingle(setup) if setup.kind == SINGLE else _ReplayedBatch(setup)
+    steps = 0
+    for message in recording.messages(("inputs", "states"), number):
+        if isinstance(message.value, Interrupted):
+            return ReplayResult(
+                steps, note=f"from {message.time:.2f} s on nothing is: {message.value.reason}"
+            )
+        if not isinstance(message.value, StepState):
+            replayed.apply(message.value)
+            continue
+        while steps < message.value.step:
+            replayed.step()
+            steps += setup.repeat
+        found = first_difference(replayed.scene, message.value, replayed.state())
+        if found:
+            return ReplayResult(steps - setup.repeat, difference=found, note=_other_versions(setup))
+    return ReplayResult(steps)
+
+
+def _other_versions(setup: WorldSetup) -> str:
+    """Return which versions were others when a world was recorded, in words."""
+    here = versions()
+    others = [
+        f"{name} {version}, here {here.get(name)}"
+        for name, version in setup.versions.items()
+        if here.get(name) != version
+    ]
+    return f"recorded with {'; '.join(others)}" if others else ""
+
+
+def first_difference(scene: Scene, recorded: StepState, computed: Mapping[str, np.ndarray]) -> str:
+    """Return the first number that is not the same to the bit, in words; empty: all are.
+
+    Args:
+        scene: The scene that was computed.
+        recorded: What it should be.
+        computed: What it is: `PARTS` by name.
+    """
+    when = f"at {recorded.time:.2f} s (step {recorded.step})"
+    for part in PARTS:
+        before, now = np.asarray(getattr(recorded, part)), computed[part]
+        if before.shape != now.shape or before.dtype != now.dtype:
+            return f"{when}: {before.shape[0]} numbers of {part} recorded, {now.shape[0]} computed"
+        differs = np.frombuffer(before.tobytes(), np.uint8) != np.frombuffer(now.tobytes(), np.uint8)
+        if differs.any():
+            place = int(np.argmax(differs)) // before.itemsize
+            who = _owner(scene, part, place)
+            values = f"{before[place]!r} recorded, {now[place]!r} computed".replace("np.float", "float")
+            return f"{when}: {who}, {WORDS[part]}: {values}"
+    return ""
+
+
+def _owner(scene: Scene, part: str, place: int) -> str:
+    """Return whose number it is: robot and joint."""
+    model = scene.model
+    if part == "act":
+        name = model.actuator(int(np.argmax(model.actuator_actadr == place))).name
+    else:
+        addresses = model.jnt_qposadr if part == "qpos" else model.jnt_dofadr
+        joint = int(np.searchsorted(addresses, place, side="right")) - 1
+        name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
+    owner, _, rest = name.partition("/")
+    if owner[:1] == "r" and owner[1:].isdecimal():
+        entry = scene.roster[int(owner[1:])]
+        joint_name = "its place" if rest == "root" else f"joint {rest}"
+        return f"{entry.name or entry.spec.name + owner[1:]}, {joint_name}"
+    return name
