@@ -6,6 +6,7 @@ it again. All worlds of the batch run on; only the served one listens to clients
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -25,11 +26,14 @@ from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.instances import check_instances
+from usarmjx.recording.inputs import WorldSetup
+from usarmjx.server.worlds.recorded import batch_setup, keep_reading, orders_of, record_step
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.reset import new_group_state, started
+from usarmjx.sim.putting import put_robot
 from usarmjx.sim.scene import PARKING_HEIGHT
 from usarmjx.sim.world import GroupState, World, time_of
 
@@ -61,7 +65,11 @@ class SharedBatch:
     def advance(self, steps: int) -> None:
         """Have made so many steps since the beginning."""
         while self.steps < steps:
+            for world in self.served:
+                world.record_orders()
             self._step()
+            for world in self.served:
+                world.record_physics()
 
     def _step(self) -> None:
         self.state = self.batch.step(self.state)
@@ -98,6 +106,23 @@ class BatchWorld(ServedWorld):
         self._shared.served.append(self)
         if not self._steps:
             self._advance()
+
+    def setup(self) -> WorldSetup:
+        """Return what the world was made of."""
+        taken = "robots were in use before the recording began" if self.robots else ""
+        return replace(batch_setup(self._batch, self._instance, self._shared.steps), why_not=taken)
+
+    def record_orders(self) -> None:
+        """Tell the recorder, if there is one, what robots have been told by now."""
+        if self.recorder is not None:
+            groups = self._state.worlds.groups
+            self.recorder.told(self.scene, [orders_of(state, self._instance) for state in groups])
+
+    def record_physics(self) -> None:
+        """Tell the recorder, if there is one, where all is after a control step."""
+        if self.recorder is not None:
+            physics = self._batch.physics(self._state)
+            record_step(self, jax.tree.map(lambda x: np.asarray(x)[self._instance], physics))
 
     @property
     def _state(self) -> BatchState:
@@ -163,6 +188,8 @@ class BatchWorld(ServedWorld):
         command = jax.tree.map(np.array, idle_command(robot))
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         self._start(new, np.array((pos[0], pos[1], pos[2] + lifted)), quat_from_angles(*angles))
+        if self.recorder is not None:
+            self.recorder.joined(slot, name, robot.name)
         return new
 
     def _start(self, robot: Robot, pos: np.ndarray, quat: np.ndarray) -> None:
@@ -183,23 +210,15 @@ class BatchWorld(ServedWorld):
         self.robots[robot.slot] = robot
 
     def _set_pose(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:
-        scene = self.scene
-        group, member = scene.group_of(slot)
-        index = scene.groups[group].indices[member]
-        shape = (self._batch.worlds, scene.model.nq)
-        pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
-        pinned_dof = np.zeros((self._batch.worlds, scene.model.nv), bool)
-        root = slice(index.root_qposadr, index.root_qposadr + 7)
-        pinned[self._instance, root], qpos[self._instance, root] = True, (*pos, *quat)
-        pinned_dof[self._instance, index.root_dofadr : index.root_dofadr + 6] = True
-        engine = self._batch.engine
-        self._state = self._state.replace(
-            physics=engine.set_qpos(self._state.physics, pinned, pinned_dof, qpos)
-        )
+        self._state = put_robot(self._batch, self._state, self._instance, slot, pos, quat)
+        if self.recorder is not None:
+            self.recorder.placed(slot, pos, np.asarray(quat))
 
     def remove(self, robot: Robot) -> None:
         """Park the robot again."""
         if self.robots.get(robot.slot) is robot:  # its slot may be another's by now
+            if self.recorder is not None:
+                self.recorder.event("leave", f"{robot.name} leaves", robot.name, robot.slot)
             del self.robots[robot.slot]
             self.edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
 
@@ -220,6 +239,8 @@ class BatchWorld(ServedWorld):
         states = [self.state(robot) for robot in robots]
         for robot in robots:
             self.remove(robot)
+        if self.recorder is not None:
+            self.recorder.interrupted(f"world {instance} is served instead")
         self._instance, self._episode = instance, int(self._state.worlds.episode[instance])
         self.arena = self._batch.arena_of(self._state, instance)
         for robot, state in zip(robots, states, strict=True):
@@ -272,6 +293,8 @@ class BatchWorld(ServedWorld):
     def reset(self) -> None:
         """Begin this world's next episode; clients' robots go back to where they appeared."""
         here = np.arange(self._batch.worlds) == self._instance
+        if self.recorder is not None:
+            self.recorder.reset()
         self._state = self._batch.reset_where(self._state, jnp.asarray(here))
         self._episode = int(self._state.worlds.episode[self._instance])
         self.arena = self._batch.arena_of(self._state, self._instance)
@@ -298,7 +321,7 @@ class BatchWorld(ServedWorld):
             mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[group]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
-                    robot.pending[sensor] = reading.value
+                    keep_reading(self, robot, sensor, reading.value)
 
     def links(self, radio: RadioSettings) -> Links:
         """Return the radio links as they are now, by slot; those of the batch, if it has a radio."""

@@ -21,6 +21,7 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
+from usarmjx.server.worlds.recorded import keep_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
@@ -211,7 +212,7 @@ class PolicyWorld(BatchWorld):
             group, member = self.scene.group_of(robot.slot)
             for sensor, reading in enumerate(self.policy_batch.readings[group]):
                 if reading.fresh[self._instance, member]:
-                    robot.pending[sensor] = np.asarray(reading.value[self._instance, member])
+                    keep_reading(self, robot, sensor, np.asarray(reading.value[self._instance, member]))
 
     @property
     def score(self) -> float:
