@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from usarmjx.recording.file import RecordingFile
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from usarmjx.engines.base import PhysicsState
     from usarmjx.server.worlds.robot import Robot
     from usarmjx.server.worlds.served_world import ServedWorld
+    from usarmjx.sim.world import GroupState
 
 ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
 """Fields of a `GroupState` by which worlds of a batch are told what to do."""
@@ -105,3 +107,15 @@ def keep_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.nd
     robot.pending[sensor] = value
     if world.recorder is not None:
         world.recorder.read(robot.slot, sensor, value)
+
+
+def orders_of(state: "GroupState", world: int) -> dict[str, Any]:
+    """Return what a group's robots of a world of a batch have been told; leading axis over robots.
+
+    Args:
+        state: The group in all worlds (worlds, robots, ...).
+        world: Index of the world.
+    """
+    return {
+        name: jax.tree.map(lambda x: np.asarray(x)[world], getattr(state, name)) for name in ORDER_FIELDS
+    }
