@@ -24,16 +24,16 @@ from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.instances import check_instances
-from usarmjx.recording.inputs import WorldSetup
 from usarmjx.server.worlds.recorded import batch_setup, keep_reading, orders_of, record_step
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.reset import new_group_state, started
 from usarmjx.sim.putting import put_robot
+from usarmjx.sim.reset import new_group_state, started
 from usarmjx.sim.scene import PARKING_HEIGHT
 from usarmjx.sim.world import GroupState, World, time_of
 
@@ -122,7 +122,8 @@ class BatchWorld(ServedWorld):
         """Tell the recorder, if there is one, where all is after a control step."""
         if self.recorder is not None:
             physics = self._batch.physics(self._state)
-            record_step(self, jax.tree.map(lambda x: np.asarray(x)[self._instance], physics))
+            mine = jax.tree.map(lambda x: np.asarray(x)[self._instance], physics)
+            record_step(self, mine, self._shared.steps * self.period)
 
     @property
     def _state(self) -> BatchState:

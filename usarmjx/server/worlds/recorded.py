@@ -76,18 +76,21 @@ def batch_setup(batch: Batch, number: int, steps_before: int) -> WorldSetup:
     )
 
 
-def record_step(world: "ServedWorld", physics: "PhysicsState | mujoco.MjData") -> None:
+def record_step(
+    world: "ServedWorld", physics: "PhysicsState | mujoco.MjData", time: float | None = None
+) -> None:
     """Tell a world's recorder that a control step was made.
 
     Args:
         world: The world.
         physics: Its physics, with all digits.
+        time: Simulated time, where the world does not know yet [s].
     """
     recorder = world.recorder
     if recorder is None:
         return
     qpos, qvel, act = (np.asarray(one) for one in (physics.qpos, physics.qvel, physics.act))
-    recorder.stepped(world.time, qpos, qvel, act)
+    recorder.stepped(world.time if time is None else time, qpos, qvel, act)
     if recorder.frame_is_due:
         state, seen = world.one_world()
         recorder.look(
