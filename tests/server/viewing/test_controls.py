@@ -224,7 +224,7 @@ def test_joints_light_cameras_and_effecters_obey(served):
     assert robot.fovs[0] == pytest.approx(camera.min_fov)
     served.controls.set_joint(0, slot, "Trunk", 0.3)
     served.steps(1)
-    assert served.status.last_error == "Talon has no joint Trunk"
+    assert served.status.last_error == "Talon has no joint 'Trunk'"
 
 
 def test_it_goes_when_told(served):
