@@ -18,6 +18,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.parts import joint_names
+from usarmjx.models.build.tags import tag_ids
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import OPAQUE
@@ -105,7 +106,8 @@ class Capture:
             bodies=tuple(bodies),
             robots=robots,
             tags=tuple(
-                DrawnTag(number=tag.id, pos=np.add(tag.at, (0.0, 0.0, arena.floor))) for tag in arena.tags
+                DrawnTag(number=number, pos=np.add(tag.at, (0.0, 0.0, arena.floor)))
+                for number, tag in zip(tag_ids(arena.tags), arena.tags, strict=True)
             ),
             lamps=np.asarray(lamps.pos),
             lamp_rgb=np.asarray(lamps.rgb),

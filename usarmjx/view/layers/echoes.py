@@ -1,21 +1,22 @@
 """What sonars hear and infrared sensors see: cones and lines as long as what they told."""
 
 import math
-from collections import defaultdict
 
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.sensors.ranging import Ir, Sonar
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.colors import robot_colors
-from usarmjx.view.layers.mounts import DrawnSensor, Held, quats_of, sensors_of
+from usarmjx.view.layers.mounts import HeldMounts, sensors_of
 from usarmjx.view.layers.nodes import InstanceNode, LineNode, NodeLayer, PointNode
 
 CONE_OPACITY = 0.22
 CONE_SIDES, CAP_RINGS = 16, 3
 IR_RGB = np.array((230, 0, 180), np.uint8)
-IR_POINT_SIZE = 0.06
-"""Of the points where infrared lines end [m]."""
+IR_POINT_SIZE = 0.03
+"""Radius of the points where infrared lines end [m]."""
 
 
 def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
@@ -46,12 +47,6 @@ def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(corners), np.concatenate(faces)
 
 
-def _rows(reading: np.ndarray, pos: np.ndarray, mat: np.ndarray) -> np.ndarray:
-    """Return range, position and orientation, w first, of each mount (mounts, 8)."""
-    quat = quats_of(mat)
-    return np.concatenate([reading.reshape(-1, 1), pos, quat], -1)
-
-
 class SonarLayer(NodeLayer):
     """Cones of sonars."""
 
@@ -61,36 +56,26 @@ class SonarLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Look which sonars there are; those with the same angle are instances of one cone."""
-        self._held = [Held(sensor, _rows) for sensor in sensors_of(drawing, Sonar)]
-        self._cones: dict[float, InstanceNode] = {}
+        self._held = HeldMounts(sensors_of(drawing, Sonar))
+        angles = np.array([one.beam_angle for sensor in self._held.sensors for one in sensor.settings])
+        self._cones = [
+            (
+                np.flatnonzero(angles == angle),
+                InstanceNode(self.scene, f"{self.root}/{n}", sound_cone(angle), opacity=CONE_OPACITY),
+            )
+            for n, angle in enumerate(np.unique(angles).tolist())
+        ]
+        self._rgb = robot_colors(_slots(self._held))
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Show each cone where its range was taken."""
         del drawing
-        rows: dict[float, list[np.ndarray]] = defaultdict(list)
-        colors: dict[float, list[np.ndarray]] = defaultdict(list)
-        for held in self._held:
-            own = held.at(frame)
-            if own is None:
-                continue
-            angles = np.array([settings.beam_angle for settings in held.sensor.settings])
-            for angle in np.unique(angles):
-                same = own[(angles == angle) & (own[:, 0] > 0)]
-                rows[angle].append(same)
-                color = robot_colors(np.array(held.sensor.slot))
-                colors[angle].append(np.broadcast_to(color, (len(same), 3)))
-        for angle in self._cones.keys() | rows.keys():
-            if angle not in self._cones:
-                name = f"{self.root}/{math.degrees(angle):.1f}".replace(".", "_")
-                self._cones[angle] = InstanceNode(self.scene, name, sound_cone(angle), opacity=CONE_OPACITY)
-            whole = np.concatenate([np.zeros((0, 8)), *rows[angle]])
-            rgb = np.concatenate([np.zeros((0, 3), np.uint8), *colors[angle]])
-            self._cones[angle].set(whole[:, 1:4], whole[:, 4:], whole[:, 0], rgb)
-
-
-def _line(reading: np.ndarray, pos: np.ndarray, mat: np.ndarray) -> np.ndarray:
-    """Return where each mount's line starts and ends (mounts, 2, 3)."""
-    return np.stack([pos, pos + reading.reshape(-1, 1) * mat[:, :, 0]], 1)
+        if not self._held.look(frame):
+            return
+        ranges = _ranges(self._held)
+        for same, node in self._cones:
+            rows = same[ranges[same] > 0]
+            node.set(self._held.pos[rows], self._held.quat[rows], ranges[rows], self._rgb[rows])
 
 
 class InfraredLayer(NodeLayer):
@@ -102,22 +87,35 @@ class InfraredLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Look which sensors there are."""
-        self._held = [Held(sensor, _line) for sensor in sensors_of(drawing, Ir)]
+        self._held = HeldMounts(sensors_of(drawing, Ir))
+        settings = [one for sensor in self._held.sensors for one in sensor.settings]
+        self._max_range = np.array([one.max_range for one in settings], np.float32)
         self._lines = LineNode(self.scene, f"{self.root}/lines")
         self._points = PointNode(self.scene, f"{self.root}/points", IR_POINT_SIZE)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Show each line where its range was taken."""
         del drawing
-        made = [(held.sensor, held.at(frame)) for held in self._held]
-        ends = np.concatenate([np.zeros((0, 2, 3)), *(own for _, own in made if own is not None)])
-        hits = [_hits(sensor, own) for sensor, own in made if own is not None]
-        points = np.concatenate([np.zeros((0, 3)), *hits])
-        self._lines.set(ends, IR_RGB)
+        if not self._held.look(frame):
+            return
+        ranges = _ranges(self._held)
+        with numpy_backend():
+            ahead = np.asarray(mat_from_quat(self._held.quat))[:, :, 0]
+        ends = np.stack([self._held.pos, self._held.pos + ranges[:, None] * ahead], 1)
+        points = ends[(ranges > 0) & (ranges < self._max_range), 1]
+        self._lines.set(ends[ranges > 0], IR_RGB)
         self._points.set(points, np.broadcast_to(IR_RGB, points.shape))
 
 
-def _hits(sensor: DrawnSensor, ends: np.ndarray) -> np.ndarray:
-    """Return where lines end that met something (hits, 3)."""
-    farthest = np.array([settings.max_range for settings in sensor.settings])
-    return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) < farthest - 1e-4, 1]
+def _slots(held: HeldMounts) -> np.ndarray:
+    """Return whose each mount is (mounts,)."""
+    return np.array([sensor.slot for sensor in held.sensors for _ in sensor.settings], int)
+
+
+def _ranges(held: HeldMounts) -> np.ndarray:
+    """Return what each mount told [m], 0 where its robot is not there (mounts,)."""
+    ranges = np.zeros(len(held.pos), np.float32)
+    for rows, reading in zip(held.rows, held.readings, strict=True):
+        if len(reading):
+            ranges[rows] = reading
+    return ranges

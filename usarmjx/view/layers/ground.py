@@ -11,8 +11,12 @@ CELL = 1.2
 """Side of a cell of the grid: the side of an element that USARSim's arenas are built of [m]."""
 CELLS_OF_SECTION = 5
 """So many cells a line is stronger."""
-LIFT = 0.008
-"""What lies on the floor is drawn so far above it [m]: else both would flicker through each other."""
+WIDE = 60.0
+"""In arenas of more than this along a side only the stronger lines are drawn [m]: the others would melt into
+one grey."""
+LIFT, LIFT_SHARE = 0.008, 4e-4
+"""What lies on the floor is drawn so far above it [m], in large arenas by a share of their size: else both
+would flicker through each other."""
 TAG_RADIUS, TAG_HEIGHT, TAG_SIDES = 0.09, 0.02, 20
 TAG_RGB, DROPPED_RGB = (255, 196, 0), (255, 110, 0)
 TAG_TEXT_HEIGHT = 0.22
@@ -29,23 +33,25 @@ class GridLayer(NodeLayer):
     def draw(self, drawing: Drawing) -> None:
         """Lay it below all that is worth seeing, its lines where the arena's elements meet."""
         low, high = np.asarray(drawing.extent, float).T
-        cells = np.ceil((high - low) / CELL - 1e-6) + 2 * CELLS_OF_SECTION
-        width, height = cells * CELL
-        middle = low + CELL * (cells / 2 - CELLS_OF_SECTION)
+        cell = CELL if (high - low).max() <= WIDE else CELL * CELLS_OF_SECTION
+        cells = np.ceil((high - low) / cell - 1e-6) + 2
+        width, height = (cells * cell).tolist()
+        x, y = (low + cell * (cells / 2 - 1)).tolist()
+        size = math.hypot(width, height)
         self.scene.add_grid(
             f"{self.root}/lines",
             width,
             height,
-            cell_size=CELL,
-            section_size=CELL * CELLS_OF_SECTION,
+            cell_size=cell,
+            section_size=cell * CELLS_OF_SECTION,
             cell_color=(120, 112, 100),
             section_color=(84, 76, 66),
             cell_thickness=0.8,
             section_thickness=1.2,
-            fade_distance=4 * math.hypot(width, height),
+            fade_distance=4 * size,
             fade_strength=1.0,
             shadow_opacity=0.0,
-            position=(*middle, drawing.floor + LIFT),
+            position=(x, y, drawing.floor + max(LIFT, LIFT_SHARE * size)),
         )
 
     def update(self, drawing: Drawing, frame: Frame) -> None:

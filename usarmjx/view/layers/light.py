@@ -12,12 +12,11 @@ from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer
 
 WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""
-SUN_RGB, SUN_INTENSITY = (255, 236, 206), 2.6
-SKY_RGB, GROUND_RGB, SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9
-INDOOR_RGB, INDOOR_INTENSITY = (255, 226, 190), 0.55
+SUN_RGB, SUN_INTENSITY, INDOOR_SUN_INTENSITY = (255, 236, 206), 2.6, 1.3
+"""Indoors there are no roofs to be seen, and the sun is there for the sake of shadows."""
+SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
 ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
 """Colours of what is behind the world: high up, halfway, and below."""
-NIGHT_ZENITH, NIGHT_HORIZON, NIGHT_HAZE = (26, 30, 42), (58, 56, 58), (48, 44, 40)
 MOST_LAMPS, MOST_HEADLIGHTS = 8, 8
 """So many lamps and headlights light the page: each costs browsers time for all that they draw."""
 BULB_RADIUS = 0.09
@@ -30,7 +29,7 @@ BEAM_RGB = (255, 226, 120)
 class SkyLayer(NodeLayer):
     """The sun with its shadows, light from the sky, and what is behind the world.
 
-    An arena with lamps is dark inside: there is no sun, and little light from elsewhere.
+    An arena with lamps gets less of it.
     """
 
     name = "Light"
@@ -39,7 +38,7 @@ class SkyLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Light the arena."""
-        self._dark = bool((np.asarray(drawing.lamp_rgb) > 0).any())
+        self._indoors = bool((np.asarray(drawing.lamp_rgb) > 0).any())
         if self._on:
             self._shine()
 
@@ -60,26 +59,26 @@ class SkyLayer(NodeLayer):
         super().end()
 
     def _shine(self) -> None:
+        indoors = self._indoors
         self.scene.configure_default_lights(enabled=False)
-        self.scene.configure_environment_map("dawn", environment_intensity=0.25 if self._dark else 0.4)
-        colors = (NIGHT_ZENITH, NIGHT_HORIZON, NIGHT_HAZE) if self._dark else (ZENITH, HORIZON, HAZE)
-        self.scene.set_background_image(backdrop(*colors), format="png")
-        if self._dark:
-            self.scene.add_light_ambient(f"{self.root}/air", color=INDOOR_RGB, intensity=INDOOR_INTENSITY)
-            return
+        self.scene.configure_environment_map("dawn", environment_intensity=0.25 if indoors else 0.4)
+        self.scene.set_background_image(backdrop(ZENITH, HORIZON, HAZE), format="png")
         self.scene.add_light_hemisphere(
-            f"{self.root}/sky", sky_color=SKY_RGB, ground_color=GROUND_RGB, intensity=SKY_INTENSITY
+            f"{self.root}/sky",
+            sky_color=SKY_RGB,
+            ground_color=GROUND_RGB,
+            intensity=INDOOR_SKY_INTENSITY if indoors else SKY_INTENSITY,
         )
         self.scene.add_light_directional(
             f"{self.root}/sun",
             color=SUN_RGB,
-            intensity=SUN_INTENSITY,
+            intensity=INDOOR_SUN_INTENSITY if indoors else SUN_INTENSITY,
             cast_shadow=True,
             position=SUN_DIRECTION,
         )
 
     def _dim(self) -> None:
-        for name in ("air", "sky", "sun"):
+        for name in ("sky", "sun"):
             self.scene.remove_by_name(f"{self.root}/{name}")
         self.scene.configure_default_lights(enabled=True, cast_shadow=False)
         self.scene.configure_environment_map("warehouse")

@@ -1,7 +1,6 @@
 """Maps that robots are building: those of a task, else one drawn of all scans."""
 
 import math
-from functools import partial
 
 import numpy as np
 import viser
@@ -9,7 +8,7 @@ import viser
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
 from usarmjx.view.layers.lasers import beam_directions_of
-from usarmjx.view.layers.mounts import DrawnSensor, Held, sensors_of
+from usarmjx.view.layers.mounts import HeldMounts, sensors_of
 from usarmjx.view.layers.nodes import NodeLayer
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
@@ -30,6 +29,10 @@ ENLARGED = 4
 """So many pixels along a side has a square, so that browsers do not blur it away."""
 PICTURE_PERIOD = 0.4
 """A changed map is sent no more often than this [s of the world's time]."""
+SCANS_AT_ONCE = 2
+"""So many scans are looked at in one update; the others wait for the next."""
+MOST_BEAMS = 91
+"""Of a scan with more beams than this some are not followed along their way, only to their ends."""
 LEVEL = 0.35
 """A scan counts as level while its plane's normal leans by less than this [rad]."""
 
@@ -50,6 +53,7 @@ class ScanMap:
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         self.low = low
         self.cell = max(SCAN_CELL, float((high - low).max()) / MOST_SQUARES)
+        self._steps = np.arange(0.0, SCAN_REACH, self.cell)
         self.evidence = np.zeros(np.ceil((high - low) / self.cell).astype(int) + 1, np.int8)
 
     def add(self, start: np.ndarray, ends: np.ndarray, hit: np.ndarray) -> None:
@@ -60,28 +64,31 @@ class ScanMap:
             ends: Where its beams ended [m] (beams, 2).
             hit: Which of them met something (beams,).
         """
-        along = ends - start
-        length = np.linalg.norm(along, axis=-1)
-        steps = np.arange(self.cell, SCAN_REACH, self.cell)
-        share = steps / np.maximum(length, 1e-6)[:, None]
-        passed = start + share[..., None] * along[:, None]
-        free = self._mask(passed[steps < length[:, None] - self.cell])
-        wall = self._mask(ends[hit])
-        change = np.where(wall, 1, np.where(free, -1, 0)).astype(np.int8)
-        self.evidence = np.clip(self.evidence + change, -MOST_EVIDENCE, MOST_EVIDENCE)
+        every = -(-len(ends) // MOST_BEAMS)
+        along = (ends - start)[::every]
+        length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-6)
+        unit = along / length[:, None]
+        passed = np.where(self._steps < length[:, None] - self.cell, self._steps, 0.0)
+        x, y = (start[axis] + passed * unit[:, axis, None] for axis in range(2))
+        free = self._mask(x, y)
+        wall = self._mask(ends[hit, 0], ends[hit, 1])
+        self.evidence += wall
+        self.evidence -= free & ~wall
+        np.clip(self.evidence, -MOST_EVIDENCE, MOST_EVIDENCE, out=self.evidence)
 
     @property
     def squares(self) -> np.ndarray:
         """What squares are taken to be (i, j)."""
         return np.where(self.evidence > 0, WALL, np.where(self.evidence < 0, FREE, UNKNOWN))
 
-    def _mask(self, points: np.ndarray) -> np.ndarray:
-        """Return which squares points lie in (i, j)."""
-        index = np.round((points - self.low) / self.cell).astype(int)
-        index = index[((index >= 0) & (index < self.evidence.shape)).all(-1)]
-        mask = np.zeros(self.evidence.shape, bool)
-        mask[index[:, 0], index[:, 1]] = True
-        return mask
+    def _mask(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return which squares points lie in (i, j); those beyond it fall into a frame that is cut off."""
+        rows, columns = self.evidence.shape
+        i = np.clip((x - self.low[0]) / self.cell + 1.5, 0.5, rows + 1.5).astype(np.int32)
+        j = np.clip((y - self.low[1]) / self.cell + 1.5, 0.5, columns + 1.5).astype(np.int32)
+        mask = np.zeros((rows + 2, columns + 2), bool)
+        mask[i, j] = True
+        return mask[1:-1, 1:-1]
 
 
 class MapLayer(NodeLayer):
@@ -95,12 +102,15 @@ class MapLayer(NodeLayer):
         """Begin an empty map."""
         low, high = np.asarray(drawing.extent, float).T
         self._scans = ScanMap(low, high)
-        self._held = [
-            Held(sensor, partial(_rows, sensor, beam_directions_of(sensor)))
-            for sensor in sensors_of(drawing, RangeScanner)
-            if isinstance(sensor.settings[0], ScannerSettings) and sensor.settings[0].yaw
-        ]
-        self._seen: dict[int, np.ndarray | None] = {}
+        self._held = HeldMounts(
+            [
+                sensor
+                for sensor in sensors_of(drawing, RangeScanner)
+                if isinstance(sensor.settings[0], ScannerSettings) and sensor.settings[0].yaw
+            ]
+        )
+        self._directions = [beam_directions_of(sensor) for sensor in self._held.sensors]
+        self._waiting: dict[int, None] = {}
         self._image: viser.ImageHandle | None = None
         self._shown: np.ndarray | None = None
         self._due = -math.inf
@@ -120,14 +130,16 @@ class MapLayer(NodeLayer):
         self._picture(squares if maps else self._scans.squares, low, cell, drawing.floor + MAP_HEIGHT)
 
     def _look(self, frame: Frame) -> None:
-        """Look at the scans that are new."""
-        for number, held in enumerate(self._held):
-            rows = held.at(frame)
-            if rows is None or rows is self._seen.get(number):
-                continue
-            self._seen[number] = rows
-            if len(rows):
-                self._scans.add(rows[0, :2], rows[1:, :2], rows[1:, 2] > 0)
+        """Look at some of the scans that are new, at those that have waited longest."""
+        self._waiting |= dict.fromkeys(self._held.look(frame))
+        for number in list(self._waiting)[:SCANS_AT_ONCE]:
+            del self._waiting[number]
+            mat, reading = self._held.mat(number), self._held.readings[number]
+            if len(reading) and mat[2, 2] > math.cos(LEVEL):
+                hit = (reading > 0) & (reading < self._held.sensors[number].settings[0].max_range)
+                start = self._held.pos[self._held.rows[number]][0, :2]
+                ends = start + reading[:, None] * (self._directions[number] @ mat[:2].T)
+                self._scans.add(start, ends, hit)
 
     def _picture(self, squares: np.ndarray, low: np.ndarray, cell: float, height: float) -> None:
         if self._shown is not None and np.array_equal(squares, self._shown):
@@ -155,17 +167,3 @@ def merged(maps: list[np.ndarray]) -> np.ndarray:
     """Return several robots' maps (i, j) of the same squares as one."""
     ranks = np.max(RANKS[np.stack(maps)], 0)
     return np.argsort(RANKS)[ranks]
-
-
-def _rows(
-    sensor: DrawnSensor, directions: np.ndarray, reading: np.ndarray, pos: np.ndarray, mat: np.ndarray
-) -> np.ndarray:
-    """Return where a scanner was and where its beams ended, x and y, and whether they met something (n, 3).
-
-    A scan that is not level tells nothing of walls: no rows.
-    """
-    if mat[0, 2, 2] < math.cos(LEVEL):
-        return np.zeros((0, 3))
-    hit = (reading > 0) & (reading < sensor.settings[0].max_range)
-    ends = pos[0] + reading[:, None] * (directions @ mat[0].T)
-    return np.column_stack([np.concatenate([pos, ends])[:, :2], np.concatenate([[False], hit])])

@@ -1,7 +1,8 @@
 """Where sensors are, what they said, and where they were when they said it."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,10 +34,6 @@ class DrawnSensor:
         """Return what it said last; None: its robot is not there."""
         robot = frame.robots.get(self.slot)
         return None if robot is None else np.asarray(robot.readings[self.index])
-
-    def poses(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Return where its mounts are [m] (mounts, 3), and how they are turned (mounts, 3, 3)."""
-        return mount_poses(frame, self.mount)
 
 
 def mount_poses(frame: Frame, mount: DrawnMount) -> tuple[np.ndarray, np.ndarray]:
@@ -79,33 +76,63 @@ def settings_of(kind: type[Sensor], mount: DrawnMount) -> tuple[Any, ...]:
     )
 
 
-class Held:
-    """What was made of a range sensor's readings, in the place where it was when it took them.
+class HeldMounts:
+    """Where the mounts of range sensors were when they took their readings.
 
     Else a scan would go along with a robot that drives on. A reading is taken to be new when it differs from
     the one before; one that met nothing is the same everywhere, and goes along.
 
     Args:
-        sensor: The sensor.
-        make: Makes something of reading, positions (mounts, 3) and orientations (mounts, 3, 3).
+        sensors: The sensors.
+
+    Attributes:
+        sensors: The sensors.
+        readings: What each took, flat; empty while its robot is not there.
+        rows: Which of the arrays below are the mounts of each.
+        pos: Where mounts were [m] (mounts, 3).
+        quat: How they were turned, w first (mounts, 4).
     """
 
-    def __init__(
-        self, sensor: DrawnSensor, make: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-    ) -> None:
-        self.sensor, self._make = sensor, make
-        self._max_range = min(settings.max_range for settings in sensor.settings)
-        self._reading: np.ndarray | None = None
-        self._made: np.ndarray | None = None
+    def __init__(self, sensors: Sequence[DrawnSensor]) -> None:
+        self.sensors = tuple(sensors)
+        self.readings = [np.zeros(0, np.float32) for _ in sensors]
+        ends = np.cumsum([0, *(len(sensor.mount.pos) for sensor in sensors)]).tolist()
+        self.rows = [slice(first, last) for first, last in pairwise(ends)]
+        self.pos = np.zeros((ends[-1], 3), np.float32)
+        self.quat = np.tile(np.array([1, 0, 0, 0], np.float32), (ends[-1], 1))
+        self._body = np.concatenate([np.zeros(0, int), *(sensor.mount.body for sensor in sensors)])
+        self._at = np.concatenate([np.zeros((0, 3)), *(sensor.mount.pos for sensor in sensors)])
+        self._turn = quats_of(np.concatenate([np.zeros((0, 3, 3)), *(s.mount.mat for s in sensors)]))
+        self._max_range = [min(one.max_range for one in sensor.settings) for sensor in sensors]
 
-    def at(self, frame: Frame) -> np.ndarray | None:
-        """Return what was made of the last reading; None: the robot is not there."""
-        reading = self.sensor.reading(frame)
-        if reading is None:
-            self._reading = self._made = None
-            return None
-        met_nothing = ((reading <= 0) | (reading >= self._max_range)).all()
-        if met_nothing or self._reading is None or not np.array_equal(reading, self._reading):
-            self._reading = reading
-            self._made = self._make(reading, *self.sensor.poses(frame))
-        return self._made
+    def look(self, frame: Frame) -> list[int]:
+        """Take what is new; return which sensors have something new."""
+        new: list[int] = []
+        for number, sensor in enumerate(self.sensors):
+            robot, before = frame.robots.get(sensor.slot), self.readings[number]
+            if robot is None:
+                if len(before):
+                    self.readings[number] = before[:0]
+                    new.append(number)
+                continue
+            reading = np.asarray(robot.readings[sensor.index]).reshape(-1)
+            if not np.array_equal(reading, before) or self._met_nothing(number, reading):
+                self.readings[number] = reading
+                new.append(number)
+        if new:
+            quat = frame.quat[self._body]
+            with numpy_backend():
+                pos = frame.pos[self._body] + np.asarray(matvec(mat_from_quat(quat), self._at))
+            turned = quat_product(quat, self._turn)
+            for number in new:
+                rows = self.rows[number]
+                self.pos[rows], self.quat[rows] = pos[rows], turned[rows]
+        return new
+
+    def mat(self, number: int) -> np.ndarray:
+        """Return how a sensor's first mount was turned (3, 3)."""
+        with numpy_backend():
+            return np.asarray(mat_from_quat(self.quat[self.rows[number].start]))
+
+    def _met_nothing(self, number: int, reading: np.ndarray) -> bool:
+        return bool(((reading <= 0) | (reading >= self._max_range[number])).all())

@@ -96,7 +96,7 @@ class PointNode:
     Args:
         scene: Where to draw.
         name: Path of the node.
-        size: Of a point [m].
+        size: Radius of a point [m].
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:

@@ -45,7 +45,7 @@ class RadioLayer(NodeLayer):
     about = (
         "lines between robots that hear each other, from weak (red) to strong (green), a gap for each wall"
     )
-    shown_at_first = True
+    shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
         """Nothing stays."""

@@ -8,8 +8,8 @@ from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.nodes import LineNode, NodeLayer, PointNode
 
-HIT_SIZE, TRAIL_SIZE = 0.04, 0.09
-"""Of the points of victim sensors and of trails [m]."""
+HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
+"""Radii of the points of victim sensors and of trails [m]."""
 
 
 def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
