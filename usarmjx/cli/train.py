@@ -1,6 +1,7 @@
 """`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Generator
@@ -11,13 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce
 from usarmjx.server.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
+    from usarmjx.train.envs.state import EnvState
     from usarmjx.train.learning.config import Config
 
+HOST = "127.0.0.1"
+"""Where the live page of a training is."""
 app = typer.Typer()
 
 SetOption = Annotated[
@@ -49,6 +54,8 @@ def train(
         ),
     ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
+    view: ViewOption = False,
+    viewer_port: ViewerPortOption = None,
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
@@ -60,10 +67,14 @@ def train(
         announce(f"building worlds for {task} ...", aloud=joined is None or joined.index == 0)
         from usarmjx.train.processes.group import distributed_run
 
-        with distributed_run() as process, _served(out, port, serve and process.index == 0):
+        with (
+            distributed_run() as process,
+            _served(out, port, serve and process.index == 0),
+            viewer_socket(HOST, viewer_port, 0, view and process.index == 0) as page,
+        ):
             chosen = {"worlds": worlds, "steps": steps, "seed": seed}
             score = _train(
-                task, chosen, settings or [], (out, engine, resume, not quiet and not process.index)
+                task, chosen, settings or [], (out, engine, resume, not quiet and not process.index), page
             )
             if process.index == 0:
                 typer.echo(score)
@@ -89,7 +100,11 @@ def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
 
 
 def _train(
-    task: str, given: dict[str, int | None], pairs: list[str], how: tuple[Path, str, bool, bool]
+    task: str,
+    given: dict[str, int | None],
+    pairs: list[str],
+    how: tuple[Path, str, bool, bool],
+    page: socket.socket | None,
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
@@ -98,6 +113,7 @@ def _train(
         given: Settings with options of their own.
         pairs: Others, as typed.
         how: Folder, engine, whether to resume, whether to show a bar.
+        page: Where the live page is; None: there is none.
 
     Returns:
         What came of it, in a line.
@@ -110,14 +126,44 @@ def _train(
     chosen = {key: value for key, value in given.items() if value is not None}
     config, overrides = _split_settings(task, pairs, chosen)
 
+    shown = None if page is None else _ShownTraining(page, f"{task}, in training")
+
     def worlds_of(count: int, first: int) -> "Env":
-        return make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
+        env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
+        return env if shown is None else shown.of(env)
 
     typed = dict(pair.split("=", 1) for pair in pairs)
     origin = EnvArguments(engine, {key: typed[key] for key in overrides})
-    done = run(worlds_of, config, out, resume, origin=origin, progress=bar)
+    look = None if shown is None else shown.look
+    done = run(worlds_of, config, out, resume, origin=origin, progress=bar, look=look)
     score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+class _ShownTraining:
+    """A training on the live page.
+
+    Args:
+        bound: Where the page is.
+        title: What it is called.
+    """
+
+    def __init__(self, bound: socket.socket, title: str) -> None:
+        self._server, self._title = viewer_server(bound, HOST), title
+
+    def of(self, env: "Env") -> "Env":
+        """Return the training's worlds, which are the ones that are shown."""
+        from usarmjx.view.page import ViewerPage
+        from usarmjx.view.training_page import TrainingPage
+
+        self._page = TrainingPage(
+            env.batch, lambda source: ViewerPage(source, title=self._title, server=self._server)
+        )
+        return env
+
+    def look(self, state: "EnvState") -> None:
+        """Show the worlds as they are."""
+        self._page.show(state.batch)
 
 
 def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple["Config", dict[str, Any]]:

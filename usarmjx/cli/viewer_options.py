@@ -11,6 +11,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.ports import LAST_PORT, VIEWER_PORT, bound_socket
 
 if TYPE_CHECKING:
+    import viser
+
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.server.access import AccessRules
     from usarmjx.server.net import BotServer
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 
 ViewerOption = Annotated[
     bool, typer.Option("--viewer/--no-viewer", help="Show the worlds in three dimensions, in a browser.")
+]
+ViewOption = Annotated[
+    bool, typer.Option("--view", help="Show what happens in three dimensions, in a browser.")
 ]
 ViewerPortOption = Annotated[
     int | None,
@@ -60,6 +65,30 @@ def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Ite
         bound = bound_socket(host, 0, "--viewer-port")
     with bound:
         yield bound
+
+
+def viewer_server(
+    bound: socket.socket, host: str, rules: "AccessRules | None" = None, names: Sequence[str] = ()
+) -> "viser.ViserServer":
+    """Return a server for a page of its own at a socket, and tell the user where it is.
+
+    Args:
+        bound: Where the page is.
+        host: What its port was bound to.
+        rules: Who may look; None: anybody who can connect.
+        names: What browsers may call the server, as typed.
+    """
+    from usarmjx.server.access import EVERYBODY
+    from usarmjx.server.gate import Gate
+    from usarmjx.server.host_names import check_names
+    from usarmjx.server.viewing.front import gated_viser
+    from usarmjx.server.viewing.viewer_service import ViewerSettings, page_address
+
+    settings = ViewerSettings(host, access=rules or EVERYBODY, names=check_names(names))
+    gate = Gate(settings.access, settings.max_connections, "viewers")
+    server = gated_viser(bound, host, gate, settings.names)
+    typer.echo(f"usarmjx: {page_address(settings, bound.getsockname()[1])}")
+    return server
 
 
 def add_viewer(

@@ -108,8 +108,13 @@ class ViewerPage:
         if now < self._next_update:
             return
         self._next_update = now + UPDATE_PERIOD
-        if self.server.get_clients() or self._posted:
+        if self.is_watched:
             self.refresh()
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody looks, or has just come or gone."""
+        return bool(self._posted or self.server.get_clients())
 
     def refresh(self) -> None:
         """Show the worlds as they are, at once."""

@@ -85,13 +85,7 @@ class ViewerService:
         self._bound.setblocking(False)
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._bound, self._open)
-        return [self.announcement()]
-
-    def announcement(self) -> str:
-        """Return where the page is, for the user."""
-        shown = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
-        token = "?token=..." if self._settings.access.token else ""
-        return f"see it at http://{shown}:{self.port}/{token}"
+        return [page_address(self._settings, self.port)]
 
     def tick(self) -> None:
         """The worlds have made a control step."""
@@ -136,3 +130,9 @@ class ViewerService:
         from usarmjx.view.page import ViewerPage
 
         return ViewerPage(self.source, server=server) if self._make_page is None else self._make_page(server)
+
+
+def page_address(settings: ViewerSettings, port: int) -> str:
+    """Return where a page is, as a line for the user."""
+    shown = f"[{settings.host}]" if ":" in settings.host else settings.host
+    return f"see it at http://{shown}:{port}/{'?token=...' if settings.access.token else ''}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Carry, Policy
+from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import reset_carry
 from usarmjx.train.learning.networks import fold_each, sample_actions
@@ -40,6 +41,11 @@ def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Traje
     return steps, jax.tree.map(lambda one: one.sum(0), sums)
 
 
+def _look_away(state: EnvState) -> None:
+    """Do nothing: nobody looks."""
+    del state
+
+
 class Rollout:
     """Lets robots act.
 
@@ -61,15 +67,21 @@ class Rollout:
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher = teacher
+        self.look: Callable[[EnvState], None] = _look_away
+        """Gets to see the worlds: after every action, or where a whole rollout is compiled, after that."""
         self._decide = jax.jit(self._decided)
         self._account = jax.jit(self._accounted)
         self._stack = jax.jit(_stacked)
         self._bound = jax.jit(self._bounded)
-        self.collect: Callable[[TrainState, RolloutState, jax.Array], Collected] = (
-            jax.jit(self._scan) if env.traceable else self._loop
-        )
-        """From train state, rollout state and key to the next rollout state, trajectory, ends, and sums for
-        the log."""
+        self._collect_at_once = jax.jit(self._scan)
+
+    def collect(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
+        """Return the next rollout state, trajectory, ends, and sums for the log."""
+        if not self.env.traceable:
+            return self._loop(train_state, start, key)
+        collected = self._collect_at_once(train_state, start, key)
+        self.look(collected[0].env_state)
+        return collected
 
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
@@ -263,6 +275,7 @@ class Rollout:
         for step in range(self.config.rollout):
             now, row = self._step(train_state, now, key, np.int32(step))
             rows.append(row)
+            self.look(now.env_state)
         steps, sums = self._stack(rows)
         return now, steps, self._ends(train_state, start, now), sums
 

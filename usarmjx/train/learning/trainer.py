@@ -14,6 +14,7 @@ from jax.sharding import PartitionSpec
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.files import PARTIAL, writing
 from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
@@ -140,7 +141,7 @@ def _with_axis(sums: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return {name: one[None] for name, one in sums.items()}
 
 
-def train(
+def train(  # noqa: PLR0913 - all but three may be left out
     env: Env | EnvFactory,
     config: Config,
     out: str | Path,
@@ -149,6 +150,7 @@ def train(
     origin: EnvArguments = DEFAULT_ENV_ARGUMENTS,
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
+    look: Callable[[EnvState], None] | None = None,
 ) -> TrainResult:
     """Train a policy; in every process at once, if there are several (see `processes.group`).
 
@@ -161,6 +163,7 @@ def train(
         origin: For the record: what the environment was made with.
         progress: Show a bar in the terminal.
         watch: Called with what is written of each iteration.
+        look: Gets to see the worlds of this process again and again, see `Rollout.look`.
 
     Raises:
         UsageError: The folder has a run already, or none to resume, or one that was started otherwise, went
@@ -178,6 +181,7 @@ def train(
             _check_new(out, process_group)
         process_group.barrier("look for a run")  # before anyone writes one
         trainer = Trainer(env, config, process_group)
+        trainer.rollout.look = look or trainer.rollout.look
         record = make_record(trainer.env, config, process_group.count, origin)
         checkpoints = Checkpoints(out, process_group, config.keep)
         if resume:
