@@ -372,7 +372,7 @@ class Client:
         joints = self._world.state(robot).joint_pos
         battery = self._battery(robot)
         self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
-        if self.battery_empty:
+        if battery <= 0:
             robot.pending.clear()
             return
         for index, sensor in enumerate(robot.suite.sensors):
@@ -381,5 +381,5 @@ class Client:
                 message = sensor_report(sensor, reading, time, origin, self._world.tag_texts)
                 if message is not None:
                     self.session.send(message)
-        for message in package_report(robot.spec, joints, time):
+        for message in package_report(robot.plan, joints, time):
             self.session.send(message)

@@ -209,11 +209,18 @@ class Scene:
 
     def group_of(self, slot: int) -> tuple[int, int]:
         """Return (group, place in the group) of a roster slot."""
-        for t, group in enumerate(self.groups):
-            places = np.flatnonzero(group.slots == slot)
-            if places.size:
-                return t, int(places[0])
-        raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
+        if slot not in self._places:
+            raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
+        return self._places[slot]
+
+    @cached_property
+    def _places(self) -> dict[int, tuple[int, int]]:
+        """Group and place in it of each robot, by slot."""
+        return {
+            slot: (t, place)
+            for t, group in enumerate(self.groups)
+            for place, slot in enumerate(group.slots.tolist())
+        }
 
 
 def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:

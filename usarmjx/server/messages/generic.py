@@ -44,6 +44,8 @@ def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
 
 def of_type(kind: str, message: Message) -> Message:
     """Return a SEN as one of that type."""
+    if ("Type", kind) in message.segments:
+        return message
     segments = tuple((key, kind if key == "Type" else text) for key, text in message.segments)
     return Message(message.kind, segments)
 

@@ -14,8 +14,7 @@ from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.roads.geodesy import LatLon
 from usarmjx.models.spec.robot import Link, MissionPackage, Mount, RobotSpec
 from usarmjx.sensors.base import Sensor
-from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
-from usarmjx.sensors.rfid import Rfid
+from usarmjx.sensors.gps import MIN_FIX_SATELLITES, geographic_coordinates
 from usarmjx.server.messages import generic, victims
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.descriptions import (
@@ -42,7 +41,7 @@ from usarmjx.sim.control import RobotCommand
 
 
 def _range(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
-    pairs = [(mount.name, float(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    pairs = [(mount.name, v) for mount, v in zip(sensor.mounts, value.tolist(), strict=True)]
     return reports.sen_range(sensor.kind, time, pairs)
 
 
@@ -164,8 +163,11 @@ def sensor_report(
         origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
         texts: What is written on RFID tags.
     """
-    known = {Gps.kind: partial(_gps, origin=origin), Rfid.kind: partial(victims.tags, texts=texts)}
-    report = generic.lookup_by_type(sensor, REPORTS | known) or generic.report
+    report = generic.lookup_by_type(sensor, REPORTS) or generic.report
+    if report is _gps:
+        report = partial(_gps, origin=origin)
+    elif report is victims.tags:
+        report = partial(victims.tags, texts=texts)
     message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
     return None if message is None else generic.of_type(sensor.kind, message)
 
@@ -322,10 +324,9 @@ def robot_report(
         battery: Time left [s].
         view: Its tile of the MultiView, -1 without one.
     """
-    names, drive, light = joint_names(plan.robot), plan.robot.drive, bool(command.light)
-    angles_of: dict[str, Any] = drive.steering_angles(
-        dict(zip(names, joints.tolist(), strict=True)), command.setpoint
-    )
+    drive, light = plan.robot.drive, bool(command.light)
+    angles = dict(zip(plan.parts[1:], joints.tolist(), strict=True))
+    angles_of: dict[str, Any] = drive.steering_angles(angles, command.setpoint)
     return reports.sta(
         drive.vehicle,
         reports.RobotStatus(
@@ -334,17 +335,17 @@ def robot_report(
             intensity=100 if light else 0,
             battery=battery,
             view=view,
-            joints=tuple((name, float(joints[names.index(name)])) for name in plan.robot.reported_joints),
+            joints=tuple((name, angles[name]) for name in plan.robot.reported_joints),
             **angles_of,
         ),
     )
 
 
-def package_report(robot: RobotSpec, joints: Array, time: float) -> list[Message]:
+def package_report(plan: KinematicTree, joints: Array, time: float) -> list[Message]:
     """Return the MISSTA messages of a robot's mission packages."""
-    names, messages = joint_names(robot), []
-    for package in robot.packages:
-        values = [float(joints[names.index(part_name(package, link))]) for link in package.links]
+    angles, messages = dict(zip(plan.parts[1:], joints.tolist(), strict=True)), []
+    for package in plan.robot.packages:
+        values = [angles[part_name(package, link)] for link in package.links]
         links = [(k.number, v, k.max_torque) for k, v in zip(package.links, values, strict=True)]
         messages.append(reports.missta(time, package.name, links))
     return messages

@@ -24,6 +24,11 @@ _HEAD = re.compile(r"[^ \t\r\n{}]*")
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _KEY = re.compile(r"[^ \t\r\n{}]+")
 _VALUE = re.compile(r"[^\r\n{}]*")
+# What a sound message is written as, if its keys have no spaces and there are as many braces as segments.
+_LINE = re.compile(
+    r"[A-Za-z][A-Za-z0-9_]*"
+    r"(?: \{[^ \t\r\n{}]+(?: [^ \t\r\n{}](?:[^\r\n{}]*[^ \t\r\n{}])?)?\})*"
+)
 # The longest prefix that C's atof reads. Hexadecimal numbers are left out: the C library of the
 # original's Windows servers did not know them either.
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
@@ -97,16 +102,23 @@ def format_message(message: Message) -> str:
     Raises:
         UsageError: The kind, a key or a value holds what the grammar cannot carry.
     """
+    parts = [f"{{{key} {value}}}" if value else f"{{{key}}}" for key, value in message.segments]
+    line = " ".join([message.kind, *parts])
+    spaced = " " in "".join([key for key, _ in message.segments])
+    if spaced or line.count("{") != len(parts) or not _LINE.fullmatch(line):
+        _check_message(message)
+    return line
+
+
+def _check_message(message: Message) -> None:
+    """Find what of a message the grammar cannot carry; see `format_message`."""
     if not _WORD.fullmatch(message.kind):
         raise UsageError(f"{message.kind!r} cannot be the head of a message")
-    parts = [message.kind]
     for key, value in message.segments:
         if not _KEY.fullmatch(key):
             raise UsageError(f"{message.kind}: {key!r} cannot be a segment's key")
         if not _VALUE.fullmatch(value) or value != value.strip(_SPACE):
             raise UsageError(f"{message.kind}: {value!r} cannot be the value of {key!r}")
-        parts.append(f"{{{key} {value}}}" if value else f"{{{key}}}")
-    return " ".join(parts)
 
 
 def clip(text: str, limit: int = 60) -> str:
@@ -171,9 +183,7 @@ def four_decimals(value: float) -> str:
     Raises:
         UsageError: The value is not finite.
     """
-    _require_finite(value)
-    cut = int(abs(value) * 10_000 + _CUT_MARGIN) / 10_000
-    return f"{math.copysign(cut, value):.4f}"
+    return four_decimals_list((value,))
 
 
 def two_decimals(value: float) -> str:
@@ -190,7 +200,12 @@ def two_decimals(value: float) -> str:
 
 def four_decimals_list(values: Iterable[float]) -> str:
     """Return numbers of the form `four_decimals`, separated by commas only."""
-    return ",".join([four_decimals(value) for value in values])
+    numbers, signed = [*values], math.copysign
+    if not math.isfinite(sum(numbers)):
+        for value in numbers:
+            _require_finite(value)
+    cut = [signed(int(abs(value) * 10_000 + _CUT_MARGIN) / 10_000, value) for value in numbers]
+    return ",".join(["%.4f"] * len(cut)) % tuple(cut)
 
 
 def two_decimals_list(values: Iterable[float]) -> str:
@@ -204,7 +219,7 @@ def check_word(text: str) -> str:
     Raises:
         UsageError: It is empty or holds a space, which would shift the pairs after it.
     """
-    if not text or any(character.isspace() for character in text):
+    if text.split() != [text]:
         raise UsageError(f"{text!r} must be one word to stand inside a segment")
     return text
 
