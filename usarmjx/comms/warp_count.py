@@ -1,6 +1,6 @@
 """`count_walls` on Warp, for all worlds in one launch."""
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -18,12 +18,12 @@ def _kernel() -> Any:  # noqa: ANN401
     return wp.jax_kernel(warp_walls.count_crossings)
 
 
-def _count(geoms: Array, world: Array, start: Array, end: Array) -> jax.Array:
+def _count(count: int, geoms: Array, world: Array, start: Array, end: Array) -> jax.Array:
     shape = start.shape[:2]
     ends = [x.reshape(-1, 3) for x in (start, end)]
     threads = shape[0] * shape[1]
     found = _kernel()(
-        geoms.reshape(-1, 4), world, *ends, geoms.shape[2], shape[1], output_dims=threads, launch_dims=threads
+        geoms.reshape(-1, 4), world, *ends, count, shape[1], output_dims=threads, launch_dims=threads
     )
     return found[0].reshape(shape)
 
@@ -35,5 +35,7 @@ def count_on_warp(geoms: Geoms, start: Array, end: Array) -> jax.Array:
     ]
     packed = pack(list(zip(infos, geoms.blocks, strict=True)))
     ends = [jnp.asarray(x, jnp.float32).reshape(1, -1, 3) for x in (start, end)]
-    found = over_worlds(_count)(packed[None], jnp.zeros(1, jnp.int32), *ends)
+    found = over_worlds(partial(_count, sum(info.num_geoms for info in infos)))(
+        packed[None], jnp.zeros(1, jnp.int32), *ends
+    )
     return found.reshape(start.shape[:-1])

@@ -3,20 +3,18 @@
 What each function means is said there; the arithmetic is the same, so that exchanging a segment's ends
 changes no bit of the answer.
 """
-# pyright: basic
 
 import mujoco
 import warp as wp
 
 from usarmjx.comms import clipping
 from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
-from usarmjx.sensors.rays.raycast_warp import four_at, local
+from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 TINY = wp.constant(1e-12)
 SIDE_MARGIN = wp.constant(clipping.SIDE_MARGIN)
-ROWS = wp.constant(5)
 PLANE = wp.constant(int(mujoco.mjtGeom.mjGEOM_PLANE))
 BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
 SPHERE = wp.constant(int(mujoco.mjtGeom.mjGEOM_SPHERE))
@@ -28,7 +26,7 @@ COLUMN = wp.constant(COLUMN_KIND)
 
 
 @wp.func
-def crosses_plane(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+def _crosses_plane(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     t = -m[2] / wp.where(h[2] == 0.0, 1.0, h[2])
     crossed = wp.abs(m[2]) < wp.abs(h[2])
     crossed = crossed and (s[0] <= 0.0 or wp.abs(m[0] + t * h[0]) < s[0])
@@ -36,31 +34,31 @@ def crosses_plane(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
 
 
 @wp.func
-def separates(mj: float, mk: float, hj: float, hk: float, sj: float, sk: float) -> bool:
+def _separates(mj: float, mk: float, hj: float, hk: float, sj: float, sk: float) -> bool:
     """Whether the cross product of an axis of a box and a segment keeps them apart."""
     room = sj * wp.abs(hk) + sk * wp.abs(hj)
     return wp.abs(mj * hk - mk * hj) >= room and room != 0.0
 
 
 @wp.func
-def crosses_box(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+def _crosses_box(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     apart = wp.abs(m[0]) >= s[0] + wp.abs(h[0])
     apart = apart or wp.abs(m[1]) >= s[1] + wp.abs(h[1])
     apart = apart or wp.abs(m[2]) >= s[2] + wp.abs(h[2])
-    apart = apart or separates(m[1], m[2], h[1], h[2], s[1], s[2])
-    apart = apart or separates(m[2], m[0], h[2], h[0], s[2], s[0])
-    return not (apart or separates(m[0], m[1], h[0], h[1], s[0], s[1]))
+    apart = apart or _separates(m[1], m[2], h[1], h[2], s[1], s[2])
+    apart = apart or _separates(m[2], m[0], h[2], h[0], s[2], s[0])
+    return not (apart or _separates(m[0], m[1], h[0], h[1], s[0], s[1]))
 
 
 @wp.func
-def nearest_squared(m: wp.vec3, h: wp.vec3) -> float:
+def _nearest_squared(m: wp.vec3, h: wp.vec3) -> float:
     t = wp.clamp(-wp.dot(m, h) / wp.max(wp.dot(h, h), TINY), -1.0, 1.0)
     at = m + t * h
     return wp.dot(at, at)
 
 
 @wp.func
-def crosses_cylinder(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+def _crosses_cylinder(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     slope = wp.where(wp.abs(h[2]) < TINY, TINY, h[2])
     centre = -m[2] / slope
     width = s[1] / wp.abs(slope)
@@ -73,34 +71,34 @@ def crosses_cylinder(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
 
 
 @wp.func
-def crosses_capsule(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+def _crosses_capsule(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     square = s[0] * s[0]
     end = wp.vec3(0.0, 0.0, s[1])
-    in_ball = nearest_squared(m - end, h) < square or nearest_squared(m + end, h) < square
-    return in_ball or crosses_cylinder(m, h, s)
+    in_ball = _nearest_squared(m - end, h) < square or _nearest_squared(m + end, h) < square
+    return in_ball or _crosses_cylinder(m, h, s)
 
 
 @wp.func
-def crosses(kind: int, m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+def _crosses(kind: int, m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     """Whether a segment meets the inside of a solid that is one geom."""
-    crossed = bool(False)
+    crossed = wp.bool(False)
     if kind == BOX:
-        crossed = crosses_box(m, h, s)
+        crossed = _crosses_box(m, h, s)
     elif kind == PLANE:
-        crossed = crosses_plane(m, h, s)
+        crossed = _crosses_plane(m, h, s)
     elif kind == CYLINDER:
-        crossed = crosses_cylinder(m, h, s)
+        crossed = _crosses_cylinder(m, h, s)
     elif kind == SPHERE:
-        crossed = nearest_squared(m, h) < s[0] * s[0]
+        crossed = _nearest_squared(m, h) < s[0] * s[0]
     elif kind == CAPSULE:
-        crossed = crosses_capsule(m, h, s)
+        crossed = _crosses_capsule(m, h, s)
     elif kind == ELLIPSOID:
-        crossed = nearest_squared(wp.cw_div(m, s), wp.cw_div(h, s)) < 1.0
+        crossed = _nearest_squared(wp.cw_div(m, s), wp.cw_div(h, s)) < 1.0
     return crossed
 
 
 @wp.func
-def positive_interval(start: float, slope: float) -> wp.vec2:
+def _positive_interval(start: float, slope: float) -> wp.vec2:
     t = -start / wp.where(slope == 0.0, 1.0, slope)
     low = wp.where(slope > 0.0, wp.max(t, -1.0), -1.0)
     high = wp.where(slope < 0.0, wp.min(t, 1.0), 1.0)
@@ -108,18 +106,18 @@ def positive_interval(start: float, slope: float) -> wp.vec2:
 
 
 @wp.func
-def intersection(one: wp.vec2, other: wp.vec2) -> wp.vec2:
+def _intersection(one: wp.vec2, other: wp.vec2) -> wp.vec2:
     return wp.vec2(wp.max(one[0], other[0]), wp.min(one[1], other[1]))
 
 
 @wp.func
-def crosses_column(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
-    inside = positive_interval(-m[2], -h[2])
-    bottom = positive_interval(m[2] + s[0] * m[0] + s[1] * m[1] + s[2], h[2] + s[0] * h[0] + s[1] * h[1])
-    inside = intersection(inside, bottom)
-    inside = intersection(inside, positive_interval(m[0] + SIDE_MARGIN, h[0]))
-    inside = intersection(inside, positive_interval(m[1] + SIDE_MARGIN, h[1]))
-    inside = intersection(inside, positive_interval(1.0 + SIDE_MARGIN - m[0] - m[1], -h[0] - h[1]))
+def _crosses_column(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    inside = _positive_interval(-m[2], -h[2])
+    bottom = _positive_interval(m[2] + s[0] * m[0] + s[1] * m[1] + s[2], h[2] + s[0] * h[0] + s[1] * h[1])
+    inside = _intersection(inside, bottom)
+    inside = _intersection(inside, _positive_interval(m[0] + SIDE_MARGIN, h[0]))
+    inside = _intersection(inside, _positive_interval(m[1] + SIDE_MARGIN, h[1]))
+    inside = _intersection(inside, _positive_interval(1.0 + SIDE_MARGIN - m[0] - m[1], -h[0] - h[1]))
     return inside[0] < inside[1]
 
 
@@ -132,47 +130,45 @@ def count_crossings(
     count: int,
     segments: int,
     crossings: wp.array[int],
-):
+) -> None:
     """Count the solids that each segment crosses.
 
     Pieces of a solid follow one another; its last one is where the next geom has another owner or kind.
     """
     t = wp.tid()
-    first = world[t / segments] * count * ROWS
+    first = world[t // segments] * ((count + 31) >> 5) * GROUP_SIZE
     middle = (start[t] + end[t]) * 0.5
     half = (end[t] - start[t]) * 0.5
-    total = int(0)
+    total = wp.int32(0)
     inside = wp.vec2(-1.0, 1.0)
-    met = bool(False)
-    index = int(0)
+    met = wp.bool(False)
+    index = wp.int32(0)
     while index < count:
-        at = first + index
-        place = four_at(geoms, at)
-        r0 = four_at(geoms, at + count)
-        r1 = four_at(geoms, at + 2 * count)
-        r2 = four_at(geoms, at + 3 * count)
-        size = four_at(geoms, at + 4 * count)
+        at = first + place_of(index)
+        pos = four_at(geoms, at)
+        r0 = four_at(geoms, at + 32)
+        r1 = four_at(geoms, at + 64)
+        r2 = four_at(geoms, at + 96)
+        size = four_at(geoms, at + 128)
         s = wp.vec3(size[0], size[1], size[2])
-        m = local(r0, r1, r2, middle - wp.vec3(place[0], place[1], place[2]))
+        m = local(r0, r1, r2, middle - wp.vec3(pos[0], pos[1], pos[2]))
         h = local(r0, r1, r2, half)
         kind = int(r1[3])
-        if kind == TRIANGLE or kind == COLUMN:
+        if kind >= TRIANGLE:  # or a column
             if kind == TRIANGLE:
-                inside = intersection(inside, positive_interval(-m[2], -h[2]))
+                inside = _intersection(inside, _positive_interval(-m[2], -h[2]))
             else:
-                met = met or crosses_column(m, h, s)
+                met = met or _crosses_column(m, h, s)
             last = index + 1 == count
             if not last:
-                last = (
-                    four_at(geoms, at + 1 + count)[3] != r0[3]
-                    or four_at(geoms, at + 1 + 2 * count)[3] != r1[3]
-                )
+                after = first + place_of(index + 1)
+                last = four_at(geoms, after + 32)[3] != r0[3] or four_at(geoms, after + 64)[3] != r1[3]
             if last:
                 if met or (kind == TRIANGLE and inside[0] < inside[1]):
                     total += 1
                 inside = wp.vec2(-1.0, 1.0)
                 met = False
-        elif crosses(kind, m, h, s):
+        elif _crosses(kind, m, h, s):
             total += 1
         index += 1
     crossings[t] = total

@@ -37,6 +37,8 @@ DEFAULT_BUNDLE_SIZE = 32
 """Rays after each other that go about the same way, if nobody says otherwise."""
 COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 """Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
+GROUP_SIZE = 64
+"""Bundles that are cast together on a CPU."""
 CULLING_THRESHOLD = 100_000
 """Rays times geoms from which on leaving out geoms pays on a CPU."""
 
@@ -239,12 +241,50 @@ def _culled(
     exclude_owner: jax.Array,
 ) -> GeomHits:
     start, along = bundled(origin, bundle_size), bundled(direction, bundle_size)
-    cone = bounding_cones(start, along)
-    first = GeomHits(jnp.full(along.shape[:2], max_distance), jnp.full(along.shape[:2], -1))
+    cone, ranks = bounding_cones(start, along), list[jax.Array]()
     for info, block in zip(infos, blocks, strict=True):
         near = jax.vmap(partial(_entries, info.kind, block, compact=info.compact))(cone)
-        met = (near < max_distance) & (block.owner != exclude_owner)
-        rank = jnp.cumsum(met, 1)
+        ranks.append(jnp.cumsum((near < max_distance) & (block.owner != exclude_owner), 1))
+    group = partial(_culled_group, infos, blocks, max_distance)
+    count = len(along)
+    if count <= GROUP_SIZE:
+        first = group((start, along, ranks))
+    else:  # bundles that meet about as many geoms go together: those with few do not wait for those with many
+        order = jnp.argsort(-sum(rank[:, -1] for rank in ranks))
+        padded = jnp.concatenate([order, jnp.repeat(order[-1:], -count % GROUP_SIZE)])
+        sorted_bundles = jax.tree.map(
+            lambda x: x[padded].reshape(-1, GROUP_SIZE, *x.shape[1:]), (start, along, ranks)
+        )
+        found = jax.lax.map(group, sorted_bundles)
+        first = jax.tree.map(
+            lambda x: (
+                jnp.zeros_like(x[0, :1], shape=(count, x.shape[2]))
+                .at[order]
+                .set(x.reshape(-1, x.shape[2])[:count])
+            ),
+            found,
+        )
+    return GeomHits(*(x.reshape(-1)[: len(origin)] for x in first)).met()
+
+
+def _culled_group(
+    infos: Sequence[GeomBlockInfo],
+    blocks: Sequence[GeomBlock],
+    max_distance: float,
+    bundles: tuple[jax.Array, jax.Array, Sequence[jax.Array]],
+) -> GeomHits:
+    """Return what some bundles meet (bundles, rays), each against the geoms that its cone meets.
+
+    Args:
+        infos: What is known of the blocks.
+        blocks: The geoms.
+        max_distance: What is farther is not met [m].
+        bundles: Where their rays start and where they go (bundles, rays, 3), and for each block how many of
+            its geoms up to each their cones meet (bundles, geoms).
+    """
+    start, along, ranks = bundles
+    first = GeomHits(jnp.full(along.shape[:2], max_distance), jnp.full(along.shape[:2], -1))
+    for info, block, rank in zip(infos, blocks, ranks, strict=True):
         most = rank[:, -1].max()
 
         def more(carry: tuple[jax.Array, GeomHits], most: jax.Array = most) -> jax.Array:
@@ -266,7 +306,7 @@ def _culled(
             )
 
         _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
-    return GeomHits(*(x.reshape(-1)[: len(origin)] for x in first)).met()
+    return first
 
 
 def _entries(kind: int, block: GeomBlock, cone: Cone, *, compact: bool) -> jax.Array:

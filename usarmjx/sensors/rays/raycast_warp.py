@@ -4,7 +4,6 @@ First each lane looks at a few geoms and finds out how far away the bundle's con
 geom, the nearest first, every lane tests its ray against one, until the next is farther than what all rays
 have met. On a CPU, where tests run it, each thread is a bundle of one ray.
 """
-# pyright: basic
 
 import warp as wp
 
@@ -13,7 +12,6 @@ from usarmjx.sensors.rays.warp_kinds import (
     cone_box_distance,
     cone_sphere_distance,
     distance_of,
-    half_lengths,
 )
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -32,7 +30,8 @@ CONE_MARGIN = wp.constant(bundles.CONE_MARGIN)
 MIN_SLOPE = wp.constant(bundles.MIN_SLOPE)
 MIN_COSINE = wp.constant(bundles.MIN_COSINE)
 TINY = wp.constant(1e-12)
-ROWS = wp.constant(5)
+GROUP_SIZE = wp.constant(6 * 32)
+"""Numbers of four of 32 geoms."""
 
 
 @wp.func_native("""
@@ -42,7 +41,7 @@ ROWS = wp.constant(5)
     return 1;
 #endif
 """)
-def lanes() -> int: ...
+def _lanes() -> int: ...
 
 
 @wp.func_native("""
@@ -51,7 +50,7 @@ def lanes() -> int: ...
 #endif
     return x;
 """)
-def sum_of_lanes(x: float) -> float: ...
+def _sum_of_lanes(x: float) -> float: ...
 
 
 @wp.func_native("""
@@ -60,7 +59,7 @@ def sum_of_lanes(x: float) -> float: ...
 #endif
     return x;
 """)
-def least_of_lanes(x: float) -> float: ...
+def _least_of_lanes(x: float) -> float: ...
 
 
 @wp.func_native("""
@@ -78,7 +77,7 @@ def least_of_lanes(x: float) -> float: ...
     return x;
 #endif
 """)
-def least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
+def _least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
 
 
 @wp.func_native("""
@@ -88,7 +87,7 @@ def least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
     return x;
 #endif
 """)
-def any_lane(x: bool) -> bool: ...
+def _any_lane(x: bool) -> bool: ...
 
 
 @wp.func_native(f"""
@@ -107,19 +106,19 @@ def any_lane(x: bool) -> bool: ...
     return total;
 #endif
 """)
-def key_list(writes: bool, place: int, total: int, key: wp.uint32) -> wp.uint32: ...
+def _key_list(writes: bool, place: int, total: int, key: wp.uint32) -> wp.uint32: ...
 
 
 @wp.func
-def keep(total: int, key: wp.uint32) -> int:
-    """Append the lanes' keys to those that are kept, without what the cone misses; return how many there are."""
-    return int(key_list(True, 0, total, key))
+def _keep(total: int, key: wp.uint32) -> int:
+    """Append the lanes' keys to those that are kept, but for misses; return how many there are."""
+    return int(_key_list(True, 0, total, key))
 
 
 @wp.func
-def kept(place: int) -> wp.uint32:
+def _kept(place: int) -> wp.uint32:
     """Return one of the keys that are kept."""
-    return key_list(False, place, 0, LAST_KEY)
+    return _key_list(False, place, 0, LAST_KEY)
 
 
 @wp.func_native("""
@@ -130,11 +129,13 @@ def kept(place: int) -> wp.uint32:
     return values.data[index];
 #endif
 """)
-def four_at(values: wp.array[wp.vec4], index: int) -> wp.vec4: ...
+def four_at(values: wp.array[wp.vec4], index: int) -> wp.vec4:
+    """Return four numbers in one load."""
+    ...
 
 
 @wp.struct
-class Cone:
+class WarpCone:
     """As `bundles.Cone`."""
 
     tip: wp.vec3
@@ -144,22 +145,28 @@ class Cone:
 
 
 @wp.func
-def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> Cone:
+def _cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     """Return the cone about the rays of all lanes."""
-    cone = Cone()
-    share = 1.0 / float(lanes())
+    cone = WarpCone()
+    share = 1.0 / wp.float32(_lanes())
     cone.tip = start
     cone.tip_radius = CONE_MARGIN
     if not same_start:
-        cone.tip = share * wp.vec3(sum_of_lanes(start[0]), sum_of_lanes(start[1]), sum_of_lanes(start[2]))
+        cone.tip = share * wp.vec3(_sum_of_lanes(start[0]), _sum_of_lanes(start[1]), _sum_of_lanes(start[2]))
         away = start - cone.tip
-        cone.tip_radius = CONE_MARGIN + wp.sqrt(-least_of_lanes(-wp.dot(away, away)))
-    axis = share * wp.vec3(sum_of_lanes(along[0]), sum_of_lanes(along[1]), sum_of_lanes(along[2]))
+        cone.tip_radius = CONE_MARGIN + wp.sqrt(-_least_of_lanes(-wp.dot(away, away)))
+    axis = share * wp.vec3(_sum_of_lanes(along[0]), _sum_of_lanes(along[1]), _sum_of_lanes(along[2]))
     cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
-    cosine = least_of_lanes(wp.dot(along, cone.axis))
+    cosine = _least_of_lanes(wp.dot(along, cone.axis))
     slope = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0)) / wp.max(cosine, MIN_COSINE) + MIN_SLOPE
     cone.slope = wp.where(cosine < MIN_COSINE, -1.0, slope)
     return cone
+
+
+@wp.func
+def place_of(geom: int) -> int:
+    """Return where the first row of a world's geom is; see `warp_calls.pack`."""
+    return (geom >> 5) * GROUP_SIZE + (geom & 31)
 
 
 @wp.func
@@ -173,30 +180,31 @@ def local(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def approach(geoms: wp.array[wp.vec4], at: int, room: int, cone: Cone, exclude: float) -> float:
+def _approach(geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float) -> float:
     """Return how far away the cone meets a geom, infinite for a miss and for the viewer's own [m]."""
-    place = four_at(geoms, at)
-    r0 = four_at(geoms, at + room)
-    near = float(wp.inf)
-    if r0[3] != exclude:
-        away = wp.vec3(place[0], place[1], place[2]) - cone.tip
-        if cone.slope < 0.0:
-            near = 0.0
-        elif place[3] > 0.0:
-            near = cone_sphere_distance(away, cone.axis, place[3], cone.tip_radius, cone.slope)
+    pos = four_at(geoms, at)
+    r0 = four_at(geoms, at + 32)
+    away = wp.vec3(pos[0], pos[1], pos[2]) - cone.tip
+    near = wp.float32(0.0)
+    if cone.slope >= 0.0:
+        if pos[3] > 0.0:
+            near = cone_sphere_distance(away, cone.axis, pos[3], cone.tip_radius, cone.slope)
         else:
-            r1 = four_at(geoms, at + 2 * room)
-            r2 = four_at(geoms, at + 3 * room)
-            s = four_at(geoms, at + 4 * room)
-            half = half_lengths(int(r1[3]), wp.vec3(s[0], s[1], s[2]))
+            r1 = four_at(geoms, at + 64)
+            r2 = four_at(geoms, at + 96)
+            half = four_at(geoms, at + 160)
             near = cone_box_distance(
-                half, local(r0, r1, r2, -away), local(r0, r1, r2, cone.axis), cone.tip_radius, cone.slope
+                wp.vec3(half[0], half[1], half[2]),
+                local(r0, r1, r2, -away),
+                local(r0, r1, r2, cone.axis),
+                cone.tip_radius,
+                cone.slope,
             )
-    return near
+    return wp.where(r0[3] == exclude, wp.inf, near)
 
 
 @wp.struct
-class Best:
+class WarpBest:
     """The nearest up to now: how far away [m] and which."""
 
     distance: float
@@ -204,39 +212,39 @@ class Best:
 
 
 @wp.func
-def keep_near(
-    geoms: wp.array[wp.vec4], first: int, count: int, begin: int, lane: int, cone: Cone, exclude: float
+def _keep_near(
+    geoms: wp.array[wp.vec4], first: int, count: int, begin: int, lane: int, cone: WarpCone, exclude: float
 ) -> int:
     """Keep the keys of those geoms of a pass that the cone meets, and return how many they are."""
-    total = int(0)
+    total = wp.int32(0)
     number = wp.min(count - begin, PASS_GEOMS)
-    group = int(0)
+    group = wp.int32(0)
     while group < number:
         slot = group + lane
         key = LAST_KEY
         if slot < number:
-            near = approach(geoms, first + begin + slot, count, cone, exclude)
+            near = _approach(geoms, first + place_of(begin + slot), cone, exclude)
             key = (wp.cast(near, wp.uint32) & ~SLOT_BITS) | wp.uint32(slot)
-        total = keep(total, key)
-        group += lanes()
+        total = _keep(total, key)
+        group += _lanes()
     return total
 
 
 @wp.func
-def least_kept(least: wp.uint32, lane: int, total: int) -> wp.uint32:
+def _least_kept(least: wp.uint32, lane: int, total: int) -> wp.uint32:
     """Return the least key of this lane's that is no less than a number."""
     mine = LAST_KEY
     place = lane
     while place < total:
-        other = kept(place)
+        other = _kept(place)
         if other >= least:
             mine = wp.min(mine, other)
-        place += lanes()
+        place += _lanes()
     return mine
 
 
 @wp.func
-def nearest(
+def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     geoms: wp.array[wp.vec4],
     first: int,
     count: int,
@@ -246,25 +254,25 @@ def nearest(
     same_start: bool,
     exclude: float,
     reach: float,
-) -> Best:
+) -> WarpBest:
     """Return what this lane's ray meets first among the geoms of a world."""
-    best = Best()
+    best = WarpBest()
     best.distance = reach
     best.geom = -1.0
-    cone = cone_about(start, along, same_start)
-    begin = int(0)
+    cone = _cone_about(start, along, same_start)
+    begin = wp.int32(0)
     while begin < count:
-        total = keep_near(geoms, first, count, begin, lane, cone, exclude)
-        mine = least_kept(wp.uint32(0), lane, total)
-        key = least_key_of_lanes(mine)
-        while key < BEYOND and any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
-            at = first + begin + int(key & SLOT_BITS)
-            place = four_at(geoms, at)
-            r0 = four_at(geoms, at + count)
-            r1 = four_at(geoms, at + 2 * count)
-            r2 = four_at(geoms, at + 3 * count)
-            s = four_at(geoms, at + 4 * count)
-            away = start - wp.vec3(place[0], place[1], place[2])
+        total = _keep_near(geoms, first, count, begin, lane, cone, exclude)
+        mine = _least_kept(wp.uint32(0), lane, total)
+        key = _least_key_of_lanes(mine)
+        while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
+            at = first + place_of(begin + wp.int32(key & SLOT_BITS))
+            pos = four_at(geoms, at)
+            r0 = four_at(geoms, at + 32)
+            r1 = four_at(geoms, at + 64)
+            r2 = four_at(geoms, at + 96)
+            s = four_at(geoms, at + 128)
+            away = start - wp.vec3(pos[0], pos[1], pos[2])
             t = distance_of(
                 int(r1[3]), local(r0, r1, r2, away), local(r0, r1, r2, along), wp.vec3(s[0], s[1], s[2])
             )
@@ -272,8 +280,8 @@ def nearest(
                 best.distance = t
                 best.geom = r2[3]
             if mine <= key:
-                mine = least_kept(key + wp.uint32(1), lane, total)
-            key = least_key_of_lanes(mine)
+                mine = _least_kept(key + wp.uint32(1), lane, total)
+            key = _least_key_of_lanes(mine)
         begin += PASS_GEOMS
     if best.geom < 0.0:
         best.distance = wp.inf
@@ -281,7 +289,7 @@ def nearest(
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
-def cast_fans(
+def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geoms: wp.array[wp.vec4],
     world: wp.array[int],
     exclude: wp.array[int],
@@ -290,34 +298,31 @@ def cast_fans(
     mat: wp.array[wp.mat33],
     lines: wp.array[wp.vec3],
     count: int,
-    fans: int,
+    rays: int,
     bundle: int,
     reach: float,
+    fans: int,
     distance: wp.array[float],
     geom: wp.array[int],
-):
+) -> None:
     """Cast the rays of fans; a warp for each bundle of each cast."""
-    t = wp.tid()
-    rays = lines.shape[0]
-    bundles_per_cast = (rays + bundle - 1) / bundle
+    cast, t = wp.tid()
     lane = t & 31
-    b = t >> 5
-    cast = b / bundles_per_cast
-    begin = (b - cast * bundles_per_cast) * bundle
+    begin = (t >> 5) * bundle
     ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
-    best = Best()
+    best = WarpBest()
     best.distance = wp.inf
     best.geom = -1.0
     if wanted[cast] > 0:
         fan = cast * fans
         if fans > 1:
-            fan += ray / (rays / fans)
-        first = world[cast] * count * ROWS
-        best = nearest(
+            fan += ray // (rays // fans)
+        first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+        best = _nearest(
             geoms,
             first,
             count,
-            lane & (lanes() - 1),
+            lane & (_lanes() - 1),
             pos[fan],
             mat[fan] * lines[ray],
             fans == 1,
@@ -329,7 +334,7 @@ def cast_fans(
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
-def cast_rays(
+def cast_rays(  # noqa: PLR0913 - as above
     geoms: wp.array[wp.vec4],
     world: wp.array[int],
     exclude: wp.array[int],
@@ -342,25 +347,22 @@ def cast_rays(
     reach: float,
     distance: wp.array[float],
     geom: wp.array[int],
-):
+) -> None:
     """Cast given rays; a warp for each bundle of each cast."""
-    t = wp.tid()
-    bundles_per_cast = (rays + bundle - 1) / bundle
+    cast, t = wp.tid()
     lane = t & 31
-    b = t >> 5
-    cast = b / bundles_per_cast
-    begin = (b - cast * bundles_per_cast) * bundle
+    begin = (t >> 5) * bundle
     ray = cast * rays + wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
-    best = Best()
+    best = WarpBest()
     best.distance = wp.inf
     best.geom = -1.0
     if wanted[cast] > 0:
-        first = world[cast] * count * ROWS
-        best = nearest(
+        first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+        best = _nearest(
             geoms,
             first,
             count,
-            lane & (lanes() - 1),
+            lane & (_lanes() - 1),
             origin[ray],
             direction[ray],
             False,

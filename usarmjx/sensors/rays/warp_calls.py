@@ -13,63 +13,61 @@ from jax.custom_batching import custom_vmap
 from usarmjx.base.arrays import Array
 from usarmjx.sensors.rays import raycast_warp
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.kernels import bounding_radius
-from usarmjx.sensors.rays.targets import GeomBlockInfo
+from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 
-WARP_SIZE = 32
+MAX_BUNDLE = 32
+"""Most rays of a bundle: one for each lane."""
 UNLIMITED_DISTANCE = 3e38
+"""Stands for an unlimited reach, as what is missed is infinitely far."""
 
 
-def pack(blocks: Sequence[tuple[GeomBlockInfo, Any]]) -> jax.Array:
-    """Return a world's geoms as the kernels read them (5, geoms, 4).
+def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
+    """Return a world's geoms as kernels read them: four numbers at a time, of 32 after each other.
 
-    By row: position and bounding radius, 0 where the box is looked at; the orientation's rows, after them
-    owner, kind and place; size.
+    Of each there are (6, 4): position and bounding radius, which is 0 where the box about it is to be looked
+    at; the rows of the orientation, each with a number: owner, kind, place; size; half lengths of the box.
+
+    Returns:
+        (groups, 6, 32, 4); zeros fill the last group up.
     """
-    rows = []
-    for info, block in blocks:
-        count = info.num_geoms
+    geoms = jnp.concatenate([_packed(info, block) for info, block in blocks], 1)
+    whole = jnp.pad(geoms, ((0, 0), (0, -geoms.shape[1] % 32), (0, 0)))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
+    return whole.reshape(6, -1, 32, 4).swapaxes(0, 1)
 
-        def column(values: Array) -> Array:
-            return jnp.asarray(values, jnp.float32).reshape(-1, 1)
 
-        radius = bounding_radius(info.kind, tuple(block.size.T)) if info.compact else jnp.zeros(count)
-        place = info.first_index + np.arange(count)
-        last = (radius, block.owner, np.full(count, info.kind), place, np.zeros(count))
-        parts = (block.pos, block.mat[:, 0], block.mat[:, 1], block.mat[:, 2], block.size)
-        rows.append(
-            jnp.stack(
-                [
-                    jnp.concatenate([jnp.asarray(a, jnp.float32), column(b)], -1)
-                    for a, b in zip(parts, last, strict=True)
-                ]
-            )
-        )
-    return jnp.concatenate(rows, 1)
+def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
+    none = np.zeros(info.num_geoms, np.float32)
+    radius = bounding_radius(info.kind, tuple(block.size.T)) if info.compact else none
+    half = block.size if info.compact else jnp.stack(bounding_box(info.kind, tuple(block.size.T))[1], -1)
+    place = info.first_index + np.arange(info.num_geoms)
+    rows = (block.pos, *(block.mat[:, i] for i in range(3)), block.size, half)
+    last = (radius, block.owner, none + info.kind, place, none, none)
+    single = [
+        (jnp.asarray(a, jnp.float32), jnp.asarray(b, jnp.float32)[:, None])
+        for a, b in zip(rows, last, strict=True)
+    ]
+    return jnp.stack([jnp.concatenate(pair, -1) for pair in single])
 
 
 def over_worlds(run: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `run(geoms, world, *casts)` such that maps make its leading axes longer.
+    """Return `run(geoms, world, *casts)` such that all maps over it make one call, with longer axes.
 
-    `geoms` has an axis over worlds, `world` (casts,) says whose geoms each cast meets, and all else has an
+    `geoms` has an axis over worlds, `world` says whose geoms each cast meets (casts,), and all else has an
     axis over casts, as results have.
     """
     call = custom_vmap(run)
 
     @call.def_vmap
-    def mapped(size: int, batched: Sequence[bool], geoms: Array, world: Array, *casts: Array) -> Any:  # noqa: ANN401
-        each = [
-            value if own else jnp.broadcast_to(value, (size, *value.shape))
-            for value, own in zip((world, *casts), batched[1:], strict=True)
-        ]
+    def mapped(size: int, batched: Sequence[bool], geoms: Array, *casts: Array) -> tuple[Any, Any]:
+        pairs = zip(casts, batched[1:], strict=True)
+        world, *rest = (x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in pairs)
         if batched[0]:
-            each[0] = each[0] + geoms.shape[1] * jnp.arange(size, dtype=jnp.int32)[:, None]
+            world = world + geoms.shape[1] * jnp.arange(size, dtype=jnp.int32)[:, None]
             geoms = geoms.reshape(-1, *geoms.shape[2:])
-        count = each[0].shape[1]
-        found = over_worlds(run)(geoms, *(value.reshape(-1, *value.shape[2:]) for value in each))
-        return jax.tree.map(lambda x: x.reshape(size, count, *x.shape[1:]), found), jax.tree.map(
-            lambda _: True, found
-        )
+        found = over_worlds(run)(geoms, *(x.reshape(-1, *x.shape[2:]) for x in (world, *rest)))
+        found = jax.tree.map(lambda x: x.reshape(*world.shape, *x.shape[1:]), found)
+        return found, jax.tree.map(lambda _: True, found)
 
     return call
 
@@ -79,42 +77,41 @@ def _kernel(name: str) -> Callable[..., Any]:
     return wp.jax_kernel(getattr(raycast_warp, name), num_outputs=2, block_dim=raycast_warp.BLOCK_DIM)
 
 
-def _launch(
-    name: str, arrays: Sequence[Array], numbers: Sequence[float], casts: int, rays: int, bundle: int
-) -> Any:
-    threads = casts * -(-rays // bundle) * WARP_SIZE
-    found = _kernel(name)(*arrays, *numbers, output_dims=casts * rays, launch_dims=threads)
-    return tuple(x.reshape(casts, rays) for x in found)
+def _bundle_of(size: int) -> int:
+    """Return the size of equal bundles of which a few make one that was asked for."""
+    return -(-size // -(-size // MAX_BUNDLE))
 
 
 def nearest_of_bundles(
-    blocks: Sequence[tuple[GeomBlockInfo, Any]],
+    work: Sequence[tuple[GeomBlockInfo, GeomBlock]],
     rays: tuple[Array, Array] | Fans,
     exclude_and_wanted: tuple[Array | np.int32, Array],
     *,
     bundle_size: int,
     max_distance: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """As `raycast_gpu.nearest_of_bundles`, on Warp."""
-    bundle = -(-bundle_size // -(-bundle_size // WARP_SIZE))
-    reach = min(max_distance, UNLIMITED_DISTANCE)
-    geoms = pack(blocks)
-    count = geoms.shape[1]
-    lines = None if not isinstance(rays, Fans) else np.asarray(rays.directions, np.float32).reshape(-1, 3)
-    per_cast = len(rays[0]) if lines is None else len(lines)
+    """As `raycast_gpu.nearest_of_bundles`, on Warp; the geoms are given as they are."""
+    name, given, lines = "cast_rays", rays, ()
+    if isinstance(rays, Fans):
+        name, given = "cast_fans", (rays.pos, rays.mat)
+        lines = (np.asarray(rays.directions, np.float32).reshape(-1, 3),)
+    count, bundle = len(lines[0] if lines else rays[0]), _bundle_of(bundle_size)
+    if not work or not count:
+        return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
+    geoms = sum(info.num_geoms for info, _ in work)
+    numbers = [geoms, count, bundle, min(max_distance, UNLIMITED_DISTANCE)]
+    if isinstance(rays, Fans):
+        numbers.append(len(rays.pos))
 
-    def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> Any:
+    def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> tuple[Array, ...]:
         casts = len(world)
         arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
-        if lines is None:
-            arrays += [x.reshape(-1, 3) for x in given]
-            return _launch("cast_rays", arrays, (count, per_cast, bundle, reach), casts, per_cast, bundle)
-        fans = given[0].shape[1]
-        arrays += [given[0].reshape(-1, 3), given[1].reshape(-1, 3, 3), jnp.asarray(lines)]
-        return _launch("cast_fans", arrays, (count, fans, bundle, reach), casts, per_cast, bundle)
+        arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans, or rays, of all casts in one axis
+        threads = (casts, -(-count // bundle) * MAX_BUNDLE)
+        found = _kernel(name)(*arrays, *lines, *numbers, output_dims=casts * count, launch_dims=threads)
+        return tuple(x.reshape(casts, count) for x in found)
 
-    given = (rays.pos, rays.mat) if isinstance(rays, Fans) else rays
     asked = [jnp.asarray(number).astype(jnp.int32) for number in exclude_and_wanted]
     casts = [*asked, *(jnp.asarray(x, jnp.float32) for x in given)]
-    found = over_worlds(run)(geoms[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
-    return tuple(x[0] for x in found)
+    found = over_worlds(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
+    return found[0][0], found[1][0]

@@ -2,7 +2,6 @@
 
 Vectors are in the geom's frame. What each means is said there; the arithmetic is the same.
 """
-# pyright: basic
 
 import mujoco
 import warp as wp
@@ -16,7 +15,6 @@ TINY = wp.constant(kernels.TINY)
 EDGE_MARGIN = wp.constant(kernels.EDGE_MARGIN)
 GRID_PITCH = wp.constant(kernels.GRID_PITCH)
 HALF_BAR = wp.constant(kernels.BAR_WIDTH / 2)
-UNBOUNDED = wp.constant(kernels.UNBOUNDED)
 PLANE = wp.constant(int(mujoco.mjtGeom.mjGEOM_PLANE))
 BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
 SPHERE = wp.constant(int(mujoco.mjtGeom.mjGEOM_SPHERE))
@@ -28,17 +26,17 @@ FENDER = wp.constant(FENDER_KIND)
 
 
 @wp.func
-def not_zero(x: float) -> float:
+def _not_zero(x: float) -> float:
     return wp.where(wp.abs(x) < TINY, TINY, x)
 
 
 @wp.func
-def ahead(t: float) -> float:
+def _ahead(t: float) -> float:
     return wp.where(t >= 0.0, t, wp.inf)
 
 
 @wp.func
-def ray_plane(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+def _ray_plane(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     front = d[2] < -TINY
     t = wp.where(front, -o[2] / wp.where(front, d[2], -1.0), -1.0)
     inside = t >= 0.0
@@ -48,20 +46,20 @@ def ray_plane(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
 
 
 @wp.func
-def ray_box(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    near = float(-wp.inf)
-    far = float(wp.inf)
+def _ray_box(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    near = wp.float32(-wp.inf)
+    far = wp.float32(wp.inf)
     for i in range(3):
-        share = 1.0 / not_zero(d[i])
+        share = 1.0 / _not_zero(d[i])
         middle = o[i] * share
         half = s[i] * wp.abs(share)
         near = wp.max(near, -middle - half)
         far = wp.min(far, half - middle)
-    return wp.where(near <= far, wp.min(ahead(near), ahead(far)), wp.inf)
+    return wp.where(near <= far, wp.min(_ahead(near), _ahead(far)), wp.inf)
 
 
 @wp.func
-def ball(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
+def _ball(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
     middle = -wp.dot(o, d)
     foot = o + middle * d
     under = radius * radius - wp.dot(foot, foot)
@@ -70,13 +68,13 @@ def ball(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
 
 
 @wp.func
-def ray_sphere(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    t = ball(o, d, s[0])
-    return wp.min(ahead(t[0]), ahead(t[1]))
+def _ray_sphere(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = _ball(o, d, s[0])
+    return wp.min(_ahead(t[0]), _ahead(t[1]))
 
 
 @wp.func
-def tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
+def _tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
     flat = d[0] * d[0] + d[1] * d[1]
     safe = wp.max(flat, TINY)
     middle = -(o[0] * d[0] + o[1] * d[1]) / safe
@@ -89,41 +87,41 @@ def tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
 
 
 @wp.func
-def within(t: float, z: float, low: float, high: float) -> float:
+def _within(t: float, z: float, low: float, high: float) -> float:
     return wp.where(t >= 0.0 and z >= low and z <= high, t, wp.inf)
 
 
 @wp.func
-def ray_cylinder(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    t = tube(o, d, s[0])
+def _ray_cylinder(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = _tube(o, d, s[0])
     best = wp.min(
-        within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
+        _within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), _within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
     )
-    share = 1.0 / not_zero(d[2])
+    share = 1.0 / _not_zero(d[2])
     for i in range(2):
         cap = (wp.where(i == 0, -s[1], s[1]) - o[2]) * share
         x = o[0] + cap * d[0]
         y = o[1] + cap * d[1]
-        best = wp.min(best, wp.where(x * x + y * y <= s[0] * s[0], ahead(cap), wp.inf))
+        best = wp.min(best, wp.where(x * x + y * y <= s[0] * s[0], _ahead(cap), wp.inf))
     return best
 
 
 @wp.func
-def ray_capsule(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    t = tube(o, d, s[0])
+def _ray_capsule(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = _tube(o, d, s[0])
     best = wp.min(
-        within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
+        _within(t[0], o[2] + t[0] * d[2], -s[1], s[1]), _within(t[1], o[2] + t[1] * d[2], -s[1], s[1])
     )
-    top = ball(wp.vec3(o[0], o[1], o[2] - s[1]), d, s[0])
-    bottom = ball(wp.vec3(o[0], o[1], o[2] + s[1]), d, s[0])
+    top = _ball(wp.vec3(o[0], o[1], o[2] - s[1]), d, s[0])
+    bottom = _ball(wp.vec3(o[0], o[1], o[2] + s[1]), d, s[0])
     for i in range(2):
-        best = wp.min(best, within(top[i], o[2] + top[i] * d[2], s[1], wp.inf))
-        best = wp.min(best, within(bottom[i], o[2] + bottom[i] * d[2], -wp.inf, -s[1]))
+        best = wp.min(best, _within(top[i], o[2] + top[i] * d[2], s[1], wp.inf))
+        best = wp.min(best, _within(bottom[i], o[2] + bottom[i] * d[2], -wp.inf, -s[1]))
     return best
 
 
 @wp.func
-def ray_ellipsoid(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+def _ray_ellipsoid(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     start = wp.cw_div(o, s)
     along = wp.cw_div(d, s)
     stretch = wp.dot(along, along)
@@ -131,12 +129,12 @@ def ray_ellipsoid(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     foot = start + middle * along
     under = 1.0 - wp.dot(foot, foot)
     half = wp.sqrt(wp.max(under, 0.0) / stretch)
-    return wp.where(under >= 0.0, wp.min(ahead(middle - half), ahead(middle + half)), wp.inf)
+    return wp.where(under >= 0.0, wp.min(_ahead(middle - half), _ahead(middle + half)), wp.inf)
 
 
 @wp.func
-def ray_triangle(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    t = -o[2] / not_zero(d[2])
+def _ray_triangle(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = -o[2] / _not_zero(d[2])
     x = o[0] + t * d[0]
     y = o[1] + t * d[1]
     second = x * s[2] - y * s[1]
@@ -144,19 +142,19 @@ def ray_triangle(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     area = s[0] * s[2]
     slack = EDGE_MARGIN * area
     inside = second >= -slack and third >= -slack and second + third <= area + slack and area > 0.0
-    return wp.where(inside, ahead(t), wp.inf)
+    return wp.where(inside, _ahead(t), wp.inf)
 
 
 @wp.func
-def between_bars(x: float, half: float) -> bool:
+def _between_bars(x: float, half: float) -> bool:
     return wp.abs(x - GRID_PITCH * wp.floor(x / GRID_PITCH + 0.5)) > HALF_BAR and half >= GRID_PITCH / 2.0
 
 
 @wp.func
-def in_hole(p: wp.vec3, s: wp.vec3) -> bool:
-    free_x = between_bars(p[0], s[0])
-    free_y = between_bars(p[1], s[1])
-    free_z = between_bars(p[2], s[2])
+def _in_hole(p: wp.vec3, s: wp.vec3) -> bool:
+    free_x = _between_bars(p[0], s[0])
+    free_y = _between_bars(p[1], s[1])
+    free_z = _between_bars(p[2], s[2])
     over_x = wp.abs(p[0]) - s[0]
     over_y = wp.abs(p[1]) - s[1]
     over_z = wp.abs(p[2]) - s[2]
@@ -166,60 +164,46 @@ def in_hole(p: wp.vec3, s: wp.vec3) -> bool:
 
 
 @wp.func
-def ray_fender(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    t = ray_box(o, d, s)
+def _ray_fender(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    t = _ray_box(o, d, s)
     reach = wp.where(t < wp.inf, t, 0.0)
-    return wp.where(in_hole(o + reach * d, s), wp.inf, t)
+    return wp.where(_in_hole(o + reach * d, s), wp.inf, t)
 
 
 @wp.func
 def distance_of(kind: int, o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     """Distance to a geom's surface, infinite for a miss [m]."""
-    t = float(wp.inf)
+    t = wp.float32(wp.inf)
     if kind == BOX:
-        t = ray_box(o, d, s)
+        t = _ray_box(o, d, s)
     elif kind == CYLINDER:
-        t = ray_cylinder(o, d, s)
+        t = _ray_cylinder(o, d, s)
     elif kind == TRIANGLE:
-        t = ray_triangle(o, d, s)
+        t = _ray_triangle(o, d, s)
     elif kind == PLANE:
-        t = ray_plane(o, d, s)
+        t = _ray_plane(o, d, s)
     elif kind == SPHERE:
-        t = ray_sphere(o, d, s)
+        t = _ray_sphere(o, d, s)
     elif kind == CAPSULE:
-        t = ray_capsule(o, d, s)
+        t = _ray_capsule(o, d, s)
     elif kind == ELLIPSOID:
-        t = ray_ellipsoid(o, d, s)
+        t = _ray_ellipsoid(o, d, s)
     elif kind == FENDER:
-        t = ray_fender(o, d, s)
+        t = _ray_fender(o, d, s)
     return t
 
 
 @wp.func
-def half_lengths(kind: int, s: wp.vec3) -> wp.vec3:
-    """Half lengths of the box about a geom; not of a triangle, whose box is not about its position."""
-    half = wp.vec3(s[0], s[1], s[2])
-    if kind == PLANE:
-        half = wp.vec3(wp.where(s[0] > 0.0, s[0], UNBOUNDED), wp.where(s[1] > 0.0, s[1], UNBOUNDED), 0.0)
-    elif kind == CYLINDER:
-        half = wp.vec3(s[0], s[0], s[1])
-    elif kind == CAPSULE:
-        half = wp.vec3(s[0], s[0], s[0] + s[1])
-    elif kind == SPHERE:
-        half = wp.vec3(s[0], s[0], s[0])
-    return half
-
-
-@wp.func
 def cone_box_distance(half: wp.vec3, tip: wp.vec3, axis: wp.vec3, tip_radius: float, slope: float) -> float:
-    near = float(0.0)
-    far = float(wp.inf)
+    """As `bundles.cone_box_distance`, of a box about its frame's origin."""
+    near = wp.float32(0.0)
+    far = wp.float32(wp.inf)
     for i in range(3):
         room = half[i] + tip_radius
         position = wp.where(axis[i] >= 0.0, tip[i], -tip[i])
         speed = wp.abs(axis[i])
         opening = speed + slope
-        closing = not_zero(speed - slope)
+        closing = _not_zero(speed - slope)
         share = 1.0 / (opening * closing)
         enter = (-position - room) * closing * share
         leave = (room - position) * opening * share
@@ -232,6 +216,7 @@ def cone_box_distance(half: wp.vec3, tip: wp.vec3, axis: wp.vec3, tip_radius: fl
 def cone_sphere_distance(
     offset: wp.vec3, axis: wp.vec3, radius: float, tip_radius: float, slope: float
 ) -> float:
+    """As `bundles.cone_sphere_distance`."""
     far = wp.dot(offset, offset)
     along = wp.dot(offset, axis)
     reach = radius + tip_radius
