@@ -54,7 +54,7 @@ class ScanMap:
         self.low = low
         self.cell = max(SCAN_CELL, float((high - low).max()) / MOST_SQUARES)
         self._steps = np.arange(0.0, SCAN_REACH, self.cell)
-        self.evidence = np.zeros(np.ceil((high - low) / self.cell).astype(int) + 1, np.int8)
+        self.evidence: np.ndarray = np.zeros(np.ceil((high - low) / self.cell).astype(int) + 1, np.int8)
 
     def add(self, start: np.ndarray, ends: np.ndarray, hit: np.ndarray) -> None:
         """Look at a scan.
@@ -83,7 +83,7 @@ class ScanMap:
 
     def _mask(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return which squares points lie in (i, j); those beyond it fall into a frame that is cut off."""
-        rows, columns = self.evidence.shape
+        rows, columns = self.evidence.shape[0], self.evidence.shape[1]
         i = np.clip((x - self.low[0]) / self.cell + 1.5, 0.5, rows + 1.5).astype(np.int32)
         j = np.clip((y - self.low[1]) / self.cell + 1.5, 0.5, columns + 1.5).astype(np.int32)
         mask = np.zeros((rows + 2, columns + 2), bool)
