@@ -1,0 +1,163 @@
+"""`usarmjx view`, `plot` and `replay`: what can be done with a recording; and the option that makes one."""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_socket
+from usarmjx.cli.waiting import announce
+
+if TYPE_CHECKING:
+    from usarmjx.server.worlds.served_world import ServedWorld
+
+HOST = "127.0.0.1"
+"""Where the page of a recording is."""
+PAUSE = 0.01
+"""Between two looks at the clock [s]."""
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(help="Keep all that happens in this file, .mcap; see `usarmjx view`, `plot`, `replay`."),
+]
+FileArgument = Annotated[Path, typer.Argument(help="Recording, .mcap, also one that was broken off.")]
+WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the recording.")]
+
+
+@contextlib.contextmanager
+def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> Iterator[None]:
+    """Record served worlds while a context lasts; None: do not.
+
+    Raises:
+        UsageError: The file is there already.
+        WriteError: It cannot be written.
+    """
+    if path is None:
+        yield
+        return
+    from usarmjx.server.worlds.recorded import record_worlds
+
+    file = record_worlds(worlds, path)
+    typer.echo(f"usarmjx: recording to {path}")
+    try:
+        yield
+    finally:
+        file.close()
+
+
+def view(
+    file: FileArgument,
+    viewer_port: ViewerPortOption = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write one page that plays anywhere to this file, and end.")
+    ] = None,
+    world: WorldOption = 0,
+    period: Annotated[
+        float, typer.Option(min=0.02, help="With --html: time between two pictures [s].")
+    ] = 0.1,
+) -> None:
+    """Show a recording in a browser, at any speed."""
+    with ErrorExit():
+        announce(f"reading {file} ...")
+        from usarmjx.recording.reader import Recording
+        from usarmjx.recording.source import RecordingSource
+        from usarmjx.recording.timeline import Timeline, write_html
+
+        recording = Recording(file)
+        _tell_if_broken_off(recording.is_complete, file)
+        source = RecordingSource(recording)
+        if html is not None:
+            write_html(source, html, period, world)
+            typer.echo(f"wrote {html}, {html.stat().st_size / 1e6:.1f} MB")
+            return
+        from usarmjx.view.page import ViewerPage
+
+        with viewer_socket(HOST, viewer_port, 0, True) as bound:
+            assert bound is not None
+            page = ViewerPage(source, title=file.name, panels=[Timeline], server=viewer_server(bound, HOST))
+            (timeline,) = (panel for panel in page.panels if isinstance(panel, Timeline))
+            with contextlib.suppress(KeyboardInterrupt):
+                while True:
+                    timeline.tick()
+                    page.update()
+                    time.sleep(PAUSE)
+            page.close()
+
+
+def _tell_if_broken_off(is_complete: bool, file: Path) -> None:
+    if not is_complete:
+        typer.echo(f"usarmjx: note: {file} was broken off; what there is of it is used", err=True)
+
+
+def replay(
+    file: FileArgument,
+    check: Annotated[
+        bool, typer.Option("--check/--no-check", help="Fail if anything differs; else only tell.")
+    ] = True,
+) -> None:
+    """Compute a recording again; tell the first number that is another in any bit, and fail then."""
+    with ErrorExit():
+        announce(f"reading {file} ...")
+        from usarmjx.recording.reader import Recording
+        from usarmjx.recording.replay import check_recording
+
+        recording = Recording(file)
+        _tell_if_broken_off(recording.is_complete, file)
+        differ = False
+        for number in recording.worlds:
+            result = check_recording(recording, number)
+            which = f"world {number}: " if len(recording.worlds) > 1 else ""
+            typer.echo(f"{which}{result.steps} steps, bit for bit")
+            for line in filter(None, (result.difference, result.note)):
+                typer.echo(f"{which}{line}")
+            differ |= bool(result.difference)
+        if differ and check:
+            raise typer.Exit(1)
+
+
+def plot(
+    file: FileArgument,
+    png: Annotated[Path | None, typer.Option(help="Write the figure to this PNG file.")] = None,
+    pdf: Annotated[Path | None, typer.Option(help="Write the figure to this PDF file.")] = None,
+    world: WorldOption = 0,
+    since: Annotated[float, typer.Option(help="Leave out what was before this time [s].")] = 0.0,
+    until: Annotated[float, typer.Option(help="Leave out what was after this time [s].")] = math.inf,
+) -> None:
+    """Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time."""
+    with ErrorExit():
+        announce(f"drawing {file} ...")
+        from usarmjx.base.errors import UsageError
+        from usarmjx.plots.recording import plot_recording
+        from usarmjx.recording.reader import Recording
+
+        wanted = [path for path in (png, pdf) if path is not None]
+        if not wanted:
+            raise UsageError("say where the figure goes: --png FILE, --pdf FILE, or both")
+        recording = Recording(file)
+        _tell_if_broken_off(recording.is_complete, file)
+        for path in plot_recording(recording, wanted, world, (since, until)):
+            typer.echo(f"wrote {path}")
+
+
+def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) -> None:
+    """Write a recording as tables or as a film, as the name of the file says."""
+    from usarmjx.base.errors import UsageError
+    from usarmjx.plots.recording_film import FILMS, save_film
+    from usarmjx.recording.reader import Recording
+    from usarmjx.recording.tables import SUFFIXES, export_tables
+
+    suffix = out.suffix.lower()
+    if suffix not in (*SUFFIXES, *FILMS):
+        raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS))}")
+    recording = Recording(file)
+    _tell_if_broken_off(recording.is_complete, file)
+    if suffix in SUFFIXES:
+        for path in export_tables(recording, out):
+            typer.echo(f"wrote {path}")
+    else:
+        save_film(recording, out, world, speed)
+        typer.echo(f"wrote {out}")

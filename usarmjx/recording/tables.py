@@ -1,0 +1,150 @@
+"""Recordings as tables: CSV with what Python brings, Parquet with pyarrow where that is installed."""
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
+from usarmjx.recording.reader import RecordedMessage, Recording
+from usarmjx.view.drawing import Drawing, Frame
+
+SUFFIXES = (".csv", ".parquet")
+COLUMNS = {
+    "poses": (
+        *("time", "world", "robot", "x", "y", "z", "qw", "qx", "qy", "qz"),
+        *("vx", "vy", "vz", "wx", "wy", "wz", "battery"),
+    ),
+    "joints": ("time", "world", "robot", "joint", "position"),
+    "commands": ("time", "world", "slot", "what", "index", "value"),
+    "readings": ("time", "world", "robot", "sensor", "name", "index", "value"),
+    "lines": ("time", "world", "robot", "peer", "sent", "text"),
+    "events": ("time", "world", "kind", "robot", "text"),
+    "scores": ("time", "world", "score"),
+}
+"""The tables and their columns; lengths in metres, angles in radians, times in seconds."""
+Row = tuple[Any, ...]
+
+
+def rows_of(recording: Recording, table: str) -> Iterator[Row]:
+    """Yield the rows of a table.
+
+    Args:
+        recording: The recording.
+        table: One of `COLUMNS`.
+
+    Raises:
+        UsageError: There is no such table, or the file is broken.
+    """
+    if table not in COLUMNS:
+        raise UsageError(f"no table {table!r}; there are: {', '.join(COLUMNS)}")
+    kinds = {"poses": "frames", "joints": "frames", "commands": "inputs", "scores": "score"}
+    drawings: dict[int, Drawing] = {}
+    for message in recording.messages({kinds.get(table, table), "drawings"}):
+        if message.channel.kind == "drawings":
+            drawings[message.channel.world] = message.value
+        else:
+            yield from _rows(table, message, drawings.get(message.channel.world))
+
+
+def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[Row]:
+    time, world, said = round(message.time, 6), message.channel.world, message.value
+    if table == "commands":
+        for slot, order in getattr(said, "orders", {}).items():
+            command = order.get("command")
+            for what in ("target", "mode", "setpoint") if command is not None else ():
+                for index, value in enumerate(np.asarray(getattr(command, what)).tolist()):
+                    yield time, world, slot, what, index, value
+    elif table == "lines":
+        yield time, world, said["robot"], said["peer"], said["sent"], said["text"]
+    elif table == "events":
+        yield time, world, said["kind"], said["robot"], said["text"]
+    elif table == "scores":
+        yield time, world, said["score"]
+    elif drawing is not None and table == "readings":
+        yield from _reading_rows(time, world, said, drawing)
+    elif drawing is not None:
+        yield from _frame_rows(table, (time, world), said, drawing)
+
+
+def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Drawing) -> Iterator[Row]:
+    for slot, robot in frame.robots.items():
+        drawn = drawing.robots[slot]
+        if table == "joints":
+            for joint, position in zip(drawn.joints, robot.joint_pos.tolist(), strict=True):
+                yield *when, drawn.name, joint, position
+        else:
+            numbers = np.concatenate([robot.pos, robot.quat, robot.linear, robot.angular]).tolist()
+            yield *when, drawn.name, *numbers, robot.battery
+
+
+def _reading_rows(time: float, world: int, said: dict[str, Any], drawing: Drawing) -> Iterator[Row]:
+    for slot, sensor, value in zip(said["slots"], said["sensors"], said["values"], strict=True):
+        if slot in drawing.robots:
+            robot = drawing.robots[slot]
+            mount = robot.sensors[sensor]
+            for index, number in enumerate(np.asarray(value).reshape(-1).tolist()):
+                yield time, world, robot.name, mount.kind, mount.names[0], index, number
+
+
+def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) -> list[Path]:
+    """Write tables beside each other: out.csv becomes out-poses.csv, out-joints.csv and so on.
+
+    Args:
+        recording: The recording.
+        path: What the files are called; its suffix says as what they are written.
+        tables: Which tables; none: all that are not empty.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: Another suffix, no such table, or pyarrow is missing.
+        WriteError: A file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: tables end in {', '.join(SUFFIXES)}")
+    write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer()
+    written: list[Path] = []
+    for table in tables or COLUMNS:
+        rows = rows_of(recording, table)
+        first = next(rows, None)
+        if first is None and not tables:
+            continue
+        place = path.with_name(f"{path.stem}-{table}{path.suffix}")
+        with write_beside(place) as fresh:
+            write(fresh, COLUMNS[table], _with_first(first, rows))
+        written.append(place)
+    return written
+
+
+def _with_first(first: Row | None, rest: Iterator[Row]) -> Iterator[Row]:
+    if first is not None:
+        yield first
+    yield from rest
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterator[Row]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+def _parquet_writer() -> Any:  # noqa: ANN401 - a function like `_write_csv`
+    try:
+        import pyarrow  # pyright: ignore[reportMissingImports]
+        import pyarrow.parquet  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise UsageError("Parquet needs pyarrow: pip install pyarrow; or write .csv") from error
+
+    def write(path: Path, columns: Sequence[str], rows: Iterator[Row]) -> None:
+        values = [*zip(*rows, strict=True)] or [() for _ in columns]
+        table = pyarrow.table({name: [*column] for name, column in zip(columns, values, strict=True)})
+        pyarrow.parquet.write_table(table, path)
+
+    return write
