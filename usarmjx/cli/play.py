@@ -20,6 +20,14 @@ from usarmjx.cli.access_options import (
 )
 from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
+from usarmjx.cli.viewer_options import (
+    ViewerPortOption,
+    ViewOption,
+    add_controls,
+    add_viewer,
+    viewer_settings,
+    viewer_socket,
+)
 from usarmjx.cli.waiting import announce
 from usarmjx.server.instances import parse_instances
 from usarmjx.server.ports import BOT_PORT, bound_ports, count_up
@@ -157,10 +165,14 @@ def play(
     ] = None,
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
+    view: ViewOption = False,
+    viewer_port: ViewerPortOption = None,
 ) -> None:
-    """Show one world of a policy at work: draw an episode from above, or serve it."""
+    """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
     with ErrorExit():
-        if serve:
+        if serve or view:
+            # Who only wants to see it needs no port of its own for clients; they may come all the same.
+            port = port if serve else 0
             pages = [] if spectator_port is None else [PageChoice(spectator_port, allow_host or ())]
             first = {"--port": port} | {key: n for page in pages for key, n in page.ports.items()}
             numbers = parse_instances(instances, worlds)
@@ -169,12 +181,14 @@ def play(
                 StopSignals() as signals,
                 bound_ports(host, count_up(first, len(numbers), port_offset)) as bound,
                 metrics_socket(host, metrics_port, port_offset) as metrics,
+                viewer_socket(host, viewer_port, port_offset, view or viewer_port is not None) as page,
             ):
                 warn_if_open(bound[0]["--port"].getsockname()[0], rules)
                 announce("building the world that the policy drives ...")
                 source = _source(policy, baseline, task, checkpoint) if not follow else _followed(policy)
                 made = _policy_worlds(source, settings, engine, seed, worlds, numbers)
                 from usarmjx.server.bot_server import BotServerSettings
+                from usarmjx.server.clock import StepClock
                 from usarmjx.server.loop import serve as run
 
                 makers = [page.prepare(host, rules) for page in pages]
@@ -186,7 +200,11 @@ def play(
                     servers[0].services.append(PolicyFollower(made[0].policy_batch, Path(policy or "")))
                 if metrics is not None:
                     add_metrics(servers, realtime_factor, metrics, numbers)
-                run(servers, realtime_factor, signals)
+                clock = StepClock(realtime_factor)
+                controls = add_controls(servers, clock)
+                if page is not None:
+                    add_viewer(servers, controls, page, viewer_settings(host, rules, allow_host or ()))
+                run(servers, clock, signals)
             return
         # What one world observes in one episode takes longer to compile than to compute.
         announce("building the world that the policy drives ...", quickly=engine == "c")

@@ -36,7 +36,14 @@ from usarmjx.cli.tools import (
     UnitOption,
     configure_from,
 )
-from usarmjx.cli.viewer_options import ViewerOption, ViewerPortOption, add_viewer, viewer_socket
+from usarmjx.cli.viewer_options import (
+    ViewerOption,
+    ViewerPortOption,
+    add_controls,
+    add_viewer,
+    viewer_settings,
+    viewer_socket,
+)
 from usarmjx.cli.waiting import announce
 from usarmjx.server.json_log import configure_log
 from usarmjx.server.ports import IMAGE_PORT, POSITION_PORT, WSS2_PORT, bound_ports, count_up
@@ -175,7 +182,9 @@ def serve(
                 warn_if_open(bound[0]["--port"].getsockname()[0], rules)
             announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
             makers = [choice.prepare(host, rules) for choice in choices]
+            looked_at = viewer_settings(host, rules, allow_host or ())
             configure_from(ini, uu_per_metre)
+            from usarmjx.server.clock import StepClock
             from usarmjx.server.loop import serve as run
             from usarmjx.server.worlds.make import make_worlds
 
@@ -191,7 +200,9 @@ def serve(
             servers = make_servers(served, settings, makers, bound, numbers, worlds)
             if metrics is not None:
                 add_metrics(servers, realtime_factor, metrics, numbers)
+            clock = StepClock(realtime_factor)
+            controls = add_controls(servers, clock)
             if page is not None:
                 radios = [choice.radio for choice in choices if isinstance(choice, RadioChoice)]
-                add_viewer(servers, page, host, rules, allow_host or (), next(iter(radios), None))
-            run(servers, realtime_factor, signals)
+                add_viewer(servers, controls, page, looked_at, next(iter(radios), None))
+            run(servers, clock, signals)

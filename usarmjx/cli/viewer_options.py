@@ -3,6 +3,7 @@
 import contextlib
 import socket
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,8 +16,11 @@ if TYPE_CHECKING:
 
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.server.access import AccessRules
+    from usarmjx.server.clock import StepClock
     from usarmjx.server.net import BotServer
-    from usarmjx.server.viewing.viewer_service import ViewerService
+    from usarmjx.server.viewing.controls import ServedControls
+    from usarmjx.server.viewing.viewer_service import ViewerSettings
+    from usarmjx.view.page import ViewerPage
 
 ViewerOption = Annotated[
     bool, typer.Option("--viewer/--no-viewer", help="Show the worlds in three dimensions, in a browser.")
@@ -80,41 +84,73 @@ def viewer_server(
     """
     from usarmjx.server.access import EVERYBODY
     from usarmjx.server.gate import Gate
-    from usarmjx.server.host_names import check_names
     from usarmjx.server.viewing.front import gated_viser
-    from usarmjx.server.viewing.viewer_service import ViewerSettings, page_address
+    from usarmjx.server.viewing.viewer_service import page_address
 
-    settings = ViewerSettings(host, access=rules or EVERYBODY, names=check_names(names))
+    settings = viewer_settings(host, rules or EVERYBODY, names)
     gate = Gate(settings.access, settings.max_connections, "viewers")
     server = gated_viser(bound, host, gate, settings.names)
     typer.echo(f"usarmjx: {page_address(settings, bound.getsockname()[1])}")
     return server
 
 
+def add_controls(servers: "Sequence[BotServer]", clock: "StepClock") -> "ServedControls":
+    """Let people at the pages of servers control their worlds, which have one clock."""
+    from usarmjx.server.pictures.spectator_server import SpectatorServer
+    from usarmjx.server.viewing.controls import ServedControls
+
+    controls = ServedControls(servers, clock)
+    for number, server in enumerate(servers):
+        for service in server.services:
+            if isinstance(service, SpectatorServer):
+                service.controls, service.number = controls, number
+    servers[0].services.append(controls)
+    return controls
+
+
 def add_viewer(
     servers: "Sequence[BotServer]",
+    controls: "ServedControls",
     bound: socket.socket,
-    host: str,
-    rules: "AccessRules",
-    names: Sequence[str],
-    radio: "RadioSettings | None",
-) -> "ViewerService":
-    """Let the worlds of servers be shown on one page at a socket; return what serves it.
+    settings: "ViewerSettings",
+    radio: "RadioSettings | None" = None,
+) -> None:
+    """Let the worlds of servers be shown on one page.
 
     Args:
         servers: The servers.
+        controls: What may be done to their worlds.
         bound: Where the page is.
-        host: What its port was bound to.
-        rules: Who may look.
-        names: What browsers may call the server, as typed.
+        settings: How to serve it.
         radio: The radio's constants; None: there is none.
     """
-    from usarmjx.server.host_names import check_names
+    from usarmjx.server.viewing.seat import control_seat
     from usarmjx.server.viewing.served_source import ServedSource
-    from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
+    from usarmjx.server.viewing.viewer_service import ViewerService
 
     worlds = [server.world for server in servers]
-    settings = ViewerSettings(host, access=rules, names=check_names(names))
-    service = ViewerService(ServedSource(worlds, radio), settings, bound)
-    servers[-1].services.append(service)
-    return service
+    source = ServedSource(worlds, radio)
+    seat = control_seat(bound.getsockname()[0], settings.access, settings.control)
+
+    def make_page(server: "viser.ViserServer") -> "ViewerPage":
+        from usarmjx.server.viewing.inset import CameraInset
+        from usarmjx.view.page import ViewerPage
+        from usarmjx.view.people import PeoplePanel
+
+        title = worlds[0].arena.name
+        panels = [partial(PeoplePanel, seat=seat), partial(CameraInset, worlds=worlds)]
+        return ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
+
+    servers[-1].services.append(ViewerService(source, settings, bound, make_page))
+
+
+def viewer_settings(host: str, rules: "AccessRules", names: Sequence[str]) -> "ViewerSettings":
+    """Return how to serve the live page; the names are as typed.
+
+    Raises:
+        UsageError: One of the names is none.
+    """
+    from usarmjx.server.host_names import check_names
+    from usarmjx.server.viewing.viewer_service import ViewerSettings
+
+    return ViewerSettings(host, access=rules, names=check_names(names))

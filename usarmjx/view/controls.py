@@ -61,12 +61,15 @@ class WorldControls(Protocol):
     """What may be done to worlds that run together, which are numbered as the page's source numbers them.
 
     Attributes:
-        classes: Robot classes that can appear.
         reset_about: What a reset does to a world, in a line.
     """
 
-    classes: Sequence[str]
     reset_about: str
+
+    @property
+    def classes(self) -> Sequence[str]:
+        """Robot classes that can appear."""
+        ...
 
     def status(self, world: int) -> WorldStatus:
         """Return how a world goes."""

@@ -138,7 +138,9 @@ class ViewerPage:
             )
 
     def close(self) -> None:
-        """Hang up on everybody and free the port."""
+        """Hang up on everybody and free the port; panels that have something to close do so."""
+        for panel in self.panels:
+            getattr(panel, "close", lambda: None)()
         self.server.stop()
 
     def post(self, action: Callable[[], None]) -> None:

@@ -31,6 +31,7 @@ class ViewerSettings:
         max_connections: Most connections of browsers at once; a page that is open has one.
         access: Who may connect.
         names: What browsers may call this server, beside localhost and its IP addresses.
+        control: Whether everybody who can open the page may have its controls, see `seat`.
     """
 
     host: str = "127.0.0.1"
@@ -38,6 +39,7 @@ class ViewerSettings:
     max_connections: int = 16
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
+    control: bool = False
 
 
 class ViewerService:
@@ -100,7 +102,9 @@ class ViewerService:
         self._unwatch()
         if self._opener is not None:
             self._opener.join()
-        if self._server is not None:
+        if self.page is not None:
+            self.page.close()
+        elif self._server is not None:
             self._server.stop()
         elif self._bound is not None:
             self._bound.close()

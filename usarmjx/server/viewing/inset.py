@@ -1,0 +1,132 @@
+"""Pictures of robots' cameras beside the live page: what the raycaster sees, while somebody wants it."""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usarmjx.cameras.mounts import cameras_of
+from usarmjx.cameras.picture import camera_viewpoint
+from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
+from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
+from usarmjx.server.worlds.served_world import ServedWorld, ViewpointRequest
+from usarmjx.view.drawing import Drawing, Frame
+
+if TYPE_CHECKING:
+    from usarmjx.view.page import ViewerPage
+
+NOTHING, ITS_VIEW, ALL_ROBOTS = "nothing", "its own view", "all robots"
+"""What can be asked for beside each camera by its name: the robot's viewports, and the MultiView."""
+SIZE = (320, 240)
+"""Width and height of a picture [pixels]."""
+PERIOD = 0.25
+"""A picture is taken so often at most [s]."""
+
+
+class CameraInset:
+    """A `view.panel.Panel`: a camera's picture of the robot that was chosen last, else of the first one.
+
+    Pictures are rendered only while one is asked for and somebody is at the page.
+
+    Args:
+        page: The page.
+        worlds: What it shows, by number.
+
+    Attributes:
+        rendered: How many pictures have been taken.
+    """
+
+    def __init__(self, page: "ViewerPage", worlds: Sequence[ServedWorld]) -> None:
+        self._page, self._worlds = page, worlds
+        self._threads: dict[int, RenderThread] = {}
+        self._due = 0.0
+        self.rendered = 0
+        gui = page.server.gui
+        with gui.add_folder("Camera picture", expand_by_default=False):
+            self._choice = gui.add_dropdown(
+                "Show", [NOTHING, ITS_VIEW], hint="What a robot's camera sees, as clients get it"
+            )
+            self._caption = gui.add_markdown("")
+            self._image = gui.add_image(
+                np.zeros((*SIZE[::-1], 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False
+            )
+
+    def begin(self, drawing: Drawing) -> None:
+        """Offer the cameras that its robots have."""
+        names = dict.fromkeys(
+            camera.names[0] for robot in drawing.robots.values() for camera in robot.cameras
+        )
+        shared = [ALL_ROBOTS] if self._world.multi_view is not None else []
+        options = (NOTHING, ITS_VIEW, *names, *shared)
+        if tuple(self._choice.options) != options:
+            now = self._choice.value
+            self._choice.options = options
+            self._choice.value = now if now in options else NOTHING
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Take a picture, if it is time for one."""
+        wanted, now = self._choice.value, time.monotonic()
+        if wanted == NOTHING:
+            self._image.visible, self._caption.content = False, ""
+            return
+        thread = self._threads.setdefault(self._page.world, RenderThread(self._world))
+        if now < self._due or not thread.is_ready(now):
+            return
+        self._due = now + PERIOD
+        view, caption = self._view(wanted, drawing, frame)
+        self._caption.content = caption
+        if view is None:
+            self._image.visible = False
+            return
+        thread.begin(self._show(thread, view))
+
+    def close(self) -> None:
+        """Render no more."""
+        for thread in self._threads.values():
+            thread.close()
+
+    @property
+    def _world(self) -> ServedWorld:
+        return self._worlds[self._page.world]
+
+    async def _show(self, thread: RenderThread, view: CompositeView) -> None:
+        def put_up(images: ViewImages) -> None:
+            self._image.image = images[view]  # encoded here, in the thread
+            self._image.visible = True
+
+        await thread.render([view], put_up)
+        self.rendered += 1
+
+    def _view(self, wanted: str, drawing: Drawing, frame: Frame) -> tuple[CompositeView | None, str]:
+        """Return what is to be seen and its caption."""
+        if wanted == ALL_ROBOTS:
+            return all_robots_view(self._world, SIZE), "All robots"
+        with_cameras = [slot for slot in sorted(frame.robots) if drawing.robots[slot].cameras]
+        slot = self._page.robot if self._page.robot in with_cameras else next(iter(with_cameras), None)
+        if slot is None:
+            return None, "No robot here has a camera."
+        name = drawing.robots[slot].name
+        camera = "" if wanted == ITS_VIEW else wanted
+        robot = self._world.robots.get(slot)
+        if robot is not None:
+            view = robot_view(robot, camera, SIZE)
+            return (view, name) if view.tiles else (None, f"{name} has no {camera}.")
+        return self._unclaimed(slot, camera, drawing, frame), name
+
+    def _unclaimed(self, slot: int, camera: str, drawing: Drawing, frame: Frame) -> CompositeView | None:
+        """Return what a camera sees of a robot that no client has: the one of that name, or the first."""
+        robot = drawing.robots[slot]
+        names = [mount.names[0] for mount in robot.cameras]
+        index = names.index(camera) if camera in names else 0
+        group, _ = self._world.scene.group_of(slot)
+        lens = cameras_of(self._world.scene.groups[group].robot)[index]
+        own = slice(robot.body, robot.body + robot.num_bodies)
+        turns = Rotation.from_quat(frame.quat[own], scalar_first=True).as_matrix()
+        bodies = BodyPoses(pos=frame.pos[own], mat=turns.astype(np.float32))
+        fov = np.asarray(frame.robots[slot].fovs[index], np.float32)
+        eye = camera_viewpoint(lens, bodies, np.array(slot, np.int32), fov)
+        width = SIZE[0] - SIZE[0] % len(lens.eye_offsets)
+        return CompositeView(SIZE, ((ViewpointRequest(eye, width, SIZE[1]), 0, 0),))
