@@ -6,6 +6,7 @@ from usarmjx.cli import (
     arena,
     bench,
     chaos,
+    console,
     demo,
     listing,
     play,
@@ -30,6 +31,7 @@ app.command("list")(listing.list_everything)
 app.command()(portraits.portraits)
 app.command()(serve.serve)
 app.command()(chaos.chaos)
+app.command()(console.console)
 app.command("radio-map")(radio_map.radio_map)
 app.command()(demo.demo)
 app.command("sensor-plots")(sensor_plots.sensor_plots)
