@@ -1,6 +1,7 @@
 """Pictures of a policy at work: one world from above, as a strip of moments (PNG) or moving (GIF)."""
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,13 @@ class EpisodeRecording:
     end: str
 
 
-def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: int = 0) -> EpisodeRecording:
+def record_episode(
+    env: Env,
+    policy: Policy,
+    seconds: float = math.inf,
+    seed: int = 0,
+    watch: Callable[[EnvState], None] | None = None,
+) -> EpisodeRecording:
     """Return the first episode of world 0, up to its end or a time.
 
     The last moment is the one before the step that ended the episode, with the score after it: by then the
@@ -77,6 +84,7 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
         policy: What drives the robots.
         seconds: For how long at most [s of simulated time].
         seed: Of the environment and of the policy's random numbers.
+        watch: Gets to see each state of the episode, the first one included.
 
     Raises:
         UsageError: A time that is not above 0.
@@ -87,6 +95,8 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
     moments = [(0.0, float(np.asarray(state.score)[WORLD]), *_positions(env, state))]
+    if watch is not None:
+        watch(state)
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
@@ -95,6 +105,8 @@ def record_episode(env: Env, policy: Policy, seconds: float = math.inf, seed: in
             end = "physics failed" if bad else "time is up" if late else "done"
             moments.append((step * env.period, float(np.asarray(state.final_score)[WORLD]), *moments[-1][2:]))
         else:
+            if watch is not None:
+                watch(state)
             moments.append(
                 (step * env.period, float(np.asarray(state.score)[WORLD]), *_positions(env, state))
             )
@@ -172,23 +184,26 @@ def save_png(shown: EpisodeRecording, path: Path) -> None:
     figure.savefig(path, format="png")
 
 
-def save_gif(shown: EpisodeRecording, path: Path) -> None:
-    """Write a film as a GIF file, `GIF_SPEEDUP` times as fast as it was; the last moment stays for 2 s."""
-    count = min(MAX_FRAMES, len(shown.times))
-    frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
+def film_frames(shown: EpisodeRecording, frames: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield moments of a film, by index, as pictures (height, width, 3)."""
     figure = _figure(1, 1, shown.arena)
     axes = figure.add_subplot()
     draw_plan(axes, shown.arena, words=False, starts=False)
-    pictures = []
-    for frame in frames:
-        drawn = _draw(axes, shown, int(frame))
-        axes.set_title(f"{shown.task}: {_caption(shown, int(frame))}", loc="left", fontsize=9)
+    for frame in frames.tolist():
+        drawn = _draw(axes, shown, frame)
+        axes.set_title(f"{shown.task}: {_caption(shown, frame)}", loc="left", fontsize=9)
         figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue]
-        pictures.append(Image.fromarray(pixels).quantize(64))
+        yield np.array(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue]
         for one in drawn:
             one.remove()
-    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / GIF_SPEEDUP
+
+
+def save_gif(shown: EpisodeRecording, path: Path, speedup: float = GIF_SPEEDUP) -> None:
+    """Write a film as a GIF file, `speedup` times as fast as it was; the last moment stays for 2 s."""
+    count = min(MAX_FRAMES, len(shown.times))
+    frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
+    pictures = [Image.fromarray(pixels).quantize(64) for pixels in film_frames(shown, frames)]
+    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / speedup
     durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
     pictures[0].save(
         path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
