@@ -1,0 +1,119 @@
+"""From where the page looks: what fills the picture, robots' cameras, and which robot a click means."""
+
+import contextlib
+import math
+
+import numpy as np
+import pytest
+
+from tests.view.scenery import seers
+from tests.view.simple_worlds import CAMERA_AT, drawing_of, frame_of
+from usarmjx.base.backend import numpy_backend
+from usarmjx.cameras.mounts import cameras_of
+from usarmjx.cameras.picture import camera_viewpoint
+from usarmjx.view.framing import FOV, USED, framed
+from usarmjx.view.viewpoint import Onlooker, ViewMode, camera_pose, chase_pose, robot_on_ray
+
+LOW, HIGH = np.array([-10.0, -6.0, 0.0]), np.array([10.0, 6.0, 1.5])
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 1.6, 2.4])
+def test_a_box_fills_the_picture_and_all_of_it_is_seen(aspect):
+    pose = framed(LOW, HIGH, aspect)
+    ahead = (pose.look_at - pose.pos) / np.linalg.norm(pose.look_at - pose.pos)
+    right = np.cross(ahead, pose.up) / np.linalg.norm(np.cross(ahead, pose.up))
+    corners = np.array(np.meshgrid(*zip(LOW, HIGH, strict=True))).reshape(3, -1).T - pose.pos
+    half = math.tan(FOV / 2)
+    up = corners @ np.cross(right, ahead) / (corners @ ahead) / half
+    aside = corners @ right / (corners @ ahead) / half / aspect
+    assert (corners @ ahead > 0).all()
+    fullest = max(np.abs(up).max(), np.abs(aside).max())
+    assert USED - 0.08 <= fullest <= 1.0
+
+
+def test_a_view_through_a_camera_is_the_raycasters():
+    world, source = seers((1.0, 0.5, 0.8))
+    drawing, frame = source.drawing(0), source.frame(0)
+    robot = world.robots[0]
+    with numpy_backend():
+        eye = camera_viewpoint(cameras_of(robot.spec)[0], world.bodies(robot), np.array(0), np.array(1.0))
+    pose = camera_pose(drawing.robots[0], frame, 0)
+    assert pose.pos == pytest.approx(np.asarray(eye.pos), abs=1e-5)
+    assert pose.look_at - pose.pos == pytest.approx(np.asarray(eye.mat)[:, 0], abs=1e-5)
+    assert pose.up == pytest.approx(np.asarray(eye.mat)[:, 2], abs=1e-5)
+
+
+def test_over_a_robot_one_is_behind_and_above_it_whichever_way_it_leans():
+    drawing = drawing_of(robots=1)
+    frame = frame_of(drawing)
+    half = math.sqrt(0.5)
+    for quat in ((half, 0, 0, half), (0, half, half, 0)):  # to the left; and so, but on its back
+        frame.quat[1:] = quat
+        pose = chase_pose(drawing.robots[0], frame)
+        assert pose.pos[1] < frame.pos[1, 1] - 1.0
+        assert pose.pos[2] > frame.pos[1, 2] + 0.5
+        assert pose.look_at[1] > frame.pos[1, 1]
+        assert (pose.up == [0.0, 0.0, 1.0]).all()
+
+
+@pytest.mark.parametrize(
+    ("start", "ray", "robot"),
+    [
+        ((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), 0),
+        ((1.0, 0.0, 5.0), (0.0, 0.0, -1.0), 1),
+        ((5.0, 0.0, 0.2), (-1.0, 0.0, 0.0), 1),
+        ((-5.0, 0.0, 0.2), (1.0, 0.0, 0.0), 0),
+        ((-5.0, 0.0, 0.2), (-1.0, 0.0, 0.0), None),
+        ((0.5, 2.0, 5.0), (0.0, 0.0, -1.0), None),
+    ],
+)
+def test_a_click_means_the_nearest_robot_on_its_ray(start, ray, robot):
+    drawing = drawing_of(robots=2)
+    assert robot_on_ray(drawing, frame_of(drawing), np.array(start), np.array(ray)) == robot
+
+
+class Camera:
+    """What viser tells of somebody's view, and lets us set."""
+
+    def __init__(self):
+        self.fov, self.aspect = FOV, 1.6
+        self.position = self.look_at = self.up_direction = np.zeros(3)
+
+
+class Client:
+    """Somebody at the page."""
+
+    def __init__(self):
+        self.camera = Camera()
+
+    def atomic(self):
+        return contextlib.nullcontext()
+
+
+def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
+    drawing = drawing_of(robots=3)
+    frame, onlooker = frame_of(drawing), Onlooker(Client())
+    seen = []
+    for _ in range(4):
+        onlooker.attach_next(drawing, frame)
+        seen.append(onlooker.robot)
+    assert seen == [0, 1, 2, 0]
+    assert onlooker.mode is ViewMode.CAMERA
+    onlooker.update(drawing, frame, np.array([100.0, 0.0, 0.0]))
+    assert onlooker.client.camera.position == pytest.approx(np.add(CAMERA_AT, (100.0, 0.0, 0.2)))
+    assert onlooker.client.camera.fov == 1.0
+    onlooker.toggle()
+    onlooker.update(drawing, frame, np.zeros(3))
+    assert onlooker.client.camera.position == pytest.approx(chase_pose(drawing.robots[0], frame).pos)
+    assert onlooker.client.camera.fov == FOV
+    onlooker.attach_next(drawing, frame, step=-1)
+    assert (onlooker.robot, onlooker.mode) == (2, ViewMode.OVER)
+    onlooker.free()
+    assert (onlooker.robot, onlooker.mode) == (None, ViewMode.FREE)
+
+
+def test_who_is_with_a_robot_that_leaves_looks_freely():
+    onlooker = Onlooker(Client())
+    onlooker.attach(1)
+    onlooker.update(drawing_of(robots=1), frame_of(drawing_of(robots=1)), np.zeros(3))
+    assert onlooker.robot is None
