@@ -17,7 +17,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.sim.control import ControlMode, DriveConditions, compute_actuation, idle_command, set_drive
 from usarmjx.sim.scene import START_GAP, build_scene
-from usarmjx.sim.world import depth_in_water
+from usarmjx.sim.water import depth_in_water
 
 PERIOD = Physics().period
 BARE = ArenaSpec(name="track", starts=(), extent=((-3, 3), (-3, 3)))

@@ -5,7 +5,6 @@ and with the same random numbers: a robot at a pose reads what it would read in 
 that seed.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -19,7 +18,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.transforms import GRAVITY, Vec3
+from usarmjx.base.transforms import Vec3
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
@@ -29,7 +28,6 @@ from usarmjx.engines.c_world import CWorld
 from usarmjx.engines.faults import PutBack
 from usarmjx.engines.placement import REACH, free_pose
 from usarmjx.models.build.compose import add_robot, new_spec, remove_robot
-from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.materials import materials_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.spec.robot import RobotSpec
@@ -43,6 +41,7 @@ from usarmjx.sim.reset import new_group_state, restarted, started
 from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
 from usarmjx.sim.scene import RosterEntry, Scene, parking_position
 from usarmjx.sim.site import moved_geom_poses
+from usarmjx.sim.speed_limits import SpeedLimits
 from usarmjx.sim.views import build_render_scene
 from usarmjx.sim.world import (
     FaultCounts,
@@ -51,17 +50,16 @@ from usarmjx.sim.world import (
     compute_inputs,
     finish_step,
     observe,
-    runaway_limit,
     sense_self,
     time_of,
 )
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
-MAX_FALL = 1000.0
-"""Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
 STEPS_AHEAD = 10
 """For so many control steps it is worked out at once where what moves by itself will be."""
+Part = tuple[Scene, list[tuple[int, np.ndarray]]]
+"""A scene with some of the robots, and of each of its groups the index and the members."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
@@ -98,7 +96,8 @@ class SingleWorld:
                 links=None if scene.radio is None else no_links(seats),
             )
         self._homes: dict[int, np.ndarray] = {}
-        self._tops: dict[int, float] = {}
+        self._parts: dict[frozenset[int], Part] = {}
+        self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
         self._looks: tuple[Scene, Looks] | None = None
         self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
         self._regroup({}, {})
@@ -167,7 +166,6 @@ class SingleWorld:
             if found is not None:
                 self.engine.place(index, *found)
                 self._homes[int(group.slots[0])] = self.engine.pose(index)
-                self._tops[int(group.slots[0])] = self._height(index)
                 return
         where = ",".join(f"{value:.2f}" for value in poses[0][0])
         raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
@@ -183,7 +181,7 @@ class SingleWorld:
         """Take a robot out of the world; the states of the others are kept to the bit."""
         roster, rows = self.roster, self._rows()
         self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
-        del roster[slot], rows[slot], self._homes[slot], self._tops[slot]
+        del roster[slot], rows[slot], self._homes[slot]
         self._regroup(roster, rows)
 
     def replace_robot(self, slot: int, robot: RobotSpec) -> None:
@@ -214,6 +212,10 @@ class SingleWorld:
             jax.tree.map(lambda *x: np.stack(x), *(rows[int(s)] for s in group.slots)) for group in groups
         ]
         self.world = self.world.replace(groups=tuple(states))
+        self._parts = {}
+        self._indices = {int(s): i for g in groups for s, i in zip(g.slots, g.indices, strict=True)}
+        tops = {slot: top for slot, top in self._speeds.tops.items() if slot in self._homes}
+        self._speeds = SpeedLimits(groups, tops, self.engine.data.qpos, self.scene.physics.period)
 
     # What happens in a tick
 
@@ -227,31 +229,16 @@ class SingleWorld:
         """
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
-        indices = self._indices()
-        lost, put_back = self.engine.advance(indices, self._speed_limits(indices), self._homes)
+        limits = self._speeds.update(self.engine.data.qpos)
+        lost, put_back = self.engine.advance(self._indices, limits, self._homes)
         self.world, _ = finish_step(self.scene, self.world, self.physics, np.asarray(lost, np.int32))
         if put_back:
             faults = self.world.faults
             self.world = self.world.replace(faults=faults.replace(not_finite=faults.not_finite + 1))
+        self._speeds.begin_again(put_back.robots, self.engine.data.qpos)
         for slot in put_back.robots:
-            self._tops[slot] = self._height(indices[slot])
             self.edit(slot, command=idle_command(self.roster[slot].spec))
         return put_back
-
-    def _speed_limits(self, indices: Mapping[int, RobotIndex]) -> dict[int, float]:
-        """Return up to which speed each robot is sound [m/s]: what it drives and what it fell together."""
-        limits: dict[int, float] = {}
-        for slot, index in indices.items():
-            height, top = self._height(index), self._tops[slot]
-            height = height if math.isfinite(height) else top
-            top = self._tops[slot] = max(top, height)
-            depth = min(top - height, MAX_FALL)
-            fallen = math.sqrt(2 * GRAVITY * depth) + GRAVITY * self.scene.physics.period
-            limits[slot] = math.hypot(runaway_limit(self.scene.roster[slot].spec), fallen)
-        return limits
-
-    def _height(self, index: RobotIndex) -> float:
-        return float(self.engine.data.qpos[index.root_qposadr + 2])
 
     @numpy_backend()
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
@@ -270,8 +257,13 @@ class SingleWorld:
             for row, slot in enumerate(group.slots)
         }
 
-    def _part(self, slots: frozenset[int]) -> tuple[Scene, list[tuple[int, np.ndarray]]]:
+    def _part(self, slots: frozenset[int]) -> Part:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
+        if slots not in self._parts:
+            self._parts[slots] = self._make_part(slots)
+        return self._parts[slots]
+
+    def _make_part(self, slots: frozenset[int]) -> Part:
         found: list[tuple[int, np.ndarray]] = []
         for i, group in enumerate(self.scene.groups):
             some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
@@ -284,6 +276,8 @@ class SingleWorld:
         """Replace fields of the states of some robots of a group."""
 
         def rows(old: Array, part: Array) -> np.ndarray:
+            if np.shape(part) == np.shape(old):  # all of them
+                return np.asarray(part)
             copy = np.array(old)
             copy[members] = part
             return copy
@@ -303,10 +297,7 @@ class SingleWorld:
         return None if ahead is None else GeomPoses(pos=ahead.pos[late], quat=ahead.quat[late])
 
     def _caster(self) -> CRayCaster:
-        return self.engine.caster(self._indices(), self._moved())
-
-    def _indices(self) -> dict[int, RobotIndex]:
-        return {int(s): i for g in self.scene.groups for s, i in zip(g.slots, g.indices, strict=True)}
+        return self.engine.caster(self._indices, self._moved())
 
     # One robot
 
@@ -356,10 +347,9 @@ class SingleWorld:
         Robots have forgotten what they were told, and their batteries are full. Where two appeared at one
         place, the second is put next to it.
         """
-        indices = self._indices()
-        self.engine.put_all_back(indices, self._homes)
+        self.engine.put_all_back(self._indices, self._homes)
         self.world = restarted(self.scene, self.world, self.physics)
-        self._tops = {slot: self._height(index) for slot, index in indices.items()}
+        self._speeds.begin_again(self._indices, self.engine.data.qpos)
 
     @numpy_backend()
     def links(self) -> Links:

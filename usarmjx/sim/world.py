@@ -20,10 +20,8 @@ from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.variation import RandomizedValues
-from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import DroppedTags
-from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
@@ -35,6 +33,7 @@ from usarmjx.sim.scene import Scene
 from usarmjx.sim.site import moved_geom_poses, surroundings
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.visible import ray_geoms, visible_arena, visible_doors, visible_loose, visible_robots
+from usarmjx.sim.water import depth_in_water, drowns
 
 T = TypeVar("T")
 RUNAWAY_SPEED = 5.0
@@ -239,22 +238,6 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
     return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
 
 
-def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
-    """Return how far points (..., 3) are below water, negative above it [m] (...,); else `DRY_DEPTH`."""
-    depth = xp.full(pos.shape[:-1], DRY_DEPTH)
-    for water in arena.waters:
-        low, high = np.array(water.low), np.array(water.high)
-        inside = (pos[..., :2] >= low[:2]).all(-1) & (pos[..., :2] <= high[:2]).all(-1)
-        here = inside & (pos[..., 2] >= low[2] + arena.floor)
-        depth = xp.where(here, high[2] + arena.floor - pos[..., 2], depth)
-    return depth
-
-
-def drowns(robot: RobotSpec, depth: Array) -> Array:
-    """Return whether water kills the battery: of all but underwater robots (KRobot.uc) (...,)."""
-    return (depth > 0) & (robot.drive.vehicle != "NauticVehicle")
-
-
 def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return which robots of a group are in use and have a battery that lasts (n,)."""
     age = time_of(scene, world) - state.battery_start
@@ -288,7 +271,8 @@ def compute_inputs(
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
         depth = depth_in_water(scene.arena, robots.pos)
-        state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
+        if scene.arena.waters:
+            state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
         torque, speed = (_of_group(world, group, name) for name in ("torque", "speed"))
         clock = xp.broadcast_to(time, awake.shape)

@@ -40,7 +40,7 @@ def crowd(arena):
 def drive_at_random(world, seconds):
     """Return how often robots were put back, and the fastest that anybody else was, of its limit."""
     rng, put_back, fastest = np.random.default_rng(1), 0, 0.0
-    period, indices = world.scene.physics.period, world._indices()
+    period, indices = world.scene.physics.period, world._indices
     limits = {slot: runaway_limit(entry.spec) + FALLEN for slot, entry in world.roster.items()}
     before = {slot: world.engine.pose(index)[:3] for slot, index in indices.items()}
     for step in range(round(seconds / period)):

@@ -18,7 +18,7 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import options
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.sim import single_world
+from usarmjx.sim import single_world, speed_limits
 
 WIRE = 0.011
 """Positions are told in whole centimetres [m]."""
@@ -194,7 +194,7 @@ def test_a_robot_that_falls_has_not_gone_bad(name):
 
 
 def test_who_falls_out_of_the_world_is_put_back(monkeypatch):
-    monkeypatch.setattr(single_world, "MAX_FALL", 30.0)
+    monkeypatch.setattr(speed_limits, "MAX_FALL", 30.0)
     plate = Shape(kind="box", size=(1.0, 1.0, 0.1), at=(0.0, 0.0, -0.1), surface="ground")
     house = make_house(land(plate))
     client = house.connect(init("P2AT", 0, 0, -0.3))
