@@ -12,6 +12,7 @@ from usarmjx.cli import (
     play,
     portraits,
     radio_map,
+    recordings,
     sensor_plots,
     serve,
     train,
@@ -33,5 +34,8 @@ app.command()(serve.serve)
 app.command()(chaos.chaos)
 app.command()(console.console)
 app.command("radio-map")(radio_map.radio_map)
+app.command()(recordings.view)
+app.command()(recordings.plot)
+app.command()(recordings.replay)
 app.command()(demo.demo)
 app.command("sensor-plots")(sensor_plots.sensor_plots)

@@ -18,6 +18,7 @@ from usarmjx.cli.access_options import (
     access_rules,
     warn_if_open,
 )
+from usarmjx.cli.recordings import RecordOption, recorded, recorded_episode
 from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
 from usarmjx.cli.viewer_options import (
@@ -166,6 +167,7 @@ def play(
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
     view: ViewOption = False,
+    record: RecordOption = None,
     viewer_port: ViewerPortOption = None,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
@@ -204,7 +206,8 @@ def play(
                 controls = add_controls(servers, clock)
                 if page is not None:
                     add_viewer(servers, controls, page, viewer_settings(host, rules, allow_host or ()))
-                run(servers, clock, signals)
+                with recorded(made, record):
+                    run(servers, clock, signals)
             return
         # What one world observes in one episode takes longer to compile than to compute.
         announce("building the world that the policy drives ...", quickly=engine == "c")
@@ -215,7 +218,8 @@ def play(
             settings or (), engine=engine, seed=seed
         )
         _echo_notes(notes)
-        shown = record_episode(env, driver, math.inf if seconds is None else seconds, seed)
+        with recorded_episode(env, record, seed) as watch:
+            shown = record_episode(env, driver, math.inf if seconds is None else seconds, seed, watch)
         save_recording(shown, out)
         last = f"{shown.times[-1]:.1f} s, score {shown.scores[-1]:.2f}"
         typer.echo(f"{shown.task}: {last}{f', {shown.end}' if shown.end else ''}: {out}")

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +15,8 @@ from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld
+    from usarmjx.train.envs.env import Env
+    from usarmjx.train.envs.state import EnvState
 
 HOST = "127.0.0.1"
 """Where the page of a recording is."""
@@ -47,6 +49,31 @@ def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> Iterator[Non
         yield
     finally:
         file.close()
+
+
+@contextlib.contextmanager
+def recorded_episode(
+    env: "Env", path: Path | None, seed: int
+) -> "Iterator[Callable[[EnvState], None] | None]":
+    """Give what records the first world of an environment, state by state; None: nothing does.
+
+    Args:
+        env: The environment.
+        path: The file; None: nothing is to be recorded.
+        seed: What the environment is reset with.
+
+    Raises:
+        UsageError: The file is there already.
+        WriteError: It cannot be written.
+    """
+    if path is None:
+        yield None
+        return
+    from usarmjx.recording.episodes import EpisodeRecorder, episode_file
+
+    with episode_file(env, path) as file:
+        yield EpisodeRecorder(env, file, range(1), seed).watch
+    typer.echo(f"usarmjx: recorded to {path}")
 
 
 def view(

@@ -14,6 +14,7 @@ from usarmjx.cli.access_options import (
     access_rules,
     warn_if_open,
 )
+from usarmjx.cli.recordings import RecordOption, recorded
 from usarmjx.cli.serve_run import (
     ImageChoice,
     MetricsOption,
@@ -142,6 +143,7 @@ def serve(
     viewer_port: ViewerPortOption = None,
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
+    record: RecordOption = None,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
@@ -205,4 +207,5 @@ def serve(
             if page is not None:
                 radios = [choice.radio for choice in choices if isinstance(choice, RadioChoice)]
                 add_viewer(servers, controls, page, looked_at, next(iter(radios), None))
-            run(servers, clock, signals)
+            with recorded(served, record):
+                run(servers, clock, signals)

@@ -4,13 +4,14 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
+from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, SeedOption
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce
@@ -56,6 +57,10 @@ def train(
     port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
     view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
+    record: RecordOption = None,
+    record_every: Annotated[
+        int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
+    ] = 50,
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
@@ -73,9 +78,13 @@ def train(
             viewer_socket(HOST, viewer_port, 0, view and process.index == 0) as page,
         ):
             chosen = {"worlds": worlds, "steps": steps, "seed": seed}
-            score = _train(
-                task, chosen, settings or [], (out, engine, resume, not quiet and not process.index), page
-            )
+            watchers: list[_TrainingWatcher] = []
+            if page is not None:
+                watchers.append(_ShownTraining(page, f"{task}, in training"))
+            if record is not None and process.index == 0:
+                watchers.append(_RecordedTraining(record, record_every))
+            how = out, engine, resume, not quiet and not process.index
+            score = _train(task, chosen, settings or [], how, watchers)
             if process.index == 0:
                 typer.echo(score)
 
@@ -104,7 +113,7 @@ def _train(
     given: dict[str, int | None],
     pairs: list[str],
     how: tuple[Path, str, bool, bool],
-    page: socket.socket | None,
+    watchers: "Sequence[_TrainingWatcher]",
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
@@ -113,7 +122,7 @@ def _train(
         given: Settings with options of their own.
         pairs: Others, as typed.
         how: Folder, engine, whether to resume, whether to show a bar.
-        page: Where the live page is; None: there is none.
+        watchers: Who gets to see the worlds.
 
     Returns:
         What came of it, in a line.
@@ -126,18 +135,40 @@ def _train(
     chosen = {key: value for key, value in given.items() if value is not None}
     config, overrides = _split_settings(task, pairs, chosen)
 
-    shown = None if page is None else _ShownTraining(page, f"{task}, in training")
-
     def worlds_of(count: int, first: int) -> "Env":
         env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
-        return env if shown is None else shown.of(env)
+        for watcher in watchers:
+            watcher.begin(env, config)
+        return env
+
+    def look(state: "EnvState") -> None:
+        for watcher in watchers:
+            watcher.look(state)
 
     typed = dict(pair.split("=", 1) for pair in pairs)
     origin = EnvArguments(engine, {key: typed[key] for key in overrides})
-    look = None if shown is None else shown.look
-    done = run(worlds_of, config, out, resume, origin=origin, progress=bar, look=look)
+    try:
+        done = run(
+            worlds_of, config, out, resume, origin=origin, progress=bar, look=look if watchers else None
+        )
+    finally:
+        for watcher in watchers:
+            watcher.close()
     score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+class _TrainingWatcher(Protocol):
+    """Gets to see the worlds of a training."""
+
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds and its settings."""
+
+    def look(self, state: "EnvState") -> None:
+        """Look at the worlds as they are."""
+
+    def close(self) -> None:
+        """The training is over."""
 
 
 class _ShownTraining:
@@ -151,19 +182,51 @@ class _ShownTraining:
     def __init__(self, bound: socket.socket, title: str) -> None:
         self._server, self._title = viewer_server(bound, HOST), title
 
-    def of(self, env: "Env") -> "Env":
-        """Return the training's worlds, which are the ones that are shown."""
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds."""
+        del config
         from usarmjx.view.page import ViewerPage
         from usarmjx.view.training_page import TrainingPage
 
         self._page = TrainingPage(
             env.batch, lambda source: ViewerPage(source, title=self._title, server=self._server)
         )
-        return env
 
     def look(self, state: "EnvState") -> None:
         """Show the worlds as they are."""
         self._page.show(state.batch)
+
+    def close(self) -> None:
+        """Leave the page as it is: it goes with the process."""
+
+
+class _RecordedTraining:
+    """A training of which some iterations are recorded.
+
+    Args:
+        path: The file.
+        every: Of so many iterations one is kept.
+    """
+
+    def __init__(self, path: Path, every: int) -> None:
+        self._path, self._every = path, every
+        self._held = ExitStack()
+
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds and its settings."""
+        from usarmjx.recording.episodes import TrainingRecorder, episode_file
+
+        file = self._held.enter_context(episode_file(env, self._path))
+        calls = 1 if env.traceable else config.rollout
+        self._recorder = TrainingRecorder(env, file, self._every, calls)
+
+    def look(self, state: "EnvState") -> None:
+        """Keep the worlds as they are."""
+        self._recorder.look(state)
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._held.close()
 
 
 def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple["Config", dict[str, Any]]:
@@ -186,14 +249,21 @@ def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple
 
 @app.command()
 def export(
-    run: Annotated[Path, typer.Argument(help="Folder of the run.")],
-    out: Annotated[Path, typer.Argument(help="File to write, .npz.")],
+    run: Annotated[Path, typer.Argument(help="Folder of the run; or a recording, .mcap.")],
+    out: Annotated[
+        Path, typer.Argument(help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4.")
+    ],
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
+    world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
+    speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
 ) -> None:
-    """Write the policy of a run to a file that NumPy alone can run."""
+    """Write the policy of a run to a file that NumPy alone can run; or a recording as tables or as a film."""
     with ErrorExit():
         announce(f"reading {run} ...")
+        if run.is_file():
+            export_recording(run, out, world, speed)
+            return
         from usarmjx.train.policies.export import export_run
 
         export_run(run, out, checkpoint, half)

@@ -25,9 +25,10 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
+from usarmjx.recording.setups import batch_setup, orders_of
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.instances import check_instances
-from usarmjx.server.worlds.recorded import batch_setup, keep_reading, orders_of, record_step
+from usarmjx.server.worlds.recorded import keep_reading, record_step
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings

@@ -2,16 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 
 from usarmjx.recording.file import RecordingFile
 from usarmjx.recording.inputs import SINGLE, WorldSetup
 from usarmjx.recording.recorder import Look, WorldRecorder
 from usarmjx.recording.versions import versions
-from usarmjx.sim.batch import Batch
 
 if TYPE_CHECKING:
     import mujoco
@@ -19,10 +17,6 @@ if TYPE_CHECKING:
     from usarmjx.engines.base import PhysicsState
     from usarmjx.server.worlds.robot import Robot
     from usarmjx.server.worlds.served_world import ServedWorld
-    from usarmjx.sim.world import GroupState
-
-ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
-"""Fields of a `GroupState` by which worlds of a batch are told what to do."""
 
 
 def record_worlds(worlds: "Sequence[ServedWorld]", path: Path) -> RecordingFile:
@@ -51,28 +45,6 @@ def single_setup(world: "ServedWorld", origin: tuple[int, int, int]) -> WorldSet
         seats=seats,
         versions=versions(),
         why_not="it had begun before the recording did" if world.robots or world.time else "",
-    )
-
-
-def batch_setup(batch: Batch, number: int, steps_before: int) -> WorldSetup:
-    """Return what a batch was made of, of which one world is recorded."""
-    scene = batch.scene
-    seed, first, shuffle = batch.origin
-    return WorldSetup(
-        kind=batch.engine.name,
-        arenas=(scene.arena,) if scene.arenas is None else tuple(scene.arenas.arenas),
-        physics=scene.physics,
-        roster=scene.roster,
-        radio=scene.radio,
-        mail=scene.mail,
-        vary=scene.vary,
-        shuffle=shuffle,
-        seed=seed,
-        first=first,
-        number=number,
-        worlds=batch.worlds,
-        steps_before=steps_before,
-        versions=versions(),
     )
 
 
@@ -110,15 +82,3 @@ def keep_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.nd
     robot.pending[sensor] = value
     if world.recorder is not None:
         world.recorder.read(robot.slot, sensor, value)
-
-
-def orders_of(state: "GroupState", world: int) -> dict[str, Any]:
-    """Return what a group's robots of a world of a batch have been told; leading axis over robots.
-
-    Args:
-        state: The group in all worlds (worlds, robots, ...).
-        world: Index of the world.
-    """
-    return {
-        name: jax.tree.map(lambda x: np.asarray(x)[world], getattr(state, name)) for name in ORDER_FIELDS
-    }
