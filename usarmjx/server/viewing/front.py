@@ -116,15 +116,27 @@ def _measured_connection(gate: Gate) -> type[ServerConnection]:
     """Return the class of connections that a gate lets in, and that are heard only so often."""
 
     class MeasuredConnection(gated_connection(gate)):
-        _credit, _since = MAX_BURST, 0.0
-
         async def recv(self, decode: bool | None = None) -> Any:  # noqa: ANN401 - text or bytes
-            now = time.monotonic()
-            self._credit = min(MAX_BURST, self._credit + (now - self._since) * MAX_RATE)
-            self._since = now
-            if self._credit < 1.0:
-                await asyncio.sleep((1.0 - self._credit) / MAX_RATE)
-            self._credit -= 1.0
+            if not hasattr(self, "_rate"):
+                self._rate = MessageRate(time.monotonic())
+            await asyncio.sleep(self._rate.pause(time.monotonic()))
             return await super().recv(decode)
 
     return MeasuredConnection
+
+
+class MessageRate:
+    """How often somebody is heard.
+
+    Args:
+        now: The time [s].
+    """
+
+    def __init__(self, now: float) -> None:
+        self._credit, self._since = MAX_BURST, now
+
+    def pause(self, now: float) -> float:
+        """Return how long the next message has to wait [s]."""
+        self._credit = min(MAX_BURST, self._credit + (now - self._since) * MAX_RATE) - 1.0
+        self._since = now
+        return max(0.0, -self._credit / MAX_RATE)
