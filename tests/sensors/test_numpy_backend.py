@@ -398,4 +398,4 @@ def test_several_robots_read_and_look_at_once_as_each_would_alone():
     assert jax.tree.structure(together) == jax.tree.structure(expected)
     jax.tree.map(np.testing.assert_array_equal, together, expected)
     kinds = {sensor.kind for sensor in suite.sensors if is_for_teams(sensor.read)}
-    assert kinds >= {"Sonar", "IR", "RangeScanner", "Odometry", "INS", "Encoder", "GroundTruth"}
+    assert kinds >= {"Sonar", "IR", "RangeScanner", "Odometry", "INS", "Encoder", "GroundTruth", "RFID"}

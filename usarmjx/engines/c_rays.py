@@ -6,6 +6,7 @@ fenders, which C MuJoCo does not know, are cast by their kernel.
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 
 import jax
@@ -113,20 +114,19 @@ class CRayCaster:
         """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,)."""
         model, data, count = self._model, self._data, len(start)
         distance, normal, geom = np.empty(count), np.zeros((count, 3)), np.full(count, -1, np.int32)
-        solid = np.zeros(mujoco.mjNGROUP, np.uint8)
-        solid[: len(MATERIALS)] = [material not in query.transparent for material in MATERIALS]
+        solid = _solid_groups(query.transparent)
         turns = np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1
         bounds = [0, *turns.tolist(), count]  # of the rays from each point
         lines, normals = along.reshape(-1), normal.reshape(-1)
-        groups, geoms, shown, few = model.geom_group, np.zeros(0, int), None, FEW_RAYS
+        groups, shown, few = model.geom_group, None, FEW_RAYS
         before = groups.copy()
         if len(turns) and math.isfinite(query.max_distance):
             geoms, near = self._near(start, along, np.array(bounds), query.max_distance)
-            shown, few = np.where(near, before[geoms], HIDDEN_GROUP), 1
-            groups[:] = HIDDEN_GROUP
+            shown, few = np.full((len(near), len(before)), HIDDEN_GROUP, before.dtype), 1
+            shown[:, geoms] = np.where(near, before[geoms], HIDDEN_GROUP)
         for i, (first, end) in enumerate(pairwise(bounds)):
             if shown is not None:
-                groups[geoms] = shown[i]
+                groups[:] = shown[i]
             if end - first < few:
                 for ray in range(first, end):
                     out = geom[ray : ray + 1], normal[ray]
@@ -200,6 +200,14 @@ class CRayCaster:
             np.where(closer[:, None], turned, normal),
             np.where(closer, ids[fender], geom),
         )
+
+
+@cache
+def _solid_groups(transparent: frozenset[str]) -> np.ndarray:
+    """Return which geom groups rays do not pass that pass some materials (groups,)."""
+    solid = np.zeros(mujoco.mjNGROUP, np.uint8)
+    solid[: len(MATERIALS)] = [material not in transparent for material in MATERIALS]
+    return solid
 
 
 def nearest_of_block(

@@ -40,7 +40,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def for_teams(method: Method) -> Method:
-    """Mark a sensor's `read` or `fans` whose arrays may all have a leading axis over robots.
+    """Mark a sensor's `read`, `fans` or `aimed_rays` whose arrays may all have a leading axis over robots.
 
     On NumPy it is called once for all robots of a class, where others are called robot by robot. What a
     subclass has in its place has the mark only if it is marked itself.

@@ -12,7 +12,7 @@ from usarmjx.base.backend import set_at, xp
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey, OneOf
 from usarmjx.models.spec.shapes import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
 from usarmjx.sensors.sketch import OverlayLines, no_overlay
 from usarmjx.sensors.surroundings import Surroundings, nearest
 
@@ -98,12 +98,12 @@ class _Tags(struct.PyTreeNode, kw_only=True):
     """The nearest tags, nearest first.
 
     Attributes:
-        index: Places among all tags, the dropped ones last (n,).
-        pos: Positions [m] (n, 3).
-        distance: Distances [m] (n,).
-        id: IDs (n,).
-        single: Whether they answer once only (n,).
-        there: Whether there is such a tag (n,).
+        index: Places among all tags, the dropped ones last (..., n).
+        pos: Positions [m] (..., n, 3).
+        distance: Distances [m] (..., n).
+        id: IDs (..., n).
+        single: Whether they answer once only (..., n).
+        there: Whether there is such a tag (..., n).
     """
 
     index: Array
@@ -123,16 +123,21 @@ def _filled(values: Array) -> Array:
     return xp.concatenate([values, xp.zeros((missing, *values.shape[1:]), values.dtype)])
 
 
+def _in_rows(index: Array) -> Any:  # noqa: ANN401 - what indexes
+    """Return what picks places (n,) of an array, or places (robots, n) each of their row."""
+    return index if index.ndim == 1 else (np.arange(len(index))[:, None], index)
+
+
 def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
-    """Return `MAX_TAGS` tags, those that are there first; always as many, some of them not there."""
+    """Return `MAX_TAGS` tags about a position [m] (..., 3), those that are there first; always as many."""
     names = ("tag_there", "tag_pos", "tag_single", "tag_id")
     there, positions, single, ids = (_filled(getattr(surroundings, name)) for name in names)
-    far = xp.where(there, xp.linalg.norm(positions - pos, axis=-1), xp.inf)
+    far = xp.where(there, xp.linalg.norm(positions - pos[..., None, :], axis=-1), xp.inf)
     index = nearest(far, MAX_TAGS)
     return _Tags(
         index=index,
         pos=positions[index],
-        distance=far[index],
+        distance=far[_in_rows(index)],
         id=ids[index],
         single=single[index],
         there=there[index],
@@ -152,15 +157,16 @@ class Rfid(Sensor):
     transparent = frozenset({SKY, GLASS})
     settings_class = RfidSettings
 
+    @for_teams
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
         """One ray to each of the nearest tags, unless obstacles do not matter."""
         if self.settings[0].mode == RADIUS_MODE:
             return self.rays(bodies)
         pos, _ = self.mount_poses(bodies)
-        tags = _nearest_tags(surroundings, pos[0])
-        way = tags.pos + xp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos[0]
+        tags = _nearest_tags(surroundings, pos[..., 0, :])
+        way = tags.pos + xp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), MIN_TAG_DISTANCE)
-        return xp.broadcast_to(pos[0], along.shape), along
+        return xp.broadcast_to(pos, along.shape), along
 
     def init_memory(self, inputs: SensorInput, key: Array) -> RfidMemory:
         """Nothing was read yet."""
@@ -171,13 +177,14 @@ class Rfid(Sensor):
             answered=xp.zeros(room, bool), last_read_ids=xp.full(MAX_TAGS, -1, xp.int32), overlay=lines
         )
 
+    @for_teams
     def read(self, inputs: SensorInput, memory: RfidMemory, key: Array) -> tuple[RfidMemory, Array]:
         """Read all tags in reach once; those that answer only once never again."""
         del key
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
-        tags = _nearest_tags(inputs.surroundings_or_empty, pos[0])
-        blocked = xp.zeros(MAX_TAGS, bool)
+        tags = _nearest_tags(inputs.surroundings_or_empty, pos[..., 0, :])
+        blocked = xp.zeros(tags.there.shape, bool)
         if settings.mode != RADIUS_MODE:
             blocked = inputs.hits.distance < tags.distance - OBSTACLE_MARGIN
         if settings.mode == ATTENUATION_MODE:
@@ -188,18 +195,19 @@ class Rfid(Sensor):
             reach = xp.where(tags.single, settings.max_single_shot_range, settings.max_range)
             near = tags.there & (tags.distance <= reach)
             reached, good = near & ~blocked, (~blocked).astype(xp.float32)
-        read = reached & ~memory.answered[tags.index]
-        offset = xp.where(read[:, None], tags.pos - pos[0], 0.0)
-        told = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
+        here = _in_rows(tags.index)
+        read = reached & ~memory.answered[here]
+        offset = xp.where(read[..., None], tags.pos - pos, 0.0)
+        told = (offset[..., None] * mat).sum(-2)  # in the sensor's axes
         row = xp.stack([read.astype(xp.float32), xp.where(read, tags.id, 0).astype(xp.float32)], -1)
         lines = None
         if self.has_overlay:
-            rgb = xp.stack([1 - good, good, xp.zeros(MAX_TAGS)], -1)
-            black = (settings.mode == ATTENUATION_MODE) & ~reached[:, None]
-            start = xp.broadcast_to(pos[0], tags.pos.shape)
+            rgb = xp.stack([1 - good, good, xp.zeros_like(good)], -1)
+            black = (settings.mode == ATTENUATION_MODE) & ~reached[..., None]
+            start = xp.broadcast_to(pos, tags.pos.shape)
             lines = OverlayLines(start=start, end=tags.pos, rgb=xp.where(black, 0.0, rgb), shown=near)
         memory = RfidMemory(
-            answered=set_at(memory.answered, tags.index, memory.answered[tags.index] | (read & tags.single)),
+            answered=set_at(memory.answered, here, memory.answered[here] | (read & tags.single)),
             last_read_ids=xp.where(read, tags.id, -1),
             overlay=lines,
         )

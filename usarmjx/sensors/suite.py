@@ -173,15 +173,13 @@ class Suite:
             wanted = np.ones(slot.shape, bool) if due is None else np.asarray(due[..., i])
             if not self.ray_counts[i] or not wanted.any():
                 continue
-            together = sensor.fans(bodies) if not slot.ndim or is_for_teams(sensor.fans) else None
-            rays = None if together is None else together.rays()
+            together = _rays_of_team(sensor, bodies, surroundings) if slot.ndim else None
             for robot in zip(*np.nonzero(wanted), strict=True) if slot.ndim else [()]:
-                if rays is not None:
-                    origin, direction = (part[robot] for part in rays)
+                if together is not None:
+                    origin, direction = (part[robot] for part in together)
                 else:
                     own = BodyPoses(pos=bodies.pos[robot], mat=bodies.mat[robot])
-                    fans = sensor.fans(own)
-                    origin, direction = sensor.aimed_rays(own, surroundings) if fans is None else fans.rays()
+                    origin, direction = _rays(sensor, own, surroundings)
                 met = cast(origin, direction, _query(sensor, slot[robot]), None)
                 distance[(*robot, self._rays_of(i))] = met.distance
                 cosine[(*robot, self._rays_of(i))] = met.cosine
@@ -334,6 +332,22 @@ def carry_over(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorM
     both = zip(before.sensors, after.sensors, strict=True)
     changed = np.array([old.settings != new.settings for old, new in both], bool)
     return SensorMemory(due=np.where(changed, fresh.due, memory.due), own=own, last=last)
+
+
+def _rays(sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
+    """Return origins [m] and unit directions (rays, 3) of a sensor's rays."""
+    fans = sensor.fans(bodies)
+    return sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
+
+
+def _rays_of_team(
+    sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings
+) -> tuple[Array, Array] | None:
+    """As `_rays`, of several robots (robots, rays, 3); None: the sensor does one after the other."""
+    fans = sensor.fans(bodies) if is_for_teams(sensor.fans) else None
+    if fans is not None:
+        return fans.rays()
+    return sensor.aimed_rays(bodies, surroundings) if is_for_teams(sensor.aimed_rays) else None
 
 
 def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:

@@ -60,9 +60,9 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
 
 
 def nearest(distance: Array, count: int) -> Array:
-    """Return the places of the least of some distances (n,), the nearest first (count,)."""
+    """Return the places of the least of some distances (..., n), the nearest first (..., count)."""
     if on_numpy():
-        return np.argsort(distance, stable=True)[:count]
+        return np.argsort(distance, stable=True)[..., :count]
     return jax.lax.top_k(-distance, count)[1]
 
 
