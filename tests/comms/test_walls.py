@@ -83,31 +83,31 @@ def test_shapes_of_all_kinds_count_together():
 CUBE = box((0, 0, 0), (1, 1, 1))
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "walls"),
-    [
-        ((-3, 0, 0), (3, 0, 0), 1),  # straight through
-        ((-3, 0, 0), (-2, 0, 0), 0),  # ends before it
-        ((-3, 0, 0), (-1, 0, 0), 0),  # ends on its face
-        ((-3, 0, 0), (0, 0, 0), 1),  # ends inside
-        ((0, 0, 0), (0, 3, 0), 1),  # starts inside
-        ((-0.5, 0, 0), (0.5, 0.2, 0), 1),  # lies inside whole
-        ((-1, 0, 0), (1, 0, 0), 1),  # from face to face
-        ((-1, 0, 0), (-3, 0, 0), 0),  # from a face away
-        ((-3, 1, 0), (3, 1, 0), 0),  # along a face
-        ((-0.5, 1, 0), (0.5, 1, 0.5), 0),  # within a face
-        ((-3, 1, 1), (3, 1, 1), 0),  # along an edge
-        ((-3, 3, 0), (3, -3, 0), 1),  # in over one edge and out over another
-        ((-3, -1, 0), (1, 3, 0), 0),  # touches an edge
-        ((-3, -1, -1), (-1, 1, 1), 0),  # ends at an edge
-        ((2, 2, 2), (0.5, 0.5, 0.5), 1),  # in through a corner
-        ((-1, 3, 2), (3, -1, 0), 0),  # touches a corner's edges from outside
-        ((2, 1, 0), (1, 2, 0), 0),  # passes by an edge
-        ((0, 0, 0), (0, 0, 0), 1),  # both ends in one place inside
-        ((1, 0, 0), (1, 0, 0), 0),  # ... on a face
-        ((2, 0, 0), (2, 0, 0), 0),  # ... outside
-    ],
-)
+BOX_CASES = [
+    ((-3, 0, 0), (3, 0, 0), 1),  # straight through
+    ((-3, 0, 0), (-2, 0, 0), 0),  # ends before it
+    ((-3, 0, 0), (-1, 0, 0), 0),  # ends on its face
+    ((-3, 0, 0), (0, 0, 0), 1),  # ends inside
+    ((0, 0, 0), (0, 3, 0), 1),  # starts inside
+    ((-0.5, 0, 0), (0.5, 0.2, 0), 1),  # lies inside whole
+    ((-1, 0, 0), (1, 0, 0), 1),  # from face to face
+    ((-1, 0, 0), (-3, 0, 0), 0),  # from a face away
+    ((-3, 1, 0), (3, 1, 0), 0),  # along a face
+    ((-0.5, 1, 0), (0.5, 1, 0.5), 0),  # within a face
+    ((-3, 1, 1), (3, 1, 1), 0),  # along an edge
+    ((-3, 3, 0), (3, -3, 0), 1),  # in over one edge and out over another
+    ((-3, -1, 0), (1, 3, 0), 0),  # touches an edge
+    ((-3, -1, -1), (-1, 1, 1), 0),  # ends at an edge
+    ((2, 2, 2), (0.5, 0.5, 0.5), 1),  # in through a corner
+    ((-1, 3, 2), (3, -1, 0), 0),  # touches a corner's edges from outside
+    ((2, 1, 0), (1, 2, 0), 0),  # passes by an edge
+    ((0, 0, 0), (0, 0, 0), 1),  # both ends in one place inside
+    ((1, 0, 0), (1, 0, 0), 0),  # ... on a face
+    ((2, 0, 0), (2, 0, 0), 0),  # ... outside
+]
+
+
+@pytest.mark.parametrize(("start", "end", "walls"), BOX_CASES)
 def test_where_a_segment_meets_a_box(start: tuple, end: tuple, walls: int):
     assert solids(CUBE).count(start, end) == walls
     assert solids(CUBE).count(end, start) == walls
@@ -121,52 +121,52 @@ ROUND = {
 }
 
 
+ROUND_CASES = [
+    ((-3, 0, 0), (3, 0, 0), 1),
+    ((-3, 0, 0), (-1, 0, 0), 0),  # ends on the surface
+    ((-3, 0, 0), (0, 0, 0), 1),
+    ((0, 0, 0.5), (0.2, 0, -0.5), 1),  # lies inside whole
+    ((-3, 1, 0), (3, 1, 0), 0),  # touches
+    ((0, 0, 0), (0, 0, 0), 1),
+    ((1, 0, 0), (1, 0, 0), 0),
+    ((0, 0, -5), (0, 0, 5), 1),  # along its axis
+]
+
+
 @pytest.mark.parametrize("name", ROUND)
-@pytest.mark.parametrize(
-    ("start", "end", "walls"),
-    [
-        ((-3, 0, 0), (3, 0, 0), 1),
-        ((-3, 0, 0), (-1, 0, 0), 0),  # ends on the surface
-        ((-3, 0, 0), (0, 0, 0), 1),
-        ((0, 0, 0.5), (0.2, 0, -0.5), 1),  # lies inside whole
-        ((-3, 1, 0), (3, 1, 0), 0),  # touches
-        ((0, 0, 0), (0, 0, 0), 1),
-        ((1, 0, 0), (1, 0, 0), 0),
-        ((0, 0, -5), (0, 0, 5), 1),  # along its axis
-    ],
-)
+@pytest.mark.parametrize(("start", "end", "walls"), ROUND_CASES)
 def test_where_a_segment_meets_something_round(name: str, start: tuple, end: tuple, walls: int):
     assert solids(ROUND[name]).count(start, end) == walls
     assert solids(ROUND[name]).count(end, start) == walls
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "walls"),
-    [
-        ((1, 0, -3), (1, 0, 3), 0),  # along the side
-        ((-3, 0, 1), (3, 0, 1), 0),  # along a cap
-        ((0, 0, 3), (0, 0, 1), 0),  # ends on a cap
-        ((0, 0, 3), (0, 0, 0.9), 1),
-        ((-3, 0, 0.9), (3, 0, 0.9), 1),
-    ],
-)
+CYLINDER_CASES = [
+    ((1, 0, -3), (1, 0, 3), 0),  # along the side
+    ((-3, 0, 1), (3, 0, 1), 0),  # along a cap
+    ((0, 0, 3), (0, 0, 1), 0),  # ends on a cap
+    ((0, 0, 3), (0, 0, 0.9), 1),
+    ((-3, 0, 0.9), (3, 0, 0.9), 1),
+]
+
+
+@pytest.mark.parametrize(("start", "end", "walls"), CYLINDER_CASES)
 def test_where_a_segment_meets_a_cylinder(start: tuple, end: tuple, walls: int):
     assert solids(ROUND["cylinder"]).count(start, end) == walls
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "walls"),
-    [
-        ((0, 0, 1), (4, 0, -1), 1),
-        ((0, 0, -1), (4, 0, 1), 1),  # from behind too
-        ((0, 0, 1), (4, 0, 1), 0),
-        ((0, 0, 0), (4, 0, 0), 0),  # along it
-        ((0, 0, 0), (4, 0, 1), 0),  # starts on it
-        ((0, 0, 0), (0, 0, -1), 0),
-        ((0, 0, 0), (0, 0, 0), 0),
-        ((0, 0, -1), (4, 0, -2), 0),
-    ],
-)
+FLOOR_CASES = [
+    ((0, 0, 1), (4, 0, -1), 1),
+    ((0, 0, -1), (4, 0, 1), 1),  # from behind too
+    ((0, 0, 1), (4, 0, 1), 0),
+    ((0, 0, 0), (4, 0, 0), 0),  # along it
+    ((0, 0, 0), (4, 0, 1), 0),  # starts on it
+    ((0, 0, 0), (0, 0, -1), 0),
+    ((0, 0, 0), (0, 0, 0), 0),
+    ((0, 0, -1), (4, 0, -2), 0),
+]
+
+
+@pytest.mark.parametrize(("start", "end", "walls"), FLOOR_CASES)
 def test_where_a_segment_meets_the_floor(start: tuple, end: tuple, walls: int):
     floor = solids((PLANE, (0, 0, 0), (0, 0, 1)))
     assert floor.count(start, end) == walls

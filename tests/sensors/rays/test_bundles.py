@@ -21,6 +21,7 @@ from usarmjx.sensors.rays.raycast import (
     gpu_hits,
     indexed_blocks,
     nearest_hits,
+    warp_hits,
 )
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
@@ -46,7 +47,12 @@ def on_a_gpu(seen, origin, direction, query=DEFAULT_QUERY):
     return gpu_hits(seen, (origin, direction), query, interpret=True)
 
 
-HOW = {"culled": culled_hits, "gpu": on_a_gpu}
+def on_warp(seen, origin, direction, query=DEFAULT_QUERY):
+    pytest.importorskip("warp", reason="needs warp-lang")
+    return warp_hits(seen, (origin, direction), query)
+
+
+HOW = {"culled": culled_hits, "gpu": on_a_gpu, "warp": on_warp}
 WAYS = {"brute force": brute_force_hits, **HOW}
 
 
@@ -72,7 +78,10 @@ def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
 
 
 @pytest.mark.parametrize("count", [1, 4])
-def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
+@pytest.mark.parametrize("cast", [partial(gpu_hits, interpret=True), warp_hits], ids=["pallas", "warp"])
+def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(cast, count):
+    if cast is warp_hits:
+        pytest.importorskip("warp", reason="needs warp-lang")
     rng = np.random.default_rng(7)
     mat = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0].astype(np.float32)
     lines = rng.normal(size=(count, 45, 3)).astype(np.float32)
@@ -82,7 +91,7 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
     np.testing.assert_allclose(direction[-1], mat[-1] @ lines[-1, -1], atol=1e-6)
     seen = indexed_blocks(ROOM.geoms)
     plain = brute_force_hits(seen, origin, direction)
-    found = jax.jit(lambda fans: gpu_hits(seen, fans, interpret=True))(fans)
+    found = jax.jit(lambda pos, mat: cast(seen, Fans(pos, mat, lines)))(fans.pos, fans.mat)
     assert np.isfinite(np.asarray(plain.distance)).mean() > 0.5
     np.testing.assert_array_equal(found.geom_index, plain.geom_index)
     np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
@@ -123,7 +132,7 @@ def test_a_cast_that_nobody_wants_has_neither_distance_nor_angle():
 
 @pytest.mark.parametrize("how", WAYS)
 def test_each_robot_of_a_batch_meets_what_it_alone_wants(how):
-    """Under two maps, with geoms of their own for each world; the GPU's kernel too."""
+    """Under two maps, with geoms of their own for each world; the GPU's kernels too."""
     near, far = indexed_blocks(ROOM.geoms), indexed_blocks(make_room(8).geoms)
     blocks = jax.tree.map(lambda *x: jnp.stack(x), *([p.block for p in some] for some in (near, far)))
     excluded, wanted = jnp.array([-2, 0, 5]), jnp.array([[True, False, True], [False, False, True]])

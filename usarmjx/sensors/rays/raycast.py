@@ -164,7 +164,7 @@ def nearest_hits(
         fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
     seen = indexed_blocks(geoms, query.transparent)
-    on_gpu = {"warp": warp_hits, "pallas": gpu_hits}.get(caster_in_use())
+    on_gpu = GPU_CASTERS.get(caster_in_use())
     if on_gpu is not None:
         return on_gpu(seen, (origin, direction) if fans is None else fans, query)
     pairs = len(origin) * sum(len(part.block.owner) for part in seen)
@@ -359,6 +359,10 @@ def warp_hits(
         max_distance=query.max_distance,
     )
     return GeomHits(*found)
+
+
+GPU_CASTERS: dict[str, Callable[..., GeomHits]] = {"warp": warp_hits, "pallas": gpu_hits}
+"""Casters by the name that `caster_in_use` gives; without one, a CPU's."""
 
 
 def concatenated(geoms: Geoms) -> GeomBlock:
