@@ -76,7 +76,8 @@ class EpisodeRecorder:
             if not is_first:
                 groups = state.batch.worlds.groups
                 recorder.told(env.scene, [orders_of(group, number) for group in groups])
-                recorder.stepped(self._time, physics.qpos, physics.qvel, physics.act, steps=env.task.repeat)
+                qpos, qvel, act = (np.asarray(one) for one in (physics.qpos, physics.qvel, physics.act))
+                recorder.stepped(self._time, qpos, qvel, act, steps=env.task.repeat)
             if recorder.frame_is_due:
                 score = float(np.asarray(state.score)[number])
                 recorder.look(Look(scene=env.scene, world=world, physics=physics, score=score))
