@@ -141,7 +141,7 @@ def add_viewer(
         panels = [partial(PeoplePanel, seat=seat), partial(CameraInset, worlds=worlds)]
         return ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
 
-    servers[-1].services.append(ViewerService(source, settings, bound, make_page))
+    servers[0].services.append(ViewerService(source, settings, bound, make_page))
 
 
 def viewer_settings(host: str, rules: "AccessRules", names: Sequence[str]) -> "ViewerSettings":

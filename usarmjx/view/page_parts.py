@@ -52,7 +52,7 @@ class LayerSwitches:
         if not page.layers:
             return
         gui = page.server.gui
-        with gui.add_folder("Show"):
+        with gui.add_folder("Show", expand_by_default=False):
             for layer in page.layers.values():
                 box = gui.add_checkbox(layer.name, layer.shown_at_first, hint=layer.about)
                 box.on_update(
@@ -75,7 +75,8 @@ class ViewButtons:
         self._page = page
         self._captions: dict[int, tuple[str, viser.GuiMarkdownHandle]] = {}
         gui = page.server.gui
-        with gui.add_folder("View"):
+        self._folder = gui.add_folder("View")
+        with self._folder:
             self._actions = gui.add_button_group(
                 "Look", tuple(ACTIONS), hint="Click a robot too; keys N, C and F"
             )
@@ -90,8 +91,8 @@ class ViewButtons:
             text = self._caption(onlooker)
             known = self._captions.get(number)
             if known is None:
-                handle = onlooker.client.gui.add_markdown(text)
-                self._captions[number] = text, handle
+                with self._folder:
+                    self._captions[number] = text, onlooker.client.gui.add_markdown(text)
             elif known[0] != text:
                 known[1].content = text
                 self._captions[number] = text, known[1]
