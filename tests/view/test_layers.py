@@ -312,17 +312,31 @@ def test_headlights_shine_while_they_are_on(scene):
 def test_the_sun_throws_shadows_and_goes_with_its_switch(scene, pair):
     _, source = pair
     layer, *_ = drawn(SkyLayer, source, scene)
-    (sun,) = nodes(scene, viser.DirectionalLightHandle).values()
+    (sun,) = nodes(scene, viser.SpotLightHandle).values()
     assert sun.cast_shadow
     layer.show(False)
-    assert nodes(scene, viser.DirectionalLightHandle) == {}
+    assert nodes(scene, viser.SpotLightHandle) == {}
     layer.show(True)
-    (again,) = nodes(scene, viser.DirectionalLightHandle).values()
+    (again,) = nodes(scene, viser.SpotLightHandle).values()
     assert again.intensity == sun.intensity
     _, lit = seers(arena=LIT_ROOM)
     layer.begin(scene, lit.drawing(0), ROOT)
-    (inside,) = nodes(scene, viser.DirectionalLightHandle).values()
+    (inside,) = nodes(scene, viser.SpotLightHandle).values()
     assert inside.intensity < sun.intensity
+
+
+def test_a_small_arena_lies_in_the_suns_light_as_a_whole(scene, pair):
+    _, source = pair
+    layer, drawing, _ = drawn(SkyLayer, source, scene)
+    (sun,) = nodes(scene, viser.SpotLightHandle).values()
+    corners = np.array([(x, y, drawing.floor) for x in drawing.extent[0] for y in drawing.extent[1]])
+    way = corners - sun.position
+    off_axis = np.arccos((way @ sun.direction) / np.linalg.norm(way, axis=-1))
+    assert (off_axis < sun.angle).all()
+    layer.begin(scene, replace(drawing, extent=drawing.extent * 20), ROOT)
+    assert nodes(scene, viser.SpotLightHandle) == {}
+    (far,) = nodes(scene, viser.DirectionalLightHandle).values()
+    assert np.allclose(far.position / np.linalg.norm(far.position), -np.array(sun.direction))
 
 
 def test_a_sensor_of_an_unknown_kind_is_passed_over(scene, pair):

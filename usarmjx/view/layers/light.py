@@ -14,6 +14,9 @@ WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""
 SUN_RGB, SUN_INTENSITY, INDOOR_SUN_INTENSITY = (255, 236, 206), 2.6, 1.3
 """Indoors there are no roofs to be seen, and the sun is there for the sake of shadows."""
+WIDEST_SPOT, SPOT_HEIGHT, SPOT_MARGIN = 16.0, 4.0, 2.5
+"""The sun is a spotlight over arenas of up to this radius [m], so many radii away, and lights so much more
+than them [m]."""
 SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
 ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
 """Colours of what is behind the world: high up, halfway, and below."""
@@ -38,6 +41,9 @@ class SkyLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Light the arena."""
+        low, high = np.asarray(drawing.extent, float).T
+        self._middle = np.array([*(low + high) / 2, drawing.floor])
+        self._radius = float(np.linalg.norm(high - low)) / 2 + SPOT_MARGIN
         self._indoors = bool((np.asarray(drawing.lamp_rgb) > 0).any())
         if self._on:
             self._shine()
@@ -69,12 +75,31 @@ class SkyLayer(NodeLayer):
             ground_color=GROUND_RGB,
             intensity=INDOOR_SKY_INTENSITY if indoors else SKY_INTENSITY,
         )
-        self.scene.add_light_directional(
-            f"{self.root}/sun",
+        self._add_sun(INDOOR_SUN_INTENSITY if indoors else SUN_INTENSITY)
+
+    def _add_sun(self, intensity: float) -> None:
+        """Add the sun; over a small arena it is a spotlight.
+
+        The browser draws shadows of sunlight near the eye only, and of a spotlight everywhere, but those are
+        coarse if it is far away.
+        """
+        name, way = f"{self.root}/sun", np.array(SUN_DIRECTION) / np.linalg.norm(SUN_DIRECTION)
+        if self._radius > WIDEST_SPOT:
+            self.scene.add_light_directional(
+                name, color=SUN_RGB, intensity=intensity, cast_shadow=True, position=SUN_DIRECTION
+            )
+            return
+        x, y, z = (self._middle + SPOT_HEIGHT * self._radius * way).tolist()
+        ahead, left, up = (-way).tolist()
+        self.scene.add_light_spot(
+            name,
             color=SUN_RGB,
-            intensity=INDOOR_SUN_INTENSITY if indoors else SUN_INTENSITY,
+            intensity=intensity,
+            angle=math.atan(1 / SPOT_HEIGHT),
+            decay=0.0,
             cast_shadow=True,
-            position=SUN_DIRECTION,
+            position=(x, y, z),
+            direction=(ahead, left, up),
         )
 
     def _dim(self) -> None:
