@@ -22,6 +22,7 @@ from usarmjx.cli.recordings import RecordOption, recorded, recorded_episode
 from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
 from usarmjx.cli.viewer_options import (
+    ViewerControlOption,
     ViewerPortOption,
     ViewOption,
     add_controls,
@@ -169,6 +170,7 @@ def play(
     view: ViewOption = False,
     record: RecordOption = None,
     viewer_port: ViewerPortOption = None,
+    viewer_control: ViewerControlOption = False,
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
     with ErrorExit():
@@ -205,7 +207,12 @@ def play(
                 clock = StepClock(realtime_factor)
                 controls = add_controls(servers, clock)
                 if page is not None:
-                    add_viewer(servers, controls, page, viewer_settings(host, rules, allow_host or ()))
+                    add_viewer(
+                        servers,
+                        controls,
+                        page,
+                        viewer_settings(host, rules, allow_host or (), viewer_control),
+                    )
                 with recorded(made, record):
                     run(servers, clock, signals)
             return

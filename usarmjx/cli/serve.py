@@ -38,6 +38,7 @@ from usarmjx.cli.tools import (
     configure_from,
 )
 from usarmjx.cli.viewer_options import (
+    ViewerControlOption,
     ViewerOption,
     ViewerPortOption,
     add_controls,
@@ -141,6 +142,7 @@ def serve(
     ] = None,
     viewer: ViewerOption = True,
     viewer_port: ViewerPortOption = None,
+    viewer_control: ViewerControlOption = False,
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
     record: RecordOption = None,
@@ -184,7 +186,7 @@ def serve(
                 warn_if_open(bound[0]["--port"].getsockname()[0], rules)
             announce(f"building arena {arena}{f' for {worlds} worlds' if worlds > 1 else ''} ...")
             makers = [choice.prepare(host, rules) for choice in choices]
-            looked_at = viewer_settings(host, rules, allow_host or ())
+            looked_at = viewer_settings(host, rules, allow_host or (), viewer_control)
             configure_from(ini, uu_per_metre)
             from usarmjx.server.clock import StepClock
             from usarmjx.server.loop import serve as run

@@ -28,6 +28,13 @@ ViewerOption = Annotated[
 ViewOption = Annotated[
     bool, typer.Option("--view", help="Show what happens in three dimensions, in a browser.")
 ]
+ViewerControlOption = Annotated[
+    bool,
+    typer.Option(
+        "--viewer-control",
+        help="Whoever opens the page may have its controls; else only where it needs this machine or the token.",
+    ),
+]
 ViewerPortOption = Annotated[
     int | None,
     typer.Option(
@@ -144,8 +151,16 @@ def add_viewer(
     servers[0].services.append(ViewerService(source, settings, bound, make_page))
 
 
-def viewer_settings(host: str, rules: "AccessRules", names: Sequence[str]) -> "ViewerSettings":
-    """Return how to serve the live page; the names are as typed.
+def viewer_settings(
+    host: str, rules: "AccessRules", names: Sequence[str], control: bool = False
+) -> "ViewerSettings":
+    """Return how to serve the live page.
+
+    Args:
+        host: Address to listen on.
+        rules: Who may look.
+        names: What browsers may call the server, as typed.
+        control: Whether whoever opens it may have its controls.
 
     Raises:
         UsageError: One of the names is none.
@@ -153,4 +168,4 @@ def viewer_settings(host: str, rules: "AccessRules", names: Sequence[str]) -> "V
     from usarmjx.server.host_names import check_names
     from usarmjx.server.viewing.viewer_service import ViewerSettings
 
-    return ViewerSettings(host, access=rules, names=check_names(names))
+    return ViewerSettings(host, access=rules, names=check_names(names), control=control)
