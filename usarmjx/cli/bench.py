@@ -88,6 +88,39 @@ def bench_camera(
         typer.echo(measure_camera(case, json))
 
 
+@app.command("viewer")
+def bench_viewer(
+    robots: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="Robots whose updates are measured; may be repeated. Else 1, 16."),
+    ] = None,
+    robot: Annotated[str, typer.Option(help="Their class.")] = "P2AT",
+    updates: Annotated[int, typer.Option(min=1, help="Updates of the page for each number.")] = 100,
+    served: Annotated[
+        int, typer.Option(min=0, help="Robots of a server, whose pace is measured with a page and without.")
+    ] = 16,
+    seconds: Annotated[float, typer.Option(min=0.5, help="Length of one look at that server.")] = 5.0,
+    windows: Annotated[int, typer.Option(min=1, help="How many of them.")] = 3,
+    limit: Annotated[float, typer.Option(min=1.0, help="Seconds after which a wait is given up.")] = 120.0,
+    json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None,
+) -> None:
+    """Measure what the live page costs, and what a server with a page open keeps up with."""
+    with ErrorExit():
+        announce("measuring the live page ...", keep=False)
+        from usarmjx.bench.viewer import ViewerCase, measure_viewer
+
+        case = ViewerCase(
+            robots=tuple(robots or (1, 16)),
+            robot=robot,
+            updates=updates,
+            served=served,
+            seconds=seconds,
+            windows=windows,
+            limit=limit,
+        )
+        typer.echo(measure_viewer(case, json))
+
+
 @app.command("serve")
 def bench_serve(
     checkout: Annotated[

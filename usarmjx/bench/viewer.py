@@ -1,0 +1,228 @@
+"""What the live page costs: an update of it, what goes to a browser, and the server that has one open."""
+
+import contextlib
+import os
+import statistics
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec.msgpack
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from usarmjx.base.errors import UsageError
+from usarmjx.bench.serving.figures import Missing, attempt
+from usarmjx.bench.serving.hall import make_hall
+from usarmjx.bench.serving.load import measure_load
+from usarmjx.bench.serving.process import OWN_TREE, VIEWER, ServerProcess, SourceTree
+from usarmjx.bench.serving.robots import Bounds
+from usarmjx.bench.tools import append_record, record_header
+from usarmjx.models.files.save import save_arena
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.control import CommandUpdate
+from usarmjx.view.page import UPDATE_PERIOD, ViewerPage
+
+TURNING = {"Left": 2.0, "Right": -2.0}
+STEPS = 3
+"""Control steps between two updates."""
+SETTLING = 1.0
+"""A browser has taken in the world after so long [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewerCase:
+    """What to measure.
+
+    Attributes:
+        robots: Numbers of robots that turn, with all their sensors.
+        robot: Their class.
+        updates: Updates of the page for each number.
+        served: Robots of a server whose pace is measured with and without a page; 0: none is.
+        seconds: Length of one look at that server [s].
+        windows: How many of them.
+        limit: What takes longer than this is given up [s].
+    """
+
+    robots: tuple[int, ...] = (1, 16)
+    robot: str = "P2AT"
+    updates: int = 100
+    served: int = 16
+    seconds: float = 5.0
+    windows: int = 3
+    limit: float = 120.0
+
+
+class Browser:
+    """Somebody who looks: takes in what is sent, and draws nothing.
+
+    Args:
+        port: The page's, on this machine.
+
+    Attributes:
+        size: How much has come [bytes].
+    """
+
+    def __init__(self, port: int) -> None:
+        self.size = 0
+        self._connection: ClientConnection = connect(
+            f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None
+        )
+        threading.Thread(target=self._read, daemon=True).start()
+        self._say_hello()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._connection.close()
+
+    def _say_hello(self) -> None:
+        self._connection.send(_camera_message())
+
+    def _read(self) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            for message in self._connection:
+                self.size += len(message)
+
+
+def _camera_message() -> bytes:
+    """Return what a browser says first: then it counts as one that looks."""
+    place = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
+    lens = {"fov": 0.9, "near": 0.1, "far": 100.0, "image_height": 800, "image_width": 1280}
+    up = {"up_direction": (0.0, 0.0, 1.0)}
+    return msgspec.msgpack.encode({"type": "ViewerCameraMessage", **place, **lens, **up})
+
+
+@contextlib.contextmanager
+def looking(port: int) -> Iterator[Browser]:
+    """Have a browser at a page."""
+    browser = Browser(port)
+    try:
+        yield browser
+    finally:
+        browser.close()
+
+
+def measure_viewer(case: ViewerCase, file: Path | None = None) -> str:
+    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Raises:
+        UnknownNameError: No such robot.
+    """
+    began = os.getloadavg()
+    record = {
+        **record_header("viewer", host=True),
+        "case": asdict(case),
+        "cores": os.cpu_count(),
+        "meaning": {
+            "update_cpu_ms": "of the thread that steps the world: the world is looked at, what moved is sent",
+            "process_cpu_ms": "of the whole process for an update, with one browser",
+            "bytes_per_s": "to one browser, at 20 updates a second",
+        },
+        "updates": {f"{robots} robots": _measure_updates(case, robots) for robots in case.robots},
+        "served": _measure_served(case) if case.served else None,
+        "load_average": {"begin": began, "end": os.getloadavg()},
+    }
+    append_record(record, file)
+    return _summary(record)
+
+
+def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:
+    world = _turning_world(case.robot, robots)
+    page = ViewerPage(ServedSource([world]))
+    thread_times, process_time = list[float](), 0.0
+    try:
+        with looking(page.server.get_port()) as browser:
+            _wait_until_looked_at(page, case.limit)
+            for _ in range(5):
+                _step(world)
+                page.refresh()
+            time.sleep(SETTLING)
+            browser.size = 0
+            for _ in range(case.updates):
+                _step(world)
+                began, thread_began = time.process_time(), time.thread_time()
+                page.refresh()
+                thread_times.append(time.thread_time() - thread_began)
+                time.sleep(UPDATE_PERIOD / 2)  # viser's thread sends meanwhile
+                process_time += time.process_time() - began
+            size = browser.size
+    finally:
+        page.close()
+    return {
+        "update_cpu_ms": 1e3 * statistics.median(thread_times),
+        "update_cpu_most_ms": 1e3 * max(thread_times),
+        "process_cpu_ms": 1e3 * process_time / case.updates,
+        "bytes_per_s": size / case.updates / UPDATE_PERIOD,
+    }
+
+
+def _turning_world(robot: str, robots: int) -> DynamicWorld:
+    """Return a hall with robots that turn on the spot."""
+    arena, spec = make_hall(robots), ROBOTS.get(robot)
+    world = DynamicWorld(arena)
+    world.prepare(spec)
+    for number, start in enumerate(arena.starts[:robots]):
+        made = world.spawn(spec, f"robot{number}", start.at, (0.0, 0.0, start.yaw))
+        world.update_command(made, CommandUpdate(drive=TURNING))
+    return world
+
+
+def _step(world: DynamicWorld) -> None:
+    for _ in range(STEPS):
+        world.step()
+    world.observe(list(world.robots.values()))
+
+
+def _wait_until_looked_at(page: ViewerPage, limit: float) -> None:
+    end = time.monotonic() + limit
+    while not page.onlookers:
+        if time.monotonic() > end:
+            raise UsageError(f"no browser came to the page within {limit:g} s")
+        page.update()
+        time.sleep(UPDATE_PERIOD)
+
+
+def _measure_served(case: ViewerCase) -> dict[str, Any]:
+    """Return the pace and cost of a server's robots, without a page and with one open."""
+    tree = SourceTree(OWN_TREE)
+    with TemporaryDirectory(prefix="usarmjx-bench-") as folder:
+        arena = save_arena(make_hall(case.served), Path(folder) / "hall.yaml")
+        words = ["--arena", str(arena), "--engine", "c", "--viewer-port", "0", *tree.seats(case.served)]
+        bounds = Bounds(case.seconds, case.windows, case.limit)
+        with ServerProcess(tree, Path(folder), words) as server:
+            measure = partial(measure_load, server, case.served, bounds)
+            alone = attempt(measure)
+            with looking(server.port_said(VIEWER)):
+                return {"alone": _driving(alone), "page_open": _driving(attempt(measure))}
+
+
+def _driving(load: dict[str, Any] | Missing) -> dict[str, Any]:
+    found = load if isinstance(load, Missing) else load["driving"]
+    if isinstance(found, Missing):
+        return {"missing": found.reason}
+    names: Sequence[str] = ("realtime_factor", "cpu_per_simulated_s", "jitter_p95_s")
+    return {name: statistics.median(found[name]) for name in names}
+
+
+def _summary(record: dict[str, Any]) -> str:
+    lines = [f"the live page on {record['device']}"]
+    for robots, row in record["updates"].items():
+        lines.append(
+            f"{robots:12} {row['update_cpu_ms']:6.2f} ms an update, {row['process_cpu_ms']:.2f} ms with "
+            f"sending, {row['bytes_per_s'] / 1024:,.0f} KiB/s to a browser"
+        )
+    for name, row in (record["served"] or {}).items():
+        said = row.get("missing") or (
+            f"real-time factor {row['realtime_factor']:.2f}, {row['cpu_per_simulated_s']:.2f} s of CPU"
+        )
+        lines.append(f"{record['case']['served']} robots served, {name.replace('_', ' ')}: {said}")
+    return "\n".join(lines)
