@@ -21,7 +21,7 @@ from usarmjx.recording.reader import Recording
 WIDTH = 11.0
 """Of the figure [inches]."""
 DPI = 150
-SCAN, FOUND = "#7f8c9b", "#c4122f"
+SCAN, FOUND = "#0f8b8d", "#c4122f"
 STATION = "ComStation"
 """The class of robot from which the radio's power is drawn; without one, from where the first began."""
 INSIDE: dict[str, Any] = {"scalex": False, "scaley": False}
@@ -82,7 +82,7 @@ def _colour(place: int) -> str:
 def _draw_ways(axes: Axes, mission: Mission) -> None:
     """Draw the plan, where beams ended, the robots' ways and the victims that were met."""
     draw_plan(axes, mission.arena, words=False, starts=False)
-    axes.plot(*mission.scans.T, ",", color=SCAN, alpha=0.35, zorder=6, rasterized=True, **INSIDE)
+    axes.plot(*mission.scans.T, ".", ms=1.0, color=SCAN, alpha=0.4, zorder=6, rasterized=True, **INSIDE)
     for place, way in enumerate(mission.ways):
         _draw_way(axes, way, _colour(place))
     for victim, (time, _) in sorted(mission.found.items(), key=lambda item: item[1]):
@@ -91,7 +91,7 @@ def _draw_ways(axes: Axes, mission: Mission) -> None:
         axes.annotate(
             f"{time:.0f} s", at, (8, 6), textcoords="offset points", fontsize=7, color=FOUND, zorder=10
         )
-    axes.legend(loc="upper left", fontsize=7, frameon=False, ncols=2)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=7, frameon=False, ncols=4)
     found = f", {len(mission.found)} of {len(mission.arena.victims)} victims met" if mission.found else ""
     axes.set_title(f"{mission.arena.name}: ways and scans{found}", loc="left", fontsize=10)
 
