@@ -197,6 +197,7 @@ class MjSpec:
     lights: list[MjsLight]
     materials: list[MjsMaterial]
     meshes: list[MjsMesh]
+    memory: int
     modelname: str
     option: MjOption
     pairs: list[Any]
@@ -429,6 +430,7 @@ class mjtLightType(_Enum):
 
 class mjtSolver(_Enum):
     mjSOL_CG: ClassVar[mjtSolver]
+    mjSOL_NEWTON: ClassVar[mjtSolver]
 
 class mjtState(_Enum):
     mjSTATE_QPOS: ClassVar[mjtState]

@@ -1,4 +1,4 @@
-"""Which solids of a robot would cover a camera's lens: its pictures leave them out."""
+"""Which solids of a robot's figure would cover a camera's lens: its pictures leave them out."""
 
 import mujoco
 import numpy as np
@@ -12,22 +12,17 @@ GeomType = mujoco.mjtGeom
 
 
 def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray:
-    """Return which of a robot's geoms a camera at a place (3,) on a body does not see (geoms,).
+    """Return which of a robot's drawn solids a camera at a place (3,) on a body does not see (solids,).
 
     Those of the body itself, and those nearer than `COVER_DISTANCE` with all joints at 0.
     """
-    rest_mat = [np.eye(3)]
-    for parent, own in zip(plan.parent[1:], plan.rest_mat[1:], strict=True):
-        rest_mat.append(rest_mat[parent] @ own)
-    rest_mat = np.stack(rest_mat)
+    rest_mat, solids = plan.rest_frames, plan.figure.solids
     lens_pos = plan.rest_pos[body] + rest_mat[body] @ at
-    mat = rest_mat[plan.geom_body]
-    pos = plan.rest_pos[plan.geom_body] + np.einsum("gij,gj->gi", mat, plan.geom_pos)
-    mat = mat @ plan.geom_mat
+    pos, mat = solids.poses(plan.rest_pos, rest_mat)
     local = np.einsum("gji,gj->gi", mat, lens_pos - pos)
-    rows = zip(plan.geom_type.tolist(), local, plan.geom_size, strict=True)
+    rows = zip(solids.kind.tolist(), local, solids.size, strict=True)
     near = np.array([_away(kind, point, size) < COVER_DISTANCE for kind, point, size in rows], bool)
-    return near | (plan.geom_body == body)
+    return near | (solids.frame == body)
 
 
 def _away(kind: int, point: np.ndarray, size: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from usarmjx.models.build.body_plan import BodyPoses
 
 MAX_SIDE = 4096
 """Most pixels along a side."""
-HIDDEN_GEOMS_MULTIPLE = 64
+HIDDEN_GEOMS_MULTIPLE = 256
 """Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
 CHUNK = 16_384
 """Rays that are cast together on NumPy: what they meet fits into a processor's cache."""

@@ -1,12 +1,15 @@
 """What cameras see of a world on C MuJoCo at one moment: nothing is compiled for it.
 
 Rays that start at one point are cast together. So are those from lights to surfaces, against the light, and
-those from the sun, from a point that is far away. What mirrors throw back is cast one by one.
+those from the sun, from a point that is far away. What mirrors throw back is cast one by one. In place of the
+solids of robots and victims, which are the sensors', rays meet their figures, each in a model of its own: the
+world's is compiled for nobody's looks.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -17,31 +20,35 @@ from usarmjx.cameras.casters import SOLID_QUERY, Beams, Met
 from usarmjx.cameras.paint import PLANE, ROBOT_LABEL, GeomAppearance
 from usarmjx.cameras.picture import Picture, Viewpoint, render_picture
 from usarmjx.cameras.shading import RenderScene
-from usarmjx.engines.c_rays import CRayCaster, nearest_of_block
-from usarmjx.models.build.layout import RobotIndex
-from usarmjx.models.build.pieces import MESH, ray_primitives_of
-from usarmjx.models.spec.shapes import GLASS
+from usarmjx.engines.c_figures import NOBODY, Bundles, Target, WornFigure
+from usarmjx.engines.c_rays import HIDDEN_GROUP, MARGIN, CRayCaster, nearest_of_block
+from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.raycast import RayQuery
 from usarmjx.sensors.rays.targets import GeomBlock
 
 SUN_DISTANCE = 1e5
 """From so far the sun's rays are cast: within 100 m of each other they are parallel but for 1e-3 [m]."""
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+NO_GEOMS = np.zeros(0, int)
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """How the geoms of a model look, and water, which is no geom of it.
+    """How the geoms of a model look, and water and figures, which are no geoms of it.
 
     Attributes:
-        appearance: Of the model's geoms in their order, then of the water.
+        appearance: Of the model's geoms in their order, then of the water, then of the figures.
         materials: What the model's geoms are made of (ngeom,); see `models.build.materials`.
         water: Bodies of water, boxes as of glass.
+        figures: What is drawn of robots and victims.
+        replaced: The model's geoms in whose place that is (n,).
     """
 
     appearance: GeomAppearance
     materials: Sequence[str]
     water: GeomBlock
+    figures: Sequence[WornFigure]
+    replaced: np.ndarray
 
 
 class CSight:
@@ -51,23 +58,28 @@ class CSight:
         model: The model; it is copied.
         data: Its state; positions are copied.
         looks: How it looks.
-        robots: Where each robot is in the model, by slot.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, looks: Looks, robots: Mapping[int, RobotIndex]
-    ) -> None:
-        self.model, self.looks, self._robots = model.__copy__(), looks, robots
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, looks: Looks) -> None:
+        self.model, self.looks = model.__copy__(), looks
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
     @cached_property
-    def caster(self) -> CRayCaster:
-        """What casts rays at it; made when it is looked at first, in the thread that does so."""
-        data = mujoco.MjData(self.model)
+    def targets(self) -> list[Target]:
+        """What rays are cast at; made when it is looked at first, in the thread that does so."""
+        data, model = mujoco.MjData(self.model), self.model
         for name, values in self._places.items():
             getattr(data, name)[:] = values
-        mujoco.mj_kinematics(self.model, data)
-        return CRayCaster(self.model, data, self.looks.materials, self._robots)
+        mujoco.mj_kinematics(model, data)
+        caster = CRayCaster(model, data, self.looks.materials, {})
+        model.geom_group[self.looks.replaced] = HIDDEN_GROUP
+        radius = np.where(model.geom_rbound > 0, model.geom_rbound + MARGIN, np.inf)  # planes have no bound
+        found, first = [Target(caster, data.geom_xpos.copy(), radius, 0)], model.ngeom
+        first += len(self.looks.water.owner)
+        for worn in self.looks.figures:
+            found.append(worn.posed(data, first))
+            first += worn.figure.model.ngeom
+        return found
 
     def render(self, render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
         """Return what a camera sees; its light and its floor are those of `render_scene`."""
@@ -82,11 +94,10 @@ class CSight:
             slot: Slot of its robot; of no robot's camera anything else ().
             hidden_geoms: Which geoms of that it does not see; see `picture.Viewpoint` (geoms,).
         """
-        own = self.caster.geoms_of(int(slot))
-        piece_of = np.arange(len(own))
-        if (self.model.geom_type[own] == MESH).any():  # seen in pieces elsewhere
-            piece_of = ray_primitives_of(self.model, own).geom
-        return CameraCaster(self, own[np.unique(piece_of[np.asarray(hidden_geoms)[: len(piece_of)]])])
+        figures = [one.figure for one in self.looks.figures if one.slot == slot != NOBODY]
+        geom_of = figures[0].geom_of if figures else NO_GEOMS
+        hidden = np.unique(geom_of[np.asarray(hidden_geoms)[: len(geom_of)]])
+        return CameraCaster(self, int(slot), hidden)
 
 
 class CameraCaster:
@@ -94,13 +105,15 @@ class CameraCaster:
 
     Args:
         sight: The world.
-        hidden: Geoms that the camera does not see (n,).
+        slot: Slot of the camera's robot.
+        hidden: Geoms of that robot's figure that the camera does not see (n,).
     """
 
-    def __init__(self, sight: CSight, hidden: np.ndarray) -> None:
-        self._caster, self._looks, self._hidden = sight.caster, sight.looks, hidden
-        water = np.zeros(len(sight.looks.water.owner), bool)
-        self.is_plane = np.concatenate([sight.model.geom_type == PLANE, water])
+    def __init__(self, sight: CSight, slot: int, hidden: np.ndarray) -> None:
+        (self._world, *self._figures), self._looks = sight.targets, sight.looks
+        self._slot, self._hidden = slot, hidden
+        rest = np.zeros(len(sight.looks.appearance.label) - sight.model.ngeom, bool)
+        self.is_plane = np.concatenate([sight.model.geom_type == PLANE, rest])
 
     @property
     def appearance(self) -> GeomAppearance:
@@ -110,12 +123,13 @@ class CameraCaster:
     @property
     def materials(self) -> Collection[str]:
         """What they are made of."""
-        return {*self._looks.materials, *[GLASS] * len(self._looks.water.owner)}
+        water, figures = [GLASS] * len(self._looks.water.owner), [OPAQUE] * len(self._figures)
+        return {*self._looks.materials, *water, *figures}
 
     def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> Met:
         """Return what the camera's own rays meet (rays, 3); what covers its lens is left out."""
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
-        distance, geom, normal = self._meet(start, along, query, self._hidden)
+        distance, geom, normal = self._meet(start, along, query)
         water = self._looks.water
         if GLASS in query.transparent or not len(water.owner):
             return Met(distance, geom, normal)
@@ -131,9 +145,12 @@ class CameraCaster:
         """Return what solids rays meet (rays, 3) that a mirror throws back; those that are wanted (rays,)."""
         count, rays = len(origin), np.flatnonzero(wanted)
         start, along = (np.asarray(x, np.float64)[rays] for x in (origin, direction))
+        met, query = _nothing(len(rays)), SOLID_QUERY.replace(incidence=True)
+        for target in (self._world, *self._figures):
+            target.closer_one_by_one(start, along, query, met)
         distance, geom = np.full(count, np.inf, np.float32), np.full(count, -1)
         normal = np.zeros((count, 3), np.float32)
-        distance[rays], geom[rays], normal[rays] = self._meet(start, along, SOLID_QUERY, self._hidden[:0])
+        distance[rays], geom[rays], normal[rays] = met[0], met[2], _towards(met[1], along)
         return Met(distance, geom, normal)
 
     def is_dark(self, beams: Beams) -> Array:
@@ -141,19 +158,22 @@ class CameraCaster:
         dark = np.zeros(len(beams.wanted), bool)
         for source in np.unique(beams.source[beams.wanted]).tolist():
             rays = np.flatnonzero(beams.wanted & (beams.source == source))
-            point, own = np.asarray(beams.point, np.float64)[:, rays].T, self._hidden[:0]
+            point, own = np.asarray(beams.point, np.float64)[:, rays].T, NOBODY
             if source < 0:
                 light = point.mean(0) + SUN_DISTANCE * np.asarray(beams.sun, np.float64)
             else:
                 light = np.asarray(beams.pos[source], np.float64)
                 if beams.carrier is not None:
-                    own = self._caster.geoms_of(int(beams.carrier[source]) - ROBOT_LABEL)
+                    own = int(beams.carrier[source]) - ROBOT_LABEL
             way = point - light
             distance = np.sqrt((way * way).sum(-1))
-            start = np.broadcast_to(light, way.shape)
-            query = SOLID_QUERY.replace(incidence=False)
-            met, _, _ = self._caster.meet(start, way / distance[:, None], query, own)
-            dark[rays] = met < distance
+            along, query = way / distance[:, None], SOLID_QUERY.replace(incidence=False)
+            bundles, met = Bundles.of(light, along), _nothing(len(rays))
+            met[0][:] = distance
+            for target in (self._world, *self._figures):
+                if own == NOBODY or target.slot != own:
+                    target.closer(bundles, along, query, NO_GEOMS, met)
+            dark[rays] = met[2] >= 0
         return dark
 
     def normals(self, met: Met, origin: Array, direction: Array) -> Array:
@@ -163,14 +183,26 @@ class CameraCaster:
         return met.normal
 
     def _meet(
-        self, start: np.ndarray, along: np.ndarray, query: RayQuery, hidden: np.ndarray
+        self, start: np.ndarray, along: np.ndarray, query: RayQuery
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), geoms (rays,) and normals towards the rays (rays, 3)."""
-        if not set(self._looks.materials) - query.transparent:
-            nothing = np.full(len(start), np.inf, np.float32)
-            return nothing, np.full(len(start), -1), np.zeros(start.shape, np.float32)
-        distance, normal, geom = self._caster.meet(start, along, query.replace(incidence=True), hidden)
+        query, met = query.replace(incidence=True), _nothing(len(start))
+        targets = [self._world] if set(self._looks.materials) - query.transparent else []
+        targets += self._figures if OPAQUE not in query.transparent else []
+        turns = np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1  # from one eye to the other
+        for first, end in pairwise([0, *turns.tolist(), len(start)]):
+            bundles = Bundles.of(start[first], along[first:end])
+            rays = met[0][first:end], met[1][first:end], met[2][first:end]
+            for target in targets:
+                hidden = self._hidden if target.slot == self._slot != NOBODY else NO_GEOMS
+                target.closer(bundles, along[first:end], query, hidden, rays)
+        distance, normal, geom = met
         return distance.astype(np.float32), geom, _towards(normal, along)
+
+
+def _nothing(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what so many rays meet where nothing is: distances, normals and geoms."""
+    return np.full(count, np.inf), np.zeros((count, 3)), np.full(count, -1, np.int32)
 
 
 def _towards(normal: np.ndarray, along: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Pictures of robots, drawn with the sensors' ray kernels: what is in the picture is what sensors see."""
+"""Pictures of robots, drawn as cameras see them, with the rays of C MuJoCo."""
 
 import math
 from collections.abc import Sequence
@@ -11,42 +11,66 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.files import write_beside
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.cameras.picture import Viewpoint
+from usarmjx.engines.c_figures import NOBODY
+from usarmjx.engines.c_sight import CSight
+from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.plots.render import render_picture
-from usarmjx.plots.scenery import PLANE, render_geoms_of
-from usarmjx.plots.viewpoint import fit_camera
+from usarmjx.plots.render import DEFAULT_LIGHTING, lit_scene
+from usarmjx.plots.viewpoint import FOV_Y, camera_axes, downsample, fit_camera
+from usarmjx.sensors.rays.kernels import bounding_box
+from usarmjx.sensors.rays.targets import Geoms
+from usarmjx.sim.looks import looks_of
+from usarmjx.sim.scene import build_scene
 
 VIEW_ANGLES = (math.radians(-35.0), math.radians(22.0))
 """Azimuth and elevation from which robots are drawn: from their front right."""
-FRAME_FACTOR = 1.2
+FRAME_FACTOR = 1.1
 """By how much what is in the picture is larger than the robot."""
 
 
 def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
     """Return a picture (height, width, 3) of a robot on a floor, its joints at zero, filling the frame."""
-    spec = new_spec(ArenaSpec(name="studio", starts=(), extent=((0, 0), (0, 0))), Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, kinematic_tree_of(robot).clearance))
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    plan = kinematic_tree_of(robot)
+    start = StartPose(tag="here", at=(0.0, 0.0, plan.clearance))
+    scene = build_scene(ArenaSpec(name="studio", starts=(start,), extent=((0, 0), (0, 0))), [robot])
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.groups[0].indices[0].root_qposadr :][:7] = (*start.at, 1.0, 0.0, 0.0, 0.0)
     azimuth, elevation = VIEW_ANGLES
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    eye, target = fit_camera(_corners(model, data), back / np.linalg.norm(back), width / height)
-    return render_picture(render_geoms_of(model, data), eye, target, width, height)
+    eye, target = fit_camera(_corners(plan), back / np.linalg.norm(back), width / height)
+    right, up, forward = camera_axes(eye - target)
+    fov = np.array(2 * math.atan(width / height * math.tan(FOV_Y / 2)), np.float32)
+    viewpoint = Viewpoint(
+        pos=eye,
+        mat=np.stack([forward, -right, up], -1),
+        eye_offsets=np.zeros((1, 3)),
+        fov=fov,
+        default_fov=fov,
+        slot=np.array(NOBODY),
+        hidden_geoms=np.zeros(0, bool),
+        lens="pinhole",
+    )
+    looks = looks_of(scene)
+    light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
+    sight = CSight(scene.model, data, looks)
+    return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)
 
 
-def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return the corners of the boxes about all solids but the floor, with room around them (n, 3)."""
-    own = model.geom_type != PLANE
-    middle, half = np.split(model.geom_aabb[own], 2, axis=1)
-    local = middle[:, None] + np.array(list(product((-1, 1), repeat=3))) * half[:, None]
-    turned = np.einsum("gij,gcj->gci", data.geom_xmat[own].reshape(-1, 3, 3), local)
-    corners = (data.geom_xpos[own][:, None] + turned).reshape(-1, 3)
-    return corners.mean(0) + FRAME_FACTOR * (corners - corners.mean(0))
+def _corners(plan: KinematicTree) -> np.ndarray:
+    """Return the corners of the boxes about all that is drawn of a robot, with room around them (n, 3)."""
+    solids, corner = plan.figure.solids, np.array(list(product((-1.0, 1.0), repeat=3)))
+    places, turns = solids.poses(plan.rest_pos + np.array([0.0, 0.0, plan.clearance]), plan.rest_frames)
+    found: list[np.ndarray] = []
+    for kind, pos, mat, size in zip(solids.kind.tolist(), places, turns, solids.size, strict=True):
+        middle, half = bounding_box(kind, size)
+        offset = np.zeros(3) if middle is None else np.array(middle)
+        found.append(pos + (offset + corner * np.array(half)) @ mat.T)
+    corners = np.concatenate(found)
+    middle = (corners.min(0) + corners.max(0)) / 2
+    return middle + FRAME_FACTOR * (corners - middle)
 
 
 def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:

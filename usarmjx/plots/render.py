@@ -21,7 +21,7 @@ from usarmjx.plots.scenery import RenderGeoms
 from usarmjx.plots.viewpoint import camera_rays
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
-from usarmjx.sensors.rays.targets import indices_by_key, make_geoms
+from usarmjx.sensors.rays.targets import Geoms, indices_by_key, make_geoms
 
 __all__ = ["CHECKER_RGB", "CHUNK", "DEFAULT_LIGHTING", "SKY_RGB", "Lighting", "render_picture"]
 
@@ -63,14 +63,21 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
     ).tolist()
     order = np.concatenate([np.zeros(0, int), *indices_by_key(solids.kind, material).values()])
     owner = np.full(len(solids), -1)
+    geoms = make_geoms(solids.kind, solids.pos, solids.mat, solids.size, owner, material)
+    appearance = GeomAppearance(
+        rgb=solids.rgb[order],
+        transparency=solids.transparency[order],
+        reflectance=solids.reflectance[order],
+        label=solids.label[order],
+    )
+    return lit_scene(geoms, appearance, setting)
+
+
+def lit_scene(geoms: Geoms, appearance: GeomAppearance, setting: Lighting) -> RenderScene:
+    """Return what there is to see in some light, without lamps."""
     return RenderScene(
-        geoms=make_geoms(solids.kind, solids.pos, solids.mat, solids.size, owner, material),
-        appearance=GeomAppearance(
-            rgb=solids.rgb[order],
-            transparency=solids.transparency[order],
-            reflectance=solids.reflectance[order],
-            label=solids.label[order],
-        ),
+        geoms=geoms,
+        appearance=appearance,
         sun_direction=np.array(setting.sun, np.float32) / np.float32(np.linalg.norm(setting.sun)),
         lights=point_lights((), 0.0),
         headlights=no_headlights(),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.cameras.paint import (
     GLASS_TRANSPARENCY,
     MIRROR_REFLECTANCE,
@@ -14,6 +15,7 @@ from usarmjx.cameras.paint import (
     reflectances,
     transparencies,
 )
+from usarmjx.models.build.figures import Solids
 from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.spec.shapes import OPAQUE, SKY
 
@@ -25,6 +27,7 @@ __all__ = [
     "RenderGeoms",
     "box_geoms",
     "render_geoms_of",
+    "solid_geoms",
 ]
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -98,6 +101,21 @@ def render_geoms_of(
         transparency=transparencies(pieces.material),
         reflectance=reflectances(pieces.material),
         label=(np.full(model.ngeom, ROBOT_LABEL) if labels is None else labels)[ids][pieces.geom],
+    )
+
+
+def solid_geoms(solids: Solids, pos: Array, mat: Array, label: int) -> RenderGeoms:
+    """Return what is drawn of a robot or a victim, at positions (n, 3) and orientations (n, 3, 3)."""
+    count = len(solids.kind)
+    return RenderGeoms(
+        kind=solids.kind,
+        pos=np.asarray(pos, np.float32),
+        mat=np.asarray(mat, np.float32),
+        size=solids.size,
+        rgb=solids.rgb,
+        transparency=np.zeros(count, np.float32),
+        reflectance=np.zeros(count, np.float32),
+        label=np.full(count, label),
     )
 
 

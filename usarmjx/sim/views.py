@@ -64,11 +64,11 @@ def build_render_scene(
     bodies = tuple(forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups)
     geoms, paint = camera_geoms(
         [
-            *visible_arena(scene, world.arena_state, time_of(scene, world)),
+            *visible_arena(scene, world.arena_state, time_of(scene, world), drawn=True),
             visible_loose(scene, physics),
             visible_doors(scene, physics),
             visible_water(scene),
-            *visible_robots(scene, bodies, [state.active for state in world.groups]),
+            *visible_robots(scene, bodies, [state.active for state in world.groups], drawn=True),
         ]
     )
     if world.arena_state is None:

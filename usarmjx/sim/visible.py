@@ -16,7 +16,9 @@ from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.cameras.paint import (
     DOOR_LABEL,
+    FALSE_ALARM_LABEL,
     ROBOT_LABEL,
+    VICTIM_LABEL,
     WATER_LABEL,
     WATER_RGB,
     WATER_TRANSPARENCY,
@@ -28,13 +30,15 @@ from usarmjx.cameras.paint import (
 )
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.build.body_plan import BodyPoses, geom_poses
+from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.build.doors import door_boxes
+from usarmjx.models.build.victim_looks import SLOTS, drawn_bones, used_slots
+from usarmjx.models.build.victims import segment_poses
 from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms, indices_by_key, make_geoms
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.scene_geoms import GeomTable
-from usarmjx.sim.site import moved_geom_poses
+from usarmjx.sim.site import moved_geom_poses, victims_of
 
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -108,8 +112,17 @@ def _sorting_keys(rows: Sequence[VisibleGeoms]) -> tuple[np.ndarray, list[str], 
     return kind, material.tolist(), compact.tolist()
 
 
-def visible_arena(scene: Scene, arena_state: ArenaState | None, time: Array) -> list[VisibleGeoms]:
-    """Return floor and arena, victims included, at a time [s] ()."""
+def visible_arena(
+    scene: Scene, arena_state: ArenaState | None, time: Array, *, drawn: bool = False
+) -> list[VisibleGeoms]:
+    """Return floor and arena, victims included, at a time [s] ().
+
+    Args:
+        scene: The scene.
+        arena_state: The world's own arena, where they differ.
+        time: The time.
+        drawn: Whether victims are as pictures show them, in place of the boxes that rays of sensors meet.
+    """
     rows = [_visible(scene.fixed_geoms)]
     here = moved_geom_poses(scene, arena_state, time)
     if here is not None:
@@ -117,15 +130,49 @@ def visible_arena(scene: Scene, arena_state: ArenaState | None, time: Array) -> 
         size = look.size if here.size is None else here.size
         lift = xp.array([0.0, 0.0, scene.arena.floor])
         moved = _visible(look, here.pos + lift, mat_from_quat(here.quat), size)
+        boxes = len(moved.kind) - len(victims_of(scene, arena_state).owner)
         if arena_state is not None:
             bones = bone_labels(arena_state.victims.owner, xp)
-            boxes = len(moved.kind) - len(bones)
             moved = moved._replace(
                 rgb=xp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),
                 label=xp.concatenate([xp.asarray(look.label[:boxes]), bones]),
             )
-        rows.append(moved)
+        rows.append(_some(moved, np.arange(max(boxes, 0))) if drawn else moved)
+    if drawn:  # what of the victims does not move is among the rest
+        is_bone = np.isin(scene.fixed_geoms.label, (VICTIM_LABEL, FALSE_ALARM_LABEL))
+        rows[0] = _some(rows[0], np.flatnonzero(~is_bone))
+        rows.append(_drawn_victims(scene, arena_state, time))
     return rows
+
+
+def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
+    """Return the rows at some places (m,)."""
+    columns = {name: column[which] for name, column in rows._asdict().items() if name != "compact"}
+    return rows._replace(**columns)
+
+
+def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) -> VisibleGeoms:
+    """Return what is drawn of victims and false alarms."""
+    table = victims_of(scene, arena_state)
+    drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(SLOTS)
+    place, quat = segment_poses(table, time, xp)
+    turn = mat_from_quat(quat)
+    pos = place[:, None] + matvec(turn[:, None], drawn.offset) + xp.array([0.0, 0.0, scene.arena.floor])
+    seen = np.ones((boxes, slots), bool) if arena_state is not None else used_slots(scene.victims.part)
+    which = np.flatnonzero(seen)  # of worlds that differ, all
+    return VisibleGeoms(
+        kind=np.tile(SLOTS, boxes)[which],
+        pos=pos.reshape(-1, 3)[which],
+        mat=xp.repeat(turn, slots, 0)[which],
+        size=drawn.size.reshape(-1, 3)[which],
+        owner=xp.full(len(which), -1),
+        material=np.full(len(which), OPAQUE, object),
+        rgb=drawn.rgb.reshape(-1, 3)[which],
+        label=xp.repeat(bone_labels(xp.asarray(table.owner), xp), slots)[which],
+        geom_index=np.zeros(len(which), int),
+        transparency=np.zeros(len(which), np.float32),
+        compact=True,
+    )
 
 
 def visible_loose(scene: Scene, physics: PhysicsState) -> VisibleGeoms:
@@ -160,22 +207,32 @@ def visible_water(scene: Scene) -> VisibleGeoms:
     return rows._replace(transparency=np.full(n, WATER_TRANSPARENCY, np.float32))
 
 
-def visible_robots(scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[Array]) -> list[VisibleGeoms]:
-    """Return the robots, by group; those that are not in use are far away."""
+def visible_robots(
+    scene: Scene, bodies: Sequence[BodyPoses], active: Sequence[Array], *, drawn: bool = False
+) -> list[VisibleGeoms]:
+    """Return the robots, by group; those that are not in use are far away.
+
+    Args:
+        scene: The scene.
+        bodies: Where their bodies are, by group.
+        active: Which are in use, by group.
+        drawn: Whether they are as pictures show them, in place of the solids that rays of sensors meet.
+    """
     rows: list[VisibleGeoms] = []
     for group, body, used in zip(scene.groups, bodies, active, strict=True):
-        plan, n, g = group.plan, len(group.slots), len(group.plan.geom_type)
-        pos, mat = geom_poses(plan, body)
+        own = group.plan.figure.solids if drawn else group.plan.solids
+        n, g = len(group.slots), len(own.kind)
+        pos, mat = own.poses(body.pos, body.mat)
         slot = np.repeat(group.slots, g)
         rows.append(
             VisibleGeoms(
-                kind=np.tile(plan.geom_type, n),
+                kind=np.tile(own.kind, n),
                 pos=xp.where(used[:, None, None], pos, PADDING_DISTANCE).reshape(-1, 3),
                 mat=mat.reshape(-1, 3, 3),
-                size=xp.tile(plan.geom_size, (n, 1)),
+                size=xp.tile(own.size, (n, 1)),
                 owner=slot,
                 material=np.full(n * g, OPAQUE, object),
-                rgb=np.tile(plan.geom_rgb, (n, 1)),
+                rgb=np.tile(own.rgb, (n, 1)),
                 label=ROBOT_LABEL + slot,
                 geom_index=np.tile(np.arange(g), n),
                 transparency=np.zeros(n * g, np.float32),

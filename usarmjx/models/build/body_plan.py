@@ -17,8 +17,9 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.build.figures import Figure, Solids, build_figure, flipped
 from usarmjx.models.build.layout import RobotIndex, index_robot
-from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.build.parts import chassis_looks, joint_names, parts_of
 from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.arena import ArenaSpec
@@ -111,6 +112,36 @@ class KinematicTree:
     actuated: np.ndarray
     mass: float
     clearance: float
+
+    @cached_property
+    def solids(self) -> Solids:
+        """Its geoms: what contacts and the rays of sensors meet. Their frames are the bodies."""
+        return Solids(
+            kind=self.geom_type,
+            frame=self.geom_body,
+            size=self.geom_size,
+            pos=self.geom_pos,
+            mat=self.geom_mat,
+            rgb=self.geom_rgb,
+        )
+
+    @cached_property
+    def figure(self) -> Figure:
+        """What is drawn of it, which contacts and range sensors do not meet: its frames are the bodies.
+
+        Raises:
+            SpecError: It is not opaque.
+        """
+        looks = [chassis_looks(self.robot), *(part.looks for part in parts_of(self.robot))]
+        return build_figure([[flipped(shape) for shape in some] for some in looks])
+
+    @cached_property
+    def rest_frames(self) -> np.ndarray:
+        """Orientations of the bodies on the chassis with all joints at 0 (bodies, 3, 3); see `rest_pos`."""
+        frames = [np.eye(3, dtype=np.float32)]
+        for parent, own in zip(self.parent[1:], self.rest_mat[1:], strict=True):
+            frames.append(frames[parent] @ own)
+        return np.stack(frames)
 
     @cached_property
     def joint_motions(self) -> JointMotions:
@@ -255,6 +286,4 @@ def forward_kinematics(plan: KinematicTree, state: RobotState) -> BodyPoses:
 
 def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
     """Return the world poses of robots' geoms: centres (..., geoms, 3), orientations (..., geoms, 3, 3)."""
-    mat = bodies.mat[..., plan.geom_body, :, :]
-    pos = bodies.pos[..., plan.geom_body, :] + matvec(mat, plan.geom_pos)
-    return pos, matmul(mat, plan.geom_mat)
+    return plan.solids.poses(bodies.pos, bodies.mat)

@@ -12,9 +12,11 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.build.compose_arena import add_arena
+from usarmjx.models.build.figures import flipped
 from usarmjx.models.build.geoms import add_geom
 from usarmjx.models.build.parts import chassis_shapes, parts_of
 from usarmjx.models.spec.arena import ArenaSpec
@@ -22,6 +24,7 @@ from usarmjx.models.spec.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotSp
 from usarmjx.models.spec.shapes import SURFACES, Shape
 
 CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
 
@@ -40,6 +43,7 @@ class Physics:
         iterations: Cap on solver iterations.
         ls_iterations: Cap on line-search iterations.
         cone: Friction cone of the contacts.
+        solver: MuJoCo's solver of the constraints.
         contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
             robots; robots with more (or fewer) touching geoms count for more (or fewer).
         pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
@@ -52,8 +56,19 @@ class Physics:
     iterations: int = 10
     ls_iterations: int = 10
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    solver: Literal["CG", "Newton"] = "CG"
     contacts_per_robot: int = 16
     pairs_per_robot: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse a cone or a solver that there is not.
+
+        Raises:
+            SpecError: Names those that there are.
+        """
+        for what, name, known in (("cone", self.cone, CONES), ("solver", self.solver, SOLVERS)):
+            if name not in known:
+                raise SpecError(f"{what} {name!r} is not one of {', '.join(known)}")
 
     @property
     def period(self) -> float:
@@ -91,7 +106,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     # Euler all three agree, and the servos' gains are low enough for it.
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = CONES[physics.cone]
-    option.solver = mujoco.mjtSolver.mjSOL_CG
+    option.solver = SOLVERS[physics.solver]
     option.impratio = physics.impratio
     # One contact per pair of convex geoms: with several, wheels stick at the edge of a 4 cm board.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
@@ -128,7 +143,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
     chassis.add_freejoint(name=f"{prefix}root")
     for i, shape in enumerate(chassis_shapes(robot)):
-        add_geom(spec, chassis, f"{prefix}chassis/{i}", _flip(shape))
+        add_geom(spec, chassis, f"{prefix}chassis/{i}", flipped(shape))
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
@@ -156,11 +171,6 @@ def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
     spec.delete(spec.body(f"{prefix}chassis"))
 
 
-def _flip(shape: Shape) -> Shape:
-    """Return a robot's shape in MuJoCo's axes."""
-    return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
-
-
 def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: str) -> mujoco.MjsBody:
     name = prefix + part.name
     turn = quat_from_angles(*flip_angles(part.rotation))
@@ -168,7 +178,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
     joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
     for i, shape in enumerate(part.shapes):
-        add_geom(spec, body, f"{name}/{i}", _flip(shape))
+        add_geom(spec, body, f"{name}/{i}", flipped(shape))
     if part.motor is not None:
         joint.armature = part.motor.armature
         _add_servo(spec, joint, part.motor)

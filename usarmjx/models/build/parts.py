@@ -64,6 +64,7 @@ def _link_parts(package: MissionPackage) -> list[Part]:
                 motor=link_motor(link),
                 limits=None if link.min_range > link.max_range else (link.min_range, link.max_range),
                 shapes=link.shapes,
+                looks=link.looks,
             )
         )
     return parts
@@ -73,7 +74,8 @@ def _link_parts(package: MissionPackage) -> list[Part]:
 def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
     """Return all parts of a robot: its own in their order, the links of its packages, those of its effecters.
 
-    Parents come first. This is the order of a robot's joints everywhere.
+    Parents come first. This is the order of a robot's joints everywhere. Each has `looks`, which are its
+    solids unless it is drawn as something else.
 
     Raises:
         SpecError: Two parts of one name, a part or an effecter whose parent does not exist, or a drive or an
@@ -96,7 +98,9 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
             lost = ", ".join(f"{part.name} (on {part.parent})" for part in waiting)
             raise SpecError(f"robot {robot.name}: parts without a parent: {lost}; parts: {', '.join(names)}")
         waiting.remove(ready)
-        parts.append(replace(ready, shapes=(*ready.shapes, *_item_shapes(robot, ready.name))))
+        items = _item_shapes(robot, ready.name)
+        looks = (*(ready.looks or ready.shapes), *items)
+        parts.append(replace(ready, shapes=(*ready.shapes, *items), looks=looks))
         there.add(ready.name)
     _check_joints(robot, parts)
     return tuple(parts)
@@ -123,6 +127,11 @@ def _item_shapes(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
 def chassis_shapes(robot: RobotSpec) -> tuple[Shape, ...]:
     """Return the solids of the chassis, with what effecters and shown sensors add to it."""
     return (*robot.chassis, *_item_shapes(robot, CHASSIS))
+
+
+def chassis_looks(robot: RobotSpec) -> tuple[Shape, ...]:
+    """Return what the chassis is drawn as, with what effecters and shown sensors add to it."""
+    return (*(robot.looks or robot.chassis), *_item_shapes(robot, CHASSIS))
 
 
 def joint_names(robot: RobotSpec) -> tuple[str, ...]:

@@ -5,16 +5,33 @@ the AirRobot's limits of tilt are those of its successor in the UDK version.
 """
 
 import math
+from itertools import pairwise
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Blimp, RotaryWing
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.robots.looks_kit import (
+    DARK,
+    GLASS_BLACK,
+    LAMP,
+    SILVER,
+    STEEL,
+    ball,
+    block,
+    drum,
+    hull,
+    lens,
+    mirrored,
+    prism,
+    rod,
+)
 from usarmjx.models.spec.robot import Link, MissionPackage, Motor, RobotSpec
 from usarmjx.models.spec.shapes import Rgba, Shape
 
 WHITE: Rgba = (0.9, 0.9, 0.9, 1.0)
 ORANGE: Rgba = (0.95, 0.55, 0.1, 1.0)
+ROTOR_BLADE: Rgba = (0.2, 0.21, 0.23, 1.0)
 ROTOR: Rgba = (0.3, 0.3, 0.3, 0.6)
 ALONG = (0.0, math.pi / 2, 0.0)
 """Turns a capsule's axis (z) to the front (x)."""
@@ -36,6 +53,7 @@ def tilt_camera(at: Vec3, mass: float = 0.06) -> MissionPackage:
         min_range=-math.pi / 6,  # chosen: from 30 degrees up ...
         max_range=math.pi / 2,  # ... to straight down
         shapes=(head,),
+        looks=(ball((0.028, 0.026, 0.026), rgba=BLACK), *lens((0.022, 0.0, 0.0), 0.014, DARK)),
         motor=TILT_MOTOR,
     )
     return MissionPackage(name="CameraPanTilt", links=(tilt,))
@@ -61,6 +79,41 @@ def _bar(x: int, y: int) -> Shape:
     reach = AIRROBOT_SPAN / 2 - FRAME
     size = (FRAME, reach + FRAME, FRAME) if x else (reach + FRAME, FRAME, FRAME)
     return Shape(kind="box", size=size, at=(x * reach, y * reach, FRAME - 0.097), rgba=WHITE)
+
+
+def _airrobot_looks() -> tuple[Shape, ...]:
+    """Return a hoop of carbon about four rotors on crossed arms, a rounded body below, and its legs."""
+    reach, edges = AIRROBOT_SPAN / 2 - FRAME, 20
+    hoop = [
+        (reach * math.cos(2 * math.pi * k / edges), reach * math.sin(2 * math.pi * k / edges), FRAME - 0.097)
+        for k in range(edges + 1)
+    ]
+    return (
+        *(rod(start, end, FRAME, BLACK) for start, end in pairwise(hoop)),
+        *(rod((-x, -y, -0.075), (x, y, -0.075), 0.012, BLACK) for x, y in ((0.35, 0.35), (0.35, -0.35))),
+        *(solid for x, y in AIRROBOT_ROTORS for solid in _blades((x, y, -0.085), 0.19)),
+        ball((0.12, 0.12, 0.05), (0.0, 0.0, -0.035), SILVER),
+        drum(0.1, 0.012, (0.0, 0.0, -0.035), ORANGE),
+        drum(0.05, 0.015, (0.0, 0.0, 0.012), BLACK),
+        *(block((0.02, 0.004, 0.003), (0.112, y, -0.03), LAMP) for y in (-0.03, 0.03)),
+        *(
+            rod((0.09 * x, 0.09 * y, 0.0), (0.12 * x, 0.12 * y, 0.09), 0.006, BLACK)
+            for x in (-1, 1)
+            for y in (-1, 1)
+        ),
+        *(rod((-0.12, y, 0.091), (0.12, y, 0.091), 0.006, BLACK) for y in (-0.12, 0.12)),
+    )
+
+
+def _blades(at: Vec3, radius: float) -> tuple[Shape, ...]:
+    """Return a rotor of two blades and its motor."""
+    x, y, z = at
+    turn = -0.7 if x * y > 0 else 0.7
+    return (
+        drum(0.022, 0.022, (x, y, z + 0.008), STEEL),
+        block((radius, 0.014, 0.002), (x, y, z - 0.012), ROTOR_BLADE, (0.05, 0.0, turn)),
+        drum(0.016, 0.006, (x, y, z - 0.014), ORANGE),
+    )
 
 
 AIRROBOT = RobotSpec(
@@ -90,6 +143,7 @@ AIRROBOT = RobotSpec(
         ),
         *(_rotor(x, y) for x, y in AIRROBOT_ROTORS),
     ),
+    looks=_airrobot_looks(),
     drive=RotaryWing(
         max_speeds=(5.0, 5.0, 5.0),
         max_turn=1.5708,
@@ -131,6 +185,49 @@ def _thruster(y: float) -> Shape:
     )
 
 
+def _passarola_looks() -> tuple[Shape, ...]:
+    """Return an envelope with bands and fins, and below it a gondola with thrusters in rings."""
+    top, red = PASSAROLA_TOP, (0.75, 0.15, 0.1, 1.0)
+    fin = ((-1.35, 0.45), (-1.8, 0.9), (-1.98, 0.9), (-1.95, 0.1))
+    return (
+        ball((2.0, 0.9, 0.9), (0.0, 0.0, top), ORANGE),
+        *(ball((0.03, 0.853, 0.853), (x, 0.0, top), WHITE) for x in (0.7, -0.7)),
+        ball((0.05, 0.907, 0.907), (0.0, 0.0, top), red),
+        ball((0.15, 0.36, 0.36), (1.88, 0.0, top), WHITE),
+        *(
+            hull([(x, y * side, top + thick) for x, y in fin for thick in (-0.012, 0.012)], red)
+            for side in (-1.0, 1.0)
+        ),
+        *(
+            hull([(x, thick, top + y * side) for x, y in fin for thick in (-0.012, 0.012)], red)
+            for side in (-1.0, 1.0)
+        ),
+        prism(mirrored([(0.34, 0.94), (0.42, 0.88), (0.36, 0.79)]), 0.2, DARK),
+        block((0.05, 0.16, 0.035), (0.37, 0.0, 0.85), GLASS_BLACK),
+        block((0.22, 0.204, 0.03), (-0.06, 0.0, 0.85), GLASS_BLACK),
+        *(rod((-0.38, y, 0.98), (0.38, y, 0.98), 0.02, BLACK) for y in (-0.18, 0.18)),
+        *(rod((x, y, 0.94), (x, y, 0.98), 0.012, BLACK) for x in (-0.25, 0.25) for y in (-0.18, 0.18)),
+        *(rod((x, 0.0, 0.8), (x, 0.0, 0.7), 0.03, BLACK) for x in (-0.25, 0.25)),
+        rod((0.0, -0.85, 0.8), (0.0, 0.85, 0.8), 0.018, STEEL, blunt=True),
+        *(solid for y in (-0.85, 0.85) for solid in _thruster_looks((0.0, y, 0.8))),
+        *_thruster_looks((-2.0, 0.0, top)),
+    )
+
+
+def _thruster_looks(at: Vec3) -> tuple[Shape, ...]:
+    """Return a ring with a propeller in it that pushes ahead."""
+    x, y, z = at
+    ring = [(0.15 * math.cos(k * math.pi / 6), 0.15 * math.sin(k * math.pi / 6)) for k in range(13)]
+    return (
+        *(rod((x, y + a[0], z + a[1]), (x, y + b[0], z + b[1]), 0.012, BLACK) for a, b in pairwise(ring)),
+        drum(0.03, 0.05, at, STEEL, ALONG),
+        *(
+            block((0.004, 0.018, 0.14), at, ROTOR_BLADE, (turn, 0.0, 0.0))
+            for turn in (0.4, 0.4 + math.pi / 2)
+        ),
+    )
+
+
 PASSAROLA = RobotSpec(
     name="Passarola",
     dimensions=(4.0, 2.0, 2.0),
@@ -162,6 +259,7 @@ PASSAROLA = RobotSpec(
         Shape(kind="box", size=(0.2, 0.01, 0.8), at=(-1.75, 0.0, PASSAROLA_TOP), surface="fixture"),
         Shape(kind="box", size=(0.2, 0.8, 0.01), at=(-1.75, 0.0, PASSAROLA_TOP), surface="fixture"),
     ),
+    looks=_passarola_looks(),
     drive=Blimp(
         hull=Hull(
             radii=PASSAROLA_RADII,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
+from usarmjx.models.robots.car_looks import CarFrame, CarLook, car_looks
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, car_wheel, firm_motor, wheel
 from usarmjx.models.spec.robot import STEER_SUFFIX, MissionPackage, Mount, Part, RobotSpec, Spring, options
 from usarmjx.models.spec.shapes import Rgba, Shape
@@ -44,6 +45,7 @@ class Car:
         all_wheel: Whether all wheels are powered; else only the front ones are.
         max_acceleration: Acceleration and deceleration that its motors are good for [m/s2].
         rgba: Of the body.
+        look: What else it is drawn with.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Car:
     all_wheel: bool
     max_acceleration: float
     rgba: Rgba
+    look: CarLook
 
     @property
     def origin(self) -> float:
@@ -135,6 +138,19 @@ def _body(car: Car, head: float) -> tuple[Shape, ...]:
     )
 
 
+def _frame(car: Car) -> CarFrame:
+    return CarFrame(
+        size=car.dimensions,
+        wheel_base=car.wheel_base,
+        track=car.track,
+        tyre=car.tyre,
+        floor=car.floor,
+        beltline=car.beltline,
+        origin=car.origin,
+        rgba=car.rgba,
+    )
+
+
 ODOMETRY = Mount(
     kind="Odometry", name="Odometry", options=options(LeftTire="LeftRWheel", RightTire="RightRWheel")
 )
@@ -145,6 +161,7 @@ def build_car(
     car: Car,
     *,
     solids: tuple[Shape, ...] = (),
+    looks: tuple[Shape, ...] = (),
     packages: tuple[MissionPackage, ...] = (),
     sensors: tuple[Mount, ...] = (),
     cameras: tuple[Mount, ...] = (),
@@ -155,6 +172,7 @@ def build_car(
     Args:
         car: Its figures.
         solids: More solids of the chassis, without mass.
+        looks: What these are drawn as, and whatever else is drawn of it alone.
         packages: Mission packages, whose mass is part of the car's.
         sensors: Sensors of its own.
         cameras: Cameras.
@@ -168,6 +186,7 @@ def build_car(
         mass=car.mass,
         origin_height=car.origin,
         chassis=(*_body(car, head), *solids),
+        looks=(*car_looks(_frame(car), car.look), *looks),
         parts=(*front, *rear),
         drive=Ackermann(
             wheels=(*steered, *straight), max_spin=MAX_SPIN, radius=car.tyre[0], max_front_steer=MAX_STEER

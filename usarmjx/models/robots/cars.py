@@ -5,7 +5,20 @@ and Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the H
 """
 
 from usarmjx.models.robots.car_kit import Car, build_car
+from usarmjx.models.robots.car_looks import CarLook
 from usarmjx.models.robots.kit import camera, pan_tilt, sick_housing, sick_lms200
+from usarmjx.models.robots.looks_kit import (
+    ALONG,
+    BLACK,
+    RUBBER,
+    SICK_YELLOW,
+    SILVER,
+    block,
+    drum,
+    lens,
+    rod,
+    sick,
+)
 from usarmjx.models.spec.robot import CHASSIS, Mount, options
 
 HUMMER_LENGTH, HUMMER_WIDTH = 3.686, 1.799  # manual 12.5.1; the real one has 4.57 and 2.16
@@ -24,11 +37,33 @@ _HUMMER = Car(
     all_wheel=True,  # manual 12.5.1
     max_acceleration=5.0,
     rgba=(0.45, 0.45, 0.3, 1.0),
+    look=CarLook(
+        cowl=0.4,
+        roof=(0.3, -0.55),
+        deck=-0.95,
+        nose=0.08,
+        tuck=0.1,
+        pillars=(0.0, -0.45),
+        lamps=True,
+        grille=7,
+        trim=(0.36, 0.36, 0.24, 1.0),
+    ),
 )
 HUMMER_SCANNER = (1.3, 0.0, _HUMMER.origin - _HUMMER.beltline - 0.05)  # chosen: on the bonnet
 HUMMER = build_car(
     _HUMMER,
     solids=(sick_housing(HUMMER_SCANNER),),
+    looks=(
+        *sick(HUMMER_SCANNER),
+        *(block((0.3, 0.04, 0.02), (1.1, y, _HUMMER.origin - _HUMMER.beltline), BLACK) for y in (-0.5, 0.5)),
+        rod((0.75, 0.92, -0.2), (0.75, 0.92, -1.2), 0.05, BLACK),  # the snorkel
+        rod((0.75, 0.0, -0.07), (0.58, 0.0, -0.98), 0.03, _HUMMER.rgba),  # two windscreens
+        *(rod((1.86, y, 0.35), (1.86, y, -0.1), 0.03, BLACK) for y in (-0.35, 0.35)),
+        rod((1.86, -0.6, -0.1), (1.86, 0.6, -0.1), 0.03, BLACK),
+        drum(0.36, 0.12, (-1.9, 0.35, 0.1), RUBBER, ALONG),  # the spare wheel
+        drum(0.2, 0.13, (-1.9, 0.35, 0.1), _HUMMER.rgba, ALONG),
+        rod((-1.6, -0.8, -0.2), (-1.65, -0.8, -1.4), 0.012, BLACK),
+    ),
     packages=(pan_tilt((0.0, 0.0, -_HUMMER.origin)),),  # chosen: on the roof; pans all around
     sensors=(sick_lms200(HUMMER_SCANNER),),
     cameras=(camera(),),
@@ -55,6 +90,16 @@ _SNOWSTORM = Car(
     all_wheel=True,  # chosen; manual 12.6.1: two or four wheel drive
     max_acceleration=5.0,
     rgba=(0.85, 0.85, 0.9, 1.0),
+    look=CarLook(
+        cowl=0.38,
+        roof=(0.2, -0.88),
+        deck=-0.97,
+        nose=0.06,
+        tuck=0.1,
+        pillars=(0.0, -0.35, -0.62),
+        grille=7,
+        trim=(0.2, 0.2, 0.22, 1.0),
+    ),
 )
 SNOWSTORM_ROOF = -_SNOWSTORM.origin
 SNOWSTORM_SCANNER = (0.75, 0.0, SNOWSTORM_ROOF - 0.05)  # chosen: on the front edge of the roof
@@ -62,6 +107,15 @@ HALF_STEREO_BASELINE = 0.06  # half the distance of a Bumblebee's lenses (data s
 SNOWSTORM = build_car(
     _SNOWSTORM,
     solids=(sick_housing(SNOWSTORM_SCANNER),),
+    looks=(
+        *sick(SNOWSTORM_SCANNER),
+        *(rod((0.3, y, SNOWSTORM_ROOF), (-1.7, y, SNOWSTORM_ROOF), 0.03, BLACK) for y in (-0.55, 0.55)),
+        rod((0.8, -0.62, SNOWSTORM_ROOF), (0.8, 0.62, SNOWSTORM_ROOF), 0.025, BLACK),
+        *lens((0.9, -HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
+        *lens((0.9, HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
+        drum(0.08, 0.03, (-0.8, 0.0, SNOWSTORM_ROOF - 0.02), SICK_YELLOW),  # the GPS
+        block((0.5, _SNOWSTORM.dimensions[1] / 2 + 0.003, 0.08), (-0.1, 0.0, 0.12), (0.15, 0.3, 0.6, 1.0)),
+    ),
     sensors=(
         # The range of an outdoor LMS (data sheet); the fan is the sensor's own.
         Mount(kind="RangeScanner3D", name="Scanner1", at=SNOWSTORM_SCANNER, options=options(MaxRange=80.0)),
@@ -95,6 +149,7 @@ SEDAN = build_car(
         all_wheel=False,  # manual 12.7.1
         max_acceleration=3.5,
         rgba=(0.3, 0.4, 0.6, 1.0),
+        look=CarLook(cowl=0.45, roof=(0.12, -0.4), deck=-0.68, nose=0.16, tuck=0.14, pillars=(-0.12,)),
     ),
     sources=(
         ("dimensions, wheel radius, top speed, wheels", "manual 12.7"),
@@ -119,7 +174,21 @@ COOPER = build_car(
         all_wheel=False,  # manual 12.8.1
         max_acceleration=3.5,
         rgba=(0.7, 0.15, 0.15, 1.0),
+        look=CarLook(
+            cowl=0.42,
+            roof=(0.2, -0.78),
+            deck=-0.96,
+            nose=0.12,
+            tuck=0.12,
+            pillars=(-0.25,),
+            lamps=True,
+            trim=SILVER,
+        ),
     ),
+    looks=tuple(
+        block((0.42, 0.1, 0.006), (1.05, y, -0.155), (0.95, 0.95, 0.93, 1.0), (0.0, -0.11, 0.0))
+        for y in (-0.3, 0.3)
+    ),  # stripes on its bonnet
     sources=(
         ("top speed, wheels", "manual 12.8"),
         ("dimensions, mass, wheel base, track, wheel radius", "data sheet"),

@@ -4,10 +4,33 @@ Flipper angles are the manual's and UsarCommander's: negative in front and posit
 {FR,FL} 1.5 with {RR,RL} -1.5 lifts the chassis (12.23).
 """
 
+import math
 from dataclasses import replace
 
 from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, camera
-from usarmjx.models.robots.track_kit import FLIPPERS, Belt, Flippers, drive_tracks, mass_of, track_pair
+from usarmjx.models.robots.looks_kit import (
+    ACROSS,
+    ALONG,
+    DARK,
+    LAMP,
+    STEEL,
+    block,
+    drum,
+    lens,
+    mirrored,
+    prism,
+    rod,
+)
+from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
+from usarmjx.models.robots.track_kit import (
+    FLIPPERS,
+    Belt,
+    Flippers,
+    drive_tracks,
+    mass_of,
+    pair_looks,
+    track_pair,
+)
 from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.spec.shapes import Shape
 
@@ -26,6 +49,8 @@ TARANTULA_BELT = Belt(
     max_pull=50.0,
     inertia=1.0,
     wheel_mass=0.12,
+    cleat=0.007,
+    trim=ORANGE,
 )
 TARANTULA_PIVOT, TARANTULA_TIP = 0.12, 0.035
 TARANTULA_SEPARATION = TARANTULA_WIDTH - TARANTULA_BELT.width
@@ -41,16 +66,28 @@ TARANTULA_FLIPPERS = Flippers(
 TARANTULA_MASS = 8.0  # chosen: the toy with batteries and a computer
 
 
+_TARANTULA_BODY = (
+    prism(
+        mirrored([(0.15, 0.0), (0.17, -0.03), (0.12, -0.066)]),
+        0.15,
+        ORANGE,
+    ),
+    block((0.09, 0.1, 0.004), (-0.01, 0.0, -0.067), LOOK_BLACK),
+    block((0.02, 0.12, 0.012), (0.155, 0.0, -0.03), DARK),
+    *(drum(0.015, 0.006, (0.176, y, -0.03), LAMP, ALONG) for y in (-0.08, 0.08)),
+    rod((-0.12, 0.1, -0.06), (-0.15, 0.1, -0.2), 0.003, LOOK_BLACK),
+)
+
+
 def tarantula(wheels: int = 4) -> RobotSpec:
     """Return the Tarantula with so many wheels in each row of the chassis (manual 12.10.2)."""
-    rows = track_pair(
-        TARANTULA_BELT,
-        wheels,
-        separation=TARANTULA_SEPARATION,
-        front=TARANTULA_PIVOT,
-        rear=-TARANTULA_PIVOT,
-        height=0.0,
-    )
+    row = {
+        "separation": TARANTULA_SEPARATION,
+        "front": TARANTULA_PIVOT,
+        "rear": -TARANTULA_PIVOT,
+        "height": 0.0,
+    }
+    rows = track_pair(TARANTULA_BELT, wheels, **row)
     parts = (*rows, *TARANTULA_FLIPPERS.parts(TARANTULA_BELT))
     return RobotSpec(
         name="Tarantula",
@@ -66,6 +103,7 @@ def tarantula(wheels: int = 4) -> RobotSpec:
                 rgba=ORANGE,
             ),
         ),
+        looks=(*pair_looks(TARANTULA_BELT, **row), *_TARANTULA_BODY),
         parts=parts,
         drive=drive_tracks(parts, TARANTULA_BELT),
         sensors=POSE_SENSORS,
@@ -109,6 +147,8 @@ KENAF_BELT = Belt(
     max_pull=120.0,
     inertia=2.0,
     wheel_mass=0.3,
+    cleat=0.009,
+    trim=GREEN,
 )
 KENAF_NARROW = replace(KENAF_BELT, width=0.05, wheel_mass=0.15)
 KENAF_PIVOT, KENAF_TIP = KENAF_SHORT / 2 - KENAF_BELT.radius, 0.04
@@ -137,6 +177,7 @@ KENAF_CAMERA = (
         axis=UP,
         motor=KENAF_HEAD_MOTOR,
         shapes=(Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK),),
+        looks=(drum(0.03, 0.02, (0.0, 0.0, 0.005)), drum(0.02, 0.025, (0.0, 0.0, -0.03), STEEL)),
     ),
     Part(
         name="kenafCameraTilt",
@@ -146,15 +187,48 @@ KENAF_CAMERA = (
         motor=KENAF_HEAD_MOTOR,
         limits=(-1.0, 1.5),
         shapes=(Shape(kind="box", size=(0.05, 0.04, 0.03), mass=0.3, surface="fixture", rgba=BLACK),),
+        looks=(
+            block((0.042, 0.036, 0.026), rgba=DARK),
+            drum(0.018, 0.042, rgba=STEEL, rotation=ACROSS),
+            *lens((0.045, 0.0, 0.0), 0.018),
+            *(drum(0.006, 0.004, (0.043, y, -0.015), LAMP, ALONG) for y in (-0.025, 0.025)),
+        ),
     ),
+)
+
+
+_KENAF_BODY = (
+    prism(
+        mirrored([(0.25, -0.05), (0.235, -0.14), (0.19, KENAF_DECK)]),
+        0.15,
+        GREEN,
+        top=0.135,
+    ),
+    block((0.2, 0.13, 0.05), (0.0, 0.0, -0.02), DARK),
+    block((0.13, 0.1, 0.003), (-0.04, 0.0, KENAF_DECK - 0.002), LOOK_BLACK),
+    block((0.01, 0.1, 0.012), (0.244, 0.0, -0.085), STEEL),
+    # A Hokuyo: a square foot, a drum with a window, an orange cap.
+    block((0.025, 0.025, 0.015), (KENAF_SCANNER[0], 0.0, KENAF_DECK - 0.015), LOOK_BLACK),
+    drum(0.022, 0.012, (KENAF_SCANNER[0], 0.0, KENAF_SCANNER[2]), DARK),
+    drum(0.02, 0.01, (KENAF_SCANNER[0], 0.0, KENAF_SCANNER[2] - 0.02), ORANGE),
+    drum(0.035, 0.012, (KENAF_HEAD[0], 0.0, KENAF_DECK - 0.01), STEEL),
+    rod((KENAF_MAST[0], 0.0, KENAF_DECK), KENAF_MAST, 0.01, STEEL, blunt=True),
+    block((0.025, 0.022, 0.018), (KENAF_MAST[0], 0.0, KENAF_MAST[2]), DARK, (0.0, -0.9, 0.0)),
+    drum(
+        0.012,
+        0.008,
+        (KENAF_MAST[0] + 0.018, 0.0, KENAF_MAST[2] + 0.022),
+        LOOK_BLACK,
+        (0.0, math.pi / 2 - 0.9, 0.0),
+    ),
+    rod((-0.2, 0.1, KENAF_DECK), (-0.2, 0.1, KENAF_DECK - 0.25), 0.004, LOOK_BLACK),
 )
 
 
 def kenaf(wheels: int = 8) -> RobotSpec:
     """Return the Kenaf with so many wheels in each of its two body tracks (manual 12.10.2)."""
-    rows = track_pair(
-        KENAF_BELT, wheels, separation=KENAF_SEPARATION, front=KENAF_PIVOT, rear=-KENAF_PIVOT, height=0.0
-    )
+    row = {"separation": KENAF_SEPARATION, "front": KENAF_PIVOT, "rear": -KENAF_PIVOT, "height": 0.0}
+    rows = track_pair(KENAF_BELT, wheels, **row)
     parts = (*rows, *KENAF_FLIPPERS.parts(KENAF_NARROW), *KENAF_CAMERA)
     body = -KENAF_DECK / 2
     return RobotSpec(
@@ -182,6 +256,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
                 rgba=BLACK,
             ),
         ),
+        looks=(*pair_looks(KENAF_BELT, **row), *_KENAF_BODY),
         parts=parts,
         drive=drive_tracks(parts, KENAF_BELT),
         sensors=(

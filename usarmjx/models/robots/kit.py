@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
+from usarmjx.models.robots.looks_kit import ACROSS, DARK, STEEL, ball, block, drum, lens, wheel_looks
 from usarmjx.models.spec.robot import (
     CHASSIS,
     STEER_SUFFIX,
@@ -35,7 +36,7 @@ def wheel(
     parent: str = CHASSIS,
     surface: str = "wheel",
 ) -> Part:
-    """Return a wheel of (radius, width) [m]; without a motor it rolls freely."""
+    """Return a wheel of (radius, width) [m]; without a motor it rolls freely. It is drawn with spokes."""
     radius, width = size
     tyre = Shape(
         kind="cylinder",
@@ -45,7 +46,8 @@ def wheel(
         surface=surface,
         rgba=RUBBER,
     )
-    return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), is_wheel=True)
+    looks = wheel_looks(radius, width)
+    return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), looks=looks, is_wheel=True)
 
 
 def firm_motor(max_speed: float, torque: float, inertia: float, armature: float) -> Motor:
@@ -130,6 +132,14 @@ def pan_tilt(
     head = Shape(
         kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
     )
+    # Drawn as a pedestal, and between two cheeks the head, with its lens where the cameras are.
+    pedestal = (drum(0.034, 0.012, (0.0, 0.0, -0.012)), drum(0.024, 0.02, (0.0, 0.0, -0.03), STEEL))
+    face = (
+        block((0.036, 0.036, 0.026), (0.026, 0.0, 0.026), DARK),
+        ball((0.036, 0.036, 0.016), (0.026, 0.0, 0.0), DARK),
+        drum(0.03, 0.042, (0.0, 0.0, 0.02), STEEL, ACROSS),
+        *lens((0.066, 0.0, 0.03), 0.02),
+    )
     speed, torque = 0.17, 20.0  # captured
     return MissionPackage(
         name=name,
@@ -142,6 +152,7 @@ def pan_tilt(
                 min_range=1.0,
                 max_range=0.0,
                 shapes=(pan_shape,),
+                looks=pedestal,
                 max_speed=speed,
                 max_torque=torque,
             ),
@@ -153,6 +164,7 @@ def pan_tilt(
                 min_range=tilt[0],
                 max_range=tilt[1],
                 shapes=(head,),
+                looks=face,
                 max_speed=speed,
                 max_torque=torque,
             ),

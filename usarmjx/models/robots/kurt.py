@@ -13,6 +13,23 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
+from usarmjx.models.robots.looks_kit import (
+    ACROSS,
+    ALONG,
+    DARK,
+    GOLD,
+    SICK_YELLOW,
+    STEEL,
+    TAIL_LAMP,
+    block,
+    drum,
+    lens,
+    mirrored,
+    prism,
+    rod,
+    sick,
+)
+from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
 from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
@@ -58,10 +75,29 @@ SENSES = (
 )
 
 
+_BODY = (
+    prism(mirrored([(0.17, ORIGIN - 0.05), (0.225, ORIGIN - 0.09), (0.225, ORIGIN - 0.155)]), 0.1, ORANGE),
+    block((LENGTH / 2, WIDTH / 2, 0.008), (0.0, 0.0, ORIGIN - DECK + 0.008), LOOK_BLACK),
+    block((0.2, WIDTH / 2 + 0.001, 0.004), (0.0, 0.0, ORIGIN - DECK + 0.016), ORANGE),
+    drum(0.016, 0.005, (0.226, 0.0, 0.04), GOLD, ALONG),
+    *(
+        block(
+            (0.006, 0.012, 0.006),
+            (0.14 + 0.09 * math.cos(yaw), 0.1 * math.sin(yaw), 0.02),
+            TAIL_LAMP,
+        )
+        for yaw in (-0.5, 0.0, 0.5)
+    ),
+    block((0.05, 0.07, 0.02), (-0.15, 0.0, ORIGIN - DECK - 0.02), DARK),
+    rod((-0.2, 0.1, ORIGIN - DECK), (-0.2, 0.1, ORIGIN - DECK - 0.16), 0.004, LOOK_BLACK),
+)
+
+
 def _kurt(
     name: str,
     *,
     solids: tuple[Shape, ...] = (),
+    looks: tuple[Shape, ...],
     head: tuple[Part, ...] = (),
     scanner: Mount,
     cameras: tuple[Mount, ...],
@@ -89,6 +125,7 @@ def _kurt(
             ),
             *solids,
         ),
+        looks=(*_BODY, *looks),
         parts=(*WHEELS, *head),
         drive=SkidSteer(left=LEFT_WHEELS, right=RIGHT_WHEELS, max_spin=MOTOR.max_speed, radius=RADIUS),
         sensors=(scanner, *SENSES),
@@ -106,6 +143,12 @@ def _kurt(
 KURT2D = _kurt(
     "Kurt2D",
     solids=(sick_housing(SCANNER),),
+    looks=(
+        *sick(SCANNER),
+        rod((-0.05, 0.0, ORIGIN - DECK), (-0.05, 0.0, -0.03), 0.012, STEEL, blunt=True),
+        block((0.03, 0.035, 0.025), (-0.06, 0.0, -0.05), DARK),
+        *lens((-0.025, 0.0, -0.05), 0.015),
+    ),
     scanner=sick_lms200(SCANNER),
     cameras=(camera(at=(-0.05, 0.0, -0.05), parent=CHASSIS),),
 )
@@ -119,9 +162,20 @@ SIDES = Part(
     motor=firm_motor(max_speed=1.0, torque=20.0, inertia=0.02, armature=0.05),
     limits=(-math.pi / 3, math.pi / 3),
     shapes=(Shape(kind="box", size=(0.0775, 0.078, 0.08), mass=SCANNER_MASS, rgba=(0.2, 0.3, 0.7, 1)),),
+    looks=(
+        *sick((0.0, 0.0, 0.03)),
+        *(drum(0.05, 0.004, (0.0, y, 0.0), SICK_YELLOW, ACROSS) for y in (-0.084, 0.084)),
+        *(block((0.025, 0.02, 0.02), (0.025, y, -0.05), DARK) for y in (-0.1, 0.1)),
+        *(solid for y in (-0.1, 0.1) for solid in lens((0.052, y, -0.05), 0.013)),
+    ),
 )
 KURT3D = _kurt(
     "Kurt3D",
+    looks=(
+        *(block((0.03, 0.006, 0.06), (SCANNER[0], y, ORIGIN - DECK - 0.05), STEEL) for y in (-0.098, 0.098)),
+        *(drum(0.03, 0.008, (SCANNER[0], y, SIDES.at[2]), LOOK_BLACK, ACROSS) for y in (-0.1, 0.1)),
+        block((0.03, 0.02, 0.03), (SCANNER[0] - 0.02, 0.12, ORIGIN - DECK - 0.03), DARK),  # its servo
+    ),
     head=(SIDES,),
     scanner=sick_lms200((0.0, 0.0, 0.0), parent=SIDES.name),
     cameras=tuple(

@@ -7,9 +7,11 @@ bend; pans turn to the left.
 """
 
 import math
+from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import NoDrive
+from usarmjx.models.robots import legged_looks as looks
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, camera
 from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.spec.shapes import Rgba, Shape
@@ -95,6 +97,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
         motor=ERS_KNEE,
         limits=_range(-10.0, 88.0),
         shapes=(_box((0.04, 0.055, ERS_UPPER), 0.05, (0.0, 0.0, ERS_UPPER / 2), "fixture"),),
+        looks=looks.ers_thigh(ERS_UPPER),
     )
     lower = Part(
         name=f"{name}Knee",
@@ -105,6 +108,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
         motor=ERS_KNEE,
         limits=_range(-25.0, 122.0, rest=knee),
         shapes=(_box((0.022, 0.03, shin), 0.025, (0.0, 0.0, shin / 2)), paw),
+        looks=looks.ers_shin(shin, ERS_PAW),
     )
     return rotator, elevator, lower
 
@@ -142,6 +146,7 @@ ERS = RobotSpec(
         _box((0.21, 0.10, 0.085), ERS_BODY, (-0.005, 0.0, -0.005)),
         _box((0.054, 0.012, 0.012), 0.0, (-0.137, 0.0, -0.035), "fixture"),  # tail
     ),
+    looks=looks.ERS_BODY,
     parts=(
         *(part for side, end in ERS_LEGS for part in _ers_leg(side, end)),
         Part(
@@ -151,6 +156,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=3.185, **ERS_SERVO),
             limits=_range(-75.0, 0.0),
             shapes=(_box((0.03, 0.03, 0.06), 0.04, (0.0, 0.0, -0.04), "fixture"),),
+            looks=looks.ERS_NECK,
         ),
         Part(
             name="HeadPan",
@@ -160,6 +166,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=10.057, **ERS_SERVO),
             limits=_range(-88.0, 88.0),
             shapes=(_gear(0.02, 0.04),),
+            looks=looks.ERS_COLLAR,
         ),
         Part(
             name="HeadNod",
@@ -168,6 +175,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=5.781, **ERS_SERVO),
             limits=_range(-15.0, 45.0),
             shapes=(_box((0.125, 0.085, 0.08), 0.20, (0.025, 0.0, -0.009)),),
+            looks=looks.ERS_HEAD,
         ),
     ),
     drive=NoDrive(kind="LeggedRobot", steering_type="FourLegs"),
@@ -245,6 +253,24 @@ def _qrio_arm(side: str, y: float) -> tuple[Part, ...]:
     )
 
 
+QRIO_LOOKS = {
+    "HipPitch": looks.qrio_limb(QRIO_THIGH, 0.034),
+    "Knee": looks.qrio_limb(QRIO_SHIN, 0.03, looks.NAVY),
+    "AnkleRoll": looks.qrio_foot(QRIO_ANKLE),
+    "BodyPan": looks.QRIO_WAIST,
+    "BodyTilt": looks.QRIO_TORSO,
+    "ShoulderRoll": looks.qrio_limb(0.09, 0.025),
+    "Elbow": looks.qrio_forearm(0.12),
+    "HeadPan": looks.QRIO_NECK,
+    "HeadTilt": looks.QRIO_HEAD,
+}
+"""By the name of the joint, without its side."""
+
+
+def _qrio_looks(name: str) -> tuple[Shape, ...]:
+    return QRIO_LOOKS.get(name.removeprefix("Left").removeprefix("Right"), ())
+
+
 QRIO_TORSO = _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))
 QRIO_HEAD = _box((0.12, 0.14, 0.115), 0.60, (0.0, 0.0, -0.0575))
 
@@ -254,15 +280,19 @@ QRIO = RobotSpec(
     mass=7.0,  # data sheet; the 50 of the manual's CONF example is also the ATRVJr's
     origin_height=QRIO_ANKLE + QRIO_SHIN + QRIO_THIGH,
     chassis=(_box((0.09, 0.13, 0.07), 0.60, (0.0, 0.0, -0.005)),),
-    parts=(
-        *_qrio_leg("Left", -QRIO_HIP),
-        *_qrio_leg("Right", QRIO_HIP),
-        _qrio_part("BodyPan", CHASSIS, UP, (-60, 60), _gear(0.03, 0.10), (0.0, 0.0, -0.05)),
-        _qrio_part("BodyTilt", "BodyPan", LIFT, (-45, 20), QRIO_TORSO),
-        *_qrio_arm("Left", -0.105),
-        *_qrio_arm("Right", 0.105),
-        _qrio_part("HeadPan", "BodyTilt", UP, (-90, 90), _gear(0.02, 0.05), (0.0, 0.0, -0.15), QRIO_ARM),
-        _qrio_part("HeadTilt", "HeadPan", LIFT, (-40, 40), QRIO_HEAD, (0.0, 0.0, -0.015), QRIO_ARM),
+    looks=looks.QRIO_PELVIS,
+    parts=tuple(
+        replace(part, looks=_qrio_looks(part.name))
+        for part in (
+            *_qrio_leg("Left", -QRIO_HIP),
+            *_qrio_leg("Right", QRIO_HIP),
+            _qrio_part("BodyPan", CHASSIS, UP, (-60, 60), _gear(0.03, 0.10), (0.0, 0.0, -0.05)),
+            _qrio_part("BodyTilt", "BodyPan", LIFT, (-45, 20), QRIO_TORSO),
+            *_qrio_arm("Left", -0.105),
+            *_qrio_arm("Right", 0.105),
+            _qrio_part("HeadPan", "BodyTilt", UP, (-90, 90), _gear(0.02, 0.05), (0.0, 0.0, -0.15), QRIO_ARM),
+            _qrio_part("HeadTilt", "HeadPan", LIFT, (-40, 40), QRIO_HEAD, (0.0, 0.0, -0.015), QRIO_ARM),
+        )
     ),
     drive=NoDrive(kind="LeggedRobot", steering_type="TwoLegs"),
     sensors=POSES,

@@ -8,6 +8,8 @@ import math
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
+from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
+from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, block, drum, rod
 from usarmjx.models.spec.robot import STEER_SUFFIX, Mount, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
@@ -22,6 +24,8 @@ MAX_STEER = 3.14  # manual 12.18.2
 HALF_TRACK = 0.30
 HALF_BASE = HALF_TRACK * math.tan(0.75)
 CORNERS = ((HALF_BASE, HALF_TRACK), (-HALF_BASE, -HALF_TRACK))
+
+LIGHT, BLUE = (0.88, 0.9, 0.92, 1.0), (0.25, 0.5, 0.75, 1.0)
 
 MOTOR = firm_motor(SPIN, torque=15.0, inertia=WHEEL_MASS * RADIUS**2 / 2, armature=0.2)
 STEERING = firm_motor(3.0, torque=30.0, inertia=WHEEL_MASS * RADIUS**2 / 4, armature=0.5)
@@ -50,6 +54,30 @@ LISA = RobotSpec(
             Shape(kind="sphere", size=(BALL,), at=(x, -y, ORIGIN - BALL), surface="caster", rgba=BLACK)
             for x, y in CORNERS
         ),
+    ),
+    looks=(
+        block((0.425, 0.375, 0.02), (0.0, 0.0, ORIGIN - 0.31), LIGHT),
+        *(drum(0.04, 0.02, (x, y, ORIGIN - 0.31), LIGHT) for x in (0.39, -0.39) for y in (0.34, -0.34)),
+        block((0.16, 0.36, 0.06), (0.0, 0.0, ORIGIN - 0.23), DARK),
+        block((0.40, 0.18, 0.06), (0.0, 0.0, ORIGIN - 0.23), DARK),
+        block((0.428, 0.2, 0.006), (0.0, 0.0, ORIGIN - 0.305), BLUE),
+        *(
+            solid
+            for x, y in CORNERS
+            for solid in (
+                drum(0.05, 0.05, (x, -y, ORIGIN - 0.2), STEEL),
+                ball((BALL, BALL, BALL), (x, -y, ORIGIN - BALL), LOOK_BLACK),
+            )
+        ),
+        # The cabinet: doors with handles, a bar to push it by, a display that leans back.
+        block((0.25, 0.25, 0.27), (0.0, 0.0, -0.1), LIGHT),
+        *(block((0.002, 0.115, 0.12), (0.25, y, -0.03), BLUE) for y in (-0.12, 0.12)),
+        *(block((0.006, 0.008, 0.03), (0.254, y, -0.03), STEEL) for y in (-0.02, 0.02)),
+        block((0.26, 0.26, 0.01), (0.0, 0.0, -0.378), DARK),
+        block((0.008, 0.1, 0.06), (0.2, 0.0, -0.26), LOOK_BLACK, (0.0, 0.0, 0.0)),
+        block((0.002, 0.09, 0.05), (0.2518, 0.0, -0.25), (0.35, 0.65, 0.85, 1.0)),
+        rod((-0.3, -0.2, -0.32), (-0.3, 0.2, -0.32), 0.014, STEEL),
+        *(rod((-0.25, y, -0.32), (-0.3, y, -0.32), 0.01, STEEL) for y in (-0.18, 0.18)),
     ),
     parts=tuple(
         part

@@ -5,6 +5,7 @@ from dataclasses import replace
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, pan_tilt
+from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, drum, rod
 from usarmjx.models.spec.robot import Link, MissionPackage
 from usarmjx.models.spec.shapes import ZERO, Shape
 
@@ -13,7 +14,7 @@ PILLAR_STEP = 0.1
 """Height of one centre link of the pillar [m] (chosen)."""
 
 
-def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape) -> Link:
+def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape, looks: tuple[Shape, ...] = ()) -> Link:
     """A link that does not move: both of its limits are 0."""
     return Link(
         number=number,
@@ -25,6 +26,21 @@ def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape) -> Link:
         min_range=0.0,
         max_range=0.0,
         shapes=shapes,
+        looks=looks,
+    )
+
+
+def _omni_looks() -> tuple[Shape, ...]:
+    """The camera on its base, and above it the mirror, rounded below, on the staves of its tube."""
+    corners = [(0.042 * x, 0.042 * y) for x, y in ((1, 0), (-0.5, 0.866), (-0.5, -0.866))]
+    return (
+        drum(0.05, 0.015, (0.0, 0.0, -0.015), BLACK),
+        drum(0.022, 0.02, (0.0, 0.0, -0.05), DARK),
+        drum(0.012, 0.006, (0.0, 0.0, -0.075), BLACK),
+        *(rod((x, y, -0.03), (x, y, -0.2), 0.0025, STEEL) for x, y in corners),
+        ball((0.042, 0.042, 0.034), (0.0, 0.0, -0.198), GLASSY),
+        drum(0.046, 0.012, (0.0, 0.0, -0.21), GLASSY),
+        drum(0.046, 0.003, (0.0, 0.0, -0.225), BLACK),
     )
 
 
@@ -52,7 +68,7 @@ def omni_pillar(centre_links: int = 2) -> MissionPackage:
     step = (0.0, 0.0, -PILLAR_STEP)
     links = [_fixed(1, -1, ZERO, rod)]
     links += [_fixed(2 + i, 1 + i, step, rod) for i in range(centre_links)]
-    links.append(_fixed(2 + centre_links, 1 + centre_links, step, *_omni_head()))
+    links.append(_fixed(2 + centre_links, 1 + centre_links, step, *_omni_head(), looks=_omni_looks()))
     return MissionPackage(name="OmniCamPillar", links=tuple(links))
 
 
@@ -70,7 +86,7 @@ def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> Mi
 PACKAGES: Registry[MissionPackage] = Registry("mission package")
 for _package in (
     pan_tilt(ZERO),
-    MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head()),)),
+    MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head(), looks=_omni_looks()),)),
     omni_pillar(),
 ):
     PACKAGES.add(_package.name, _package)

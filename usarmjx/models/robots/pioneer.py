@@ -5,6 +5,7 @@ UsarCommander's copy of USARBot.ini (sonar rings), and what had to be chosen, ma
 """
 
 import math
+from dataclasses import replace
 
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
@@ -17,10 +18,9 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
+from usarmjx.models.robots.pioneer_looks import RED, at_looks, at_wheel, dx_looks
 from usarmjx.models.spec.robot import Motor, Mount, RobotSpec
 from usarmjx.models.spec.shapes import Shape
-
-RED = (0.75, 0.1, 0.1, 1.0)
 
 # Side sonars of a front ring: y and yaw, from right to left seen from above (manual 12.1.1, degrees
 # there; F1 looks left). x differs between the robots.
@@ -74,13 +74,17 @@ P2AT = RobotSpec(
         Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0207), at=(0.0, 0.0, -0.0106), rgba=BLACK),
         sick_housing(P2AT_SCANNER),
     ),
+    looks=at_looks((*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X)), P2AT_SCANNER, RED),
     parts=tuple(
-        wheel(
-            name,
-            at=(x, y, 0.26 - P2AT_WHEEL),
-            size=(P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
-            mass=1.0,  # chosen
-            motor=P2AT_MOTOR,
+        replace(
+            wheel(
+                name,
+                at=(x, y, 0.26 - P2AT_WHEEL),
+                size=(P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
+                mass=1.0,  # chosen
+                motor=P2AT_MOTOR,
+            ),
+            looks=at_wheel(y, P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
         )
         for name, x, y in (
             ("LeftFWheel", P2AT_BASE / 2, -P2AT_TRACK / 2),
@@ -141,6 +145,7 @@ P2DX = RobotSpec(
         ),
         sick_housing(P2DX_SCANNER),
     ),
+    looks=dx_looks(_front_ring(P2DX_RING_X), P2DX_SCANNER, RED),
     parts=tuple(
         wheel(name, at=(0.0, y, 0.20 - P2DX_WHEEL), size=(P2DX_WHEEL, 0.037), mass=0.75, motor=P2DX_MOTOR)
         for name, y in (("LeftFWheel", -P2DX_TRACK / 2), ("RightFWheel", P2DX_TRACK / 2))

@@ -14,10 +14,12 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
-from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
+from usarmjx.models.robots.pioneer_looks import at_looks, atrv_looks, zerg_looks
 from usarmjx.models.spec.robot import Motor, Mount, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
+WINE = (0.5, 0.08, 0.3, 1.0)
 GREEN = (0.2, 0.4, 0.25, 1.0)
 YELLOW = (0.85, 0.7, 0.15, 1.0)
 LEFT_WHEELS, RIGHT_WHEELS = ("LeftFWheel", "LeftRWheel"), ("RightFWheel", "RightRWheel")
@@ -26,6 +28,7 @@ HALF_STEREO_BASELINE = 0.05  # half the distance of the eyes: manual 3.2.6.2's e
 STEREO_P2AT = replace(
     P2AT,
     name="StereoP2AT",
+    looks=at_looks([mount for mount in P2AT.sensors if mount.kind == "Sonar"], P2AT_SCANNER, WINE),
     cameras=tuple(
         camera(name, at=(0.0820, 0.0002 + y, 0.0613))  # the P2AT's camera between them
         for name, y in (("Camera", -HALF_STEREO_BASELINE), ("Camera2", HALF_STEREO_BASELINE))
@@ -81,6 +84,11 @@ ATRV_SONARS = (
     (230.23, -175, -45),
 )
 
+ATRV_RING = tuple(
+    Mount(kind="Sonar", name=f"S{i}", at=(x / 1000, y / 1000, 0.0), direction=(0.0, 0.0, math.radians(yaw)))
+    for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
+)
+
 ATRVJR = RobotSpec(
     name="ATRVJr",
     dimensions=(ATRV_LENGTH, ATRV_WIDTH, ATRV_HEIGHT),
@@ -106,6 +114,7 @@ ATRVJR = RobotSpec(
         ),
         sick_housing(ATRV_SCANNER),
     ),
+    looks=atrv_looks(ATRV_RING, ATRV_SCANNER, ATRV_TOP, GREEN),
     parts=_four_wheels(
         base=ATRV_BASE,
         track=ATRV_TRACK,
@@ -117,15 +126,7 @@ ATRVJR = RobotSpec(
     drive=SkidSteer(left=LEFT_WHEELS, right=RIGHT_WHEELS, max_spin=ATRV_MOTOR.max_speed, radius=ATRV_WHEEL),
     packages=(pan_tilt((0.23, 0.0, ATRV_SCANNER[2] - 0.11)),),  # chosen: on the scanner, as on the P2AT
     sensors=(
-        *(
-            Mount(
-                kind="Sonar",
-                name=f"S{i}",
-                at=(x / 1000, y / 1000, 0.0),
-                direction=(0.0, 0.0, math.radians(yaw)),
-            )
-            for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
-        ),
+        *ATRV_RING,
         sick_lms200(ATRV_SCANNER),
         *POSE_SENSORS,
     ),
@@ -174,6 +175,7 @@ ZERG = RobotSpec(
             kind="box", size=(0.02, 0.15, 0.03), at=(-0.05, 0.0, ZERG_ORIGIN - ZERG_HEIGHT + 0.03), rgba=BLACK
         ),
     ),
+    looks=zerg_looks(ZERG_LENGTH, YELLOW),
     parts=_four_wheels(
         base=ZERG_BASE,
         track=ZERG_TRACK,

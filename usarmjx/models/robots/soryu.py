@@ -2,6 +2,7 @@
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, block, drum, lens, rod
 from usarmjx.models.robots.track_kit import Belt, drive_tracks, mass_of, track, track_names
 from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape
@@ -19,6 +20,8 @@ BELT = Belt(
     max_pull=60.0,
     inertia=1.0,
     wheel_mass=0.06,
+    cleat=0.007,
+    trim=YELLOW,
 )
 SEPARATION = WIDTH - BELT.width
 CAR = 0.38  # length of a car
@@ -36,11 +39,33 @@ def _body(mass: float, at: Vec3 = (0.0, 0.0, 0.0)) -> tuple[Shape, ...]:
     return (Shape(kind="box", size=half, at=at, mass=mass, rgba=YELLOW),)
 
 
+def _car_looks(x: float) -> tuple[Shape, ...]:
+    """A car with its middle at x: two belts and a hull between, with a lid on top as below."""
+    belts = (BELT.looks((x + AXLE, y, 0.0), (x - AXLE, y, 0.0)) for y in (-SEPARATION / 2, SEPARATION / 2))
+    return (
+        *(solid for track_looks in belts for solid in track_looks),
+        block((CAR / 2 - 0.015, 0.0115, 0.05), (x, 0.0, 0.0), YELLOW),
+        block((CAR / 2 - 0.05, WIDTH / 2 - 0.002, 0.012), (x, 0.0, 0.0), YELLOW),
+        *(block((0.05, 0.0118, 0.003), (x, 0.0, z), BLACK) for z in (-0.05, 0.05)),
+    )
+
+
+def _face(x: float) -> tuple[Shape, ...]:
+    """The two cameras and the lamps at the front of the first car."""
+    front = x + CAR / 2
+    return (
+        *lens((front - 0.012, 0.0, -0.03), 0.01),
+        *lens((front - 0.012, 0.0, 0.0), 0.01),
+        drum(0.008, 0.006, (front - 0.012, 0.0, 0.03), (0.98, 0.97, 0.86, 1.0), (0.0, 1.5708, 0.0)),
+    )
+
+
 def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
     """Return the joints before (sign 1) or behind the middle car: pan first, then tilt with the car on it.
 
     Positive pans the end to the left and tilts it up, in front as behind.
     """
+    x = sign * PITCH / 2
     pan = Part(
         name=f"{end}Pan",
         at=(sign * PITCH / 2, 0.0, 0.0),
@@ -48,6 +73,11 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
         motor=PAN_MOTOR,
         limits=(-0.8, 0.8),
         shapes=(Shape(kind="sphere", size=(0.02,), mass=JOINT_MASS, surface="fixture", rgba=BLACK),),
+        looks=(
+            drum(0.024, 0.03, rgba=DARK),
+            rod((-sign * 0.04, 0.0, 0.0), (sign * 0.04, 0.0, 0.0), 0.014, STEEL, blunt=True),
+            *(ball((0.011, 0.034, 0.034), (sign * at, 0.0, 0.0), BLACK) for at in (-0.03, 0.03)),
+        ),
     )
     tilt = Part(
         name=f"{end}Tilt",
@@ -55,7 +85,8 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
         axis=RIGHT if sign > 0 else LEFT,
         motor=TILT_MOTOR,
         limits=(-1.5, 1.5),
-        shapes=_body(CAR_MASS, (sign * PITCH / 2, 0.0, 0.0)),
+        shapes=_body(CAR_MASS, (x, 0.0, 0.0)),
+        looks=(*_car_looks(x), *(_face(x) if sign > 0 else ())),
     )
     return pan, tilt
 
@@ -76,6 +107,7 @@ def soryu(wheels: int = 4) -> RobotSpec:
         mass=MASS,
         origin_height=BELT.radius,
         chassis=_body(MASS - mass_of(parts)),
+        looks=_car_looks(0.0),
         parts=parts,
         drive=drive_tracks(parts, BELT),
         sensors=POSE_SENSORS,

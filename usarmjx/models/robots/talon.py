@@ -4,7 +4,29 @@ import math
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick_housing, sick_lms200
-from usarmjx.models.robots.track_kit import GRIPPER_FINGERS_MASS, Belt, drive_tracks, mass_of, track_pair
+from usarmjx.models.robots.looks_kit import (
+    ACROSS,
+    ALONG,
+    DARK,
+    LAMP,
+    STEEL,
+    block,
+    drum,
+    lens,
+    mirrored,
+    prism,
+    rod,
+    sick,
+)
+from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
+from usarmjx.models.robots.track_kit import (
+    GRIPPER_FINGERS_MASS,
+    Belt,
+    drive_tracks,
+    mass_of,
+    pair_looks,
+    track_pair,
+)
 from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
@@ -21,6 +43,8 @@ TALON_BELT = Belt(
     max_pull=300.0,
     inertia=4.0,
     wheel_mass=1.0,
+    cleat=0.013,
+    trim=OLIVE,
 )
 TALON_SEPARATION = TALON_WIDTH - TALON_BELT.width
 TALON_AXLE = TALON_LENGTH / 2 - TALON_BELT.radius
@@ -31,6 +55,15 @@ def _arm_motor(torque: float, armature: float) -> Motor:
     """Stiff enough that the arm's weight bends no joint by a hundredth of a radian."""
     return Motor(
         max_speed=0.5, torque=torque, stiffness=4000.0 * armature, damping=60.0 * armature, armature=armature
+    )
+
+
+def _arm_looks(length: float) -> tuple[Shape, ...]:
+    """Return a link of the arm: a joint, a tube, and the collar at its end."""
+    return (
+        drum(0.036, 0.04, rgba=DARK, rotation=ACROSS),
+        rod((0.0, 0.0, 0.0), (length, 0.0, 0.0), 0.021, OLIVE, blunt=True),
+        drum(0.028, 0.015, (0.8 * length, 0.0, 0.0), LOOK_BLACK, ALONG),
     )
 
 
@@ -50,6 +83,7 @@ def _arm_link(
         min_range=limits[0],
         max_range=limits[1],
         shapes=(bar,),
+        looks=_arm_looks(length),
         motor=motor,
     )
 
@@ -67,16 +101,35 @@ TALON_ARM = MissionPackage(
 )
 
 
+def _talon_body(top: float) -> tuple[Shape, ...]:
+    """Return hull, boxes and mast of a Talon; `top` is z of its deck."""
+    return (
+        prism(
+            mirrored([(0.36, 0.03), (0.4, -0.03), (0.36, top)]),
+            0.135,
+            OLIVE,
+        ),
+        *(block((0.33, 0.07, 0.006), (0.0, y, top - 0.004), OLIVE) for y in (-0.2, 0.2)),  # fenders
+        block((0.12, 0.1, 0.03), (0.08, 0.0, top - 0.02), LOOK_BLACK),
+        block((0.1, 0.05, 0.03), (-0.2, 0.2, top - 0.035), OLIVE),
+        block((0.1, 0.05, 0.03), (-0.2, -0.2, top - 0.035), OLIVE),
+        block((0.05, 0.06, 0.03), (-0.33, 0.0, top - 0.02), DARK),
+        *(drum(0.022, 0.012, (0.385, y, -0.06), LAMP, ALONG) for y in (-0.08, 0.08)),
+        *lens((0.372, 0.0, top - 0.002), 0.018),
+        rod((-0.3, 0.12, top), (-0.3, 0.12, top - 0.3), 0.006, LOOK_BLACK),
+        rod((-0.3, -0.12, top), (-0.3, -0.12, top - 0.3), 0.006, LOOK_BLACK),
+    )
+
+
 def talon(wheels: int = 10) -> RobotSpec:
     """Return the Talon with so many wheels in each track (manual 12.10.2)."""
-    parts = track_pair(
-        TALON_BELT,
-        wheels,
-        separation=TALON_SEPARATION,
-        front=TALON_AXLE,
-        rear=-TALON_AXLE,
-        height=TALON_AXLE_HEIGHT,
-    )
+    row = {
+        "separation": TALON_SEPARATION,
+        "front": TALON_AXLE,
+        "rear": -TALON_AXLE,
+        "height": TALON_AXLE_HEIGHT,
+    }
+    parts = track_pair(TALON_BELT, wheels, **row)
     packages = (TALON_ARM,)
     top = TALON_ORIGIN - TALON_BELT.radius - 0.13  # z of the deck
     return RobotSpec(
@@ -95,6 +148,7 @@ def talon(wheels: int = 10) -> RobotSpec:
                 rgba=OLIVE,
             ),
         ),
+        looks=(*pair_looks(TALON_BELT, **row), *_talon_body(top)),
         parts=parts,
         drive=drive_tracks(parts, TALON_BELT),
         packages=packages,
@@ -134,6 +188,8 @@ RUGBOT_BELT = Belt(
     max_pull=60.0,
     inertia=8.0,
     wheel_mass=0.8,
+    cleat=0.011,
+    trim=RED,
 )
 RUGBOT_SEPARATION = RUGBOT_WIDTH - RUGBOT_BELT.width
 RUGBOT_AXLE = RUGBOT_LENGTH / 2 - RUGBOT_BELT.radius
@@ -143,14 +199,8 @@ RUGBOT_SCANNER = (0.08, 0.0, RUGBOT_DECK - 0.055)
 
 def rugbot(wheels: int = 3) -> RobotSpec:
     """Return the Rugbot with so many wheels in each track (manual 12.10.2)."""
-    parts = track_pair(
-        RUGBOT_BELT,
-        wheels,
-        separation=RUGBOT_SEPARATION,
-        front=RUGBOT_AXLE,
-        rear=-RUGBOT_AXLE,
-        height=0.0,
-    )
+    row = {"separation": RUGBOT_SEPARATION, "front": RUGBOT_AXLE, "rear": -RUGBOT_AXLE, "height": 0.0}
+    parts = track_pair(RUGBOT_BELT, wheels, **row)
     packages = (pan_tilt((-0.05, 0.0, RUGBOT_DECK - 0.05)),)
     return RobotSpec(
         name="Rugbot",
@@ -175,6 +225,17 @@ def rugbot(wheels: int = 3) -> RobotSpec:
                 rgba=RED,
             ),
             sick_housing(RUGBOT_SCANNER),
+        ),
+        looks=(
+            *pair_looks(RUGBOT_BELT, **row),
+            block((0.15, 0.062, 0.09), (0.0, 0.0, 0.0), DARK),
+            block((0.13, RUGBOT_WIDTH / 2, 0.012), (0.0, 0.0, RUGBOT_DECK + 0.012), RED),
+            prism([(0.12, -0.09), (0.1, RUGBOT_DECK), (-0.14, RUGBOT_DECK), (-0.16, -0.09)], 0.1, RED),
+            block((0.025, 0.05, 0.03), (-0.14, 0.0, RUGBOT_DECK - 0.03), LOOK_BLACK),
+            *(drum(0.015, 0.006, (0.15, y, 0.03), LAMP, ALONG) for y in (-0.035, 0.035)),
+            block((0.06, 0.06, 0.008), (RUGBOT_SCANNER[0], 0.0, RUGBOT_DECK), DARK),
+            rod((-0.05, 0.0, RUGBOT_DECK), (-0.05, 0.0, RUGBOT_DECK - 0.04), 0.02, STEEL, blunt=True),
+            *sick(RUGBOT_SCANNER),
         ),
         parts=parts,
         drive=drive_tracks(parts, RUGBOT_BELT),

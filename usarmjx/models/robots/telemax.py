@@ -5,6 +5,9 @@ from typing import Literal
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
+from usarmjx.models.robots.looks_kit import ACROSS, LAMP, block, drum, lens, mirrored, prism, rod
+from usarmjx.models.robots.looks_kit import ALONG as ALONG_TUBE
+from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
 from usarmjx.models.robots.track_kit import (
     FLIPPERS,
     GRIPPER_FINGERS_MASS,
@@ -12,11 +15,13 @@ from usarmjx.models.robots.track_kit import (
     Flippers,
     drive_tracks,
     mass_of,
+    pair_looks,
     track_pair,
 )
 from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
+BLUE = (0.2, 0.3, 0.5, 1.0)
 SILVER = (0.75, 0.75, 0.78, 1.0)
 
 TELEMAX_LENGTH, TELEMAX_WIDTH, TELEMAX_HEIGHT = 0.80, 0.40, 0.75  # manual 12.19.1, stowed
@@ -27,6 +32,8 @@ TELEMAX_BELT = Belt(
     max_pull=300.0,  # chosen, as all without a source
     inertia=10.0,
     wheel_mass=2.0,
+    cleat=0.015,
+    trim=BLUE,
 )
 TELEMAX_MASS = 80.0
 # Stowed, the flippers point up, and the wheels around their hinges are the ends of it. In the middle of each
@@ -86,6 +93,7 @@ def _link(
         joint=joint,
         motor=motor,
         shapes=(bar,),
+        looks=_tube(bar),
     )
 
 
@@ -93,6 +101,17 @@ def _bar(start: float, end: float, thick: float, mass: float) -> Shape:
     """Return a bar along the arm, from `start` to `end` ahead of its joint."""
     half = ((end - start) / 2, thick / 2, thick / 2)
     return Shape(kind="box", size=half, at=((start + end) / 2, 0.0, 0.0), mass=mass, rgba=BLACK)
+
+
+def _tube(bar: Shape) -> tuple[Shape, ...]:
+    """Return what a bar of the arm is drawn as: a tube, the drum of its joint, a collar at its end."""
+    half, thick, _ = bar.size
+    start, end = bar.at[0] - half, bar.at[0] + half
+    return (
+        rod((start, 0.0, 0.0), (end, 0.0, 0.0), 0.8 * thick, SILVER, blunt=True),
+        drum(1.15 * thick, 1.3 * thick, (max(start, 0.0), 0.0, 0.0), LOOK_BLACK, ACROSS),
+        drum(0.95 * thick, 0.012, (end - 0.012, 0.0, 0.0), BLUE, ALONG_TUBE),
+    )
 
 
 ANY = (1.0, 0.0)  # captured for link 1: unlimited
@@ -116,16 +135,26 @@ TELEMAX_ARM = MissionPackage(
 )
 
 
+_TELEMAX_BODY = (
+    prism(
+        mirrored([(0.3, 0.08), (0.34, 0.0), (0.34, -0.1), (0.28, -0.15)]),
+        0.1,
+        SILVER,
+    ),
+    block((0.24, 0.15, 0.012), (0.0, 0.0, -0.185), SILVER),
+    block((0.16, 0.08, 0.02), (-0.1, 0.0, -0.165), BLUE),
+    block((0.004, 0.07, 0.03), (0.341, 0.0, -0.05), BLUE),
+    *(drum(0.018, 0.01, (0.342, y, -0.09), LAMP, ALONG_TUBE) for y in (-0.07, 0.07)),
+    *lens((0.342, 0.0, -0.1), 0.018),
+    drum(0.07, 0.05, (0.1789, -0.0014, -0.14), LOOK_BLACK),
+    rod((-0.22, 0.1, -0.19), (-0.22, 0.1, -0.45), 0.006, LOOK_BLACK),
+)
+
+
 def telemax(wheels: int = 4) -> RobotSpec:
     """Return the TeleMax with so many wheels in each row of the chassis (manual 12.10.2)."""
-    rows = track_pair(
-        TELEMAX_BELT,
-        wheels,
-        separation=TELEMAX_SEPARATION,
-        front=TELEMAX_PIVOT,
-        rear=-TELEMAX_PIVOT,
-        height=0.0,
-    )
+    row = {"separation": TELEMAX_SEPARATION, "front": TELEMAX_PIVOT, "rear": -TELEMAX_PIVOT, "height": 0.0}
+    rows = track_pair(TELEMAX_BELT, wheels, **row)
     parts = (*rows, *TELEMAX_FLIPPERS.parts(TELEMAX_BELT))
     packages = (TELEMAX_ARM,)
     return RobotSpec(
@@ -145,6 +174,7 @@ def telemax(wheels: int = 4) -> RobotSpec:
                 rgba=SILVER,
             ),
         ),
+        looks=(*pair_looks(TELEMAX_BELT, **row), *_TELEMAX_BODY),
         parts=parts,
         drive=drive_tracks(parts, TELEMAX_BELT),
         packages=packages,

@@ -4,18 +4,24 @@ Wheels of one robot never touch each other, so those of a row overlap: the more 
 row is to a belt, and the more it costs. Every wheel has a motor, and all of a side run at one belt speed.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Tracks
 from usarmjx.models.robots.kit import BLACK, wheel
+from usarmjx.models.robots.looks_kit import ACROSS, STEEL, block, cleats, drum
+from usarmjx.models.robots.looks_kit import belt as belt_looks
+from usarmjx.models.robots.looks_kit import sprocket as sprocket_looks
 from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Motor, Part
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import ZERO, Rgba, Shape
 
 BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
 """Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a
 third of what they are stable at), damped to 0.8 of critical."""
+CLEAT_PITCH = 5.5
+"""How far apart cleats are drawn, over how far they stand out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +35,8 @@ class Belt:
         max_pull: Most that one wheel can pull [N].
         inertia: What a wheel's motor weighs at the belt [kg].
         wheel_mass: Mass of a wheel of that radius [kg]; smaller ones are lighter as their area.
+        cleat: How far its cleats are drawn to stand out [m]; the wheels' radii go to their tips.
+        trim: Colour of its sprockets.
     """
 
     radius: float
@@ -37,6 +45,8 @@ class Belt:
     max_pull: float
     inertia: float
     wheel_mass: float
+    cleat: float = 0.01
+    trim: Rgba = STEEL
 
     def motor(self, radius: float) -> Motor:
         """Return the motor of a wheel of some radius: same pull, same belt speed."""
@@ -53,9 +63,38 @@ class Belt:
         """Return one wheel of a track."""
         mass = self.wheel_mass * (radius / self.radius) ** 2
         size = (radius, self.width)
-        return wheel(
+        part = wheel(
             name, at=at, size=size, mass=mass, motor=self.motor(radius), parent=parent, surface="track"
         )
+        return replace(part, looks=self._bearing(radius))
+
+    def _bearing(self, radius: float) -> tuple[Shape, ...]:
+        return (drum(0.28 * radius, self.width / 2 + 0.003, rgba=self.trim, rotation=ACROSS),)
+
+    def driven(self, part: Part, *, sprocket: bool = False) -> Part:
+        """Return a wheel drawn with the cleats that pass it, which so run as fast as the belt does."""
+        radius = part.shapes[0].size[0]
+        bars = max(3, round(math.pi * radius / (CLEAT_PITCH * self.cleat)))
+        side = sprocket_looks(0.66 * radius, self.width, self.trim) if sprocket else self._bearing(radius)
+        return replace(part, looks=(*cleats(radius, self.width, bars, 0.9 * self.cleat), *side))
+
+    def looks(self, front: Vec3, rear: Vec3, radii: tuple[float, float] | None = None) -> tuple[Shape, ...]:
+        """Return the belt about the foremost and the rearmost of a row's wheels, for what these are on."""
+        outer = (self.radius, self.radius) if radii is None else radii
+        first, last = (radius - self.cleat for radius in outer)
+        return belt_looks(front, rear, (first, last), 0.96 * self.width)
+
+
+def _with_cleats(belt: Belt, row: Sequence[Part]) -> tuple[Part, ...]:
+    """Return a row of wheels, of which as many have cleats as it takes that the belt's never pause."""
+    apart = abs(row[0].at[0] - row[-1].at[0]) / (len(row) - 1)
+    shown = 2 * math.sqrt(2 * belt.radius * belt.cleat)  # along the belt, of a wheel's cleats
+    step = max(1, round(shown / apart))
+    ends = (0, len(row) - 1)
+    return tuple(
+        belt.driven(part, sprocket=i in ends) if i % step == 0 or i in ends else part
+        for i, part in enumerate(row)
+    )
 
 
 def _along(first: float, last: float, count: int) -> list[float]:
@@ -80,7 +119,16 @@ def track(
         parent: What they are mounted on.
     """
     places = zip(*(_along(a, b, len(names)) for a, b in zip(front, rear, strict=True)), strict=True)
-    return tuple(belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True))
+    row = [belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True)]
+    return _with_cleats(belt, row)
+
+
+def pair_looks(
+    belt: Belt, *, separation: float, front: float, rear: float, height: float
+) -> tuple[Shape, ...]:
+    """Return the belts of a `track_pair`, which takes the same figures, for the chassis."""
+    sides = (-separation / 2, separation / 2)
+    return tuple(solid for y in sides for solid in belt.looks((front, y, height), (rear, y, height)))
 
 
 def track_pair(
@@ -135,11 +183,17 @@ class Flippers:
         for corner, at in corners.items():
             out = 1 if at[0] > 0 else -1
             name = f"{corner}Flipper"
-            flippers.append(
-                Part(name=name, at=(*at, self.height), motor=self.motor, shapes=(self._arm(out, belt),))
+            tip = (out * self.length, 0.0, 0.0)
+            side = (out * self.length * 0.45, 0.0, 0.0)
+            looks = (
+                *belt.looks(ZERO, tip, (belt.radius, self.tip)),
+                block((0.3 * self.length, belt.width / 2 + 0.003, 0.3 * self.tip), side, belt.trim),
             )
+            arm = (self._arm(out, belt),)
+            flippers.append(Part(name=name, at=(*at, self.height), motor=self.motor, shapes=arm, looks=looks))
             for i, (place, radius) in enumerate(self._row(belt.radius), start=1):
-                wheels.append(belt.wheel(f"{name}Wheel{i}", (out * place, 0.0, 0.0), radius, name))
+                part = belt.wheel(f"{name}Wheel{i}", (out * place, 0.0, 0.0), radius, name)
+                wheels.append(belt.driven(part, sprocket=i == self.count))
         return (*flippers, *wheels)
 
     def _row(self, root: float) -> list[tuple[float, float]]:

@@ -10,10 +10,26 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Underwater
 from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt
+from usarmjx.models.robots.looks_kit import (
+    ALONG,
+    GLASS_BLACK,
+    LAMP,
+    STEEL,
+    WHITE,
+    ball,
+    block,
+    drum,
+    hull,
+    rod,
+)
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.models.spec.shapes import Rgba, Shape
 
 NAVY: Rgba = (0.2, 0.25, 0.35, 1.0)
+SAIL = ((0.65, 0.0), (0.3, 0.15), (0.3, -0.15), (-0.62, 0.0), (-0.2, 0.14), (-0.2, -0.14))
+"""Corners of the drawn sail, seen from above [m]."""
+BRASS: Rgba = (0.72, 0.55, 0.25, 1.0)
+RED: Rgba = (0.5, 0.1, 0.1, 1.0)
 GREY: Rgba = (0.5, 0.5, 0.55, 1.0)
 
 LENGTH, WIDTH, HEIGHT = 6.5364, 1.1428, 1.9929  # manual
@@ -32,6 +48,36 @@ BALLAST, BALLAST_AT = 1000.0, 0.78  # in the keel (chosen)
 
 def _plate(size: Vec3) -> Shape:
     return Shape(kind="box", size=size, at=(-STERN, 0.0, 0.0), surface="fixture", rgba=GREY)
+
+
+def _looks() -> tuple[Shape, ...]:
+    """Return a boat with a rounded bow, a tail cone, sail, rudders and planes, propeller and keel."""
+    top, half = -HEIGHT / 2, RUDDER_AREA / CHORD / 2
+    return (
+        ball((1.0, TUBE, TUBE), (BOW - 1.0, 0.0, 0.0), NAVY),
+        drum(TUBE, 1.9, (0.4, 0.0, 0.0), NAVY, ALONG),
+        ball((1.75, TUBE, TUBE), (-1.45, 0.0, 0.0), NAVY),
+        drum(TUBE + 0.003, 0.03, (1.6, 0.0, 0.0), WHITE, ALONG),
+        block((1.6, 0.08, 0.02), (0.2, 0.0, -TUBE), BLACK),
+        # The sail with its planes and windows, the hatch, the mast and the periscope.
+        hull([(x, y, z) for x, y in SAIL for z in (-0.5, -0.86)], NAVY),
+        block((0.14, 0.42, 0.015), (0.1, 0.0, -0.7), GREY),
+        block((0.09, 0.12, 0.03), (0.42, 0.0, -0.79), GLASS_BLACK),
+        rod((-0.4, 0.0, -0.85), (-0.4, 0.0, top + 0.02), 0.02, GREY, blunt=True),
+        rod((-0.3, 0.05, -0.85), (-0.3, 0.05, -0.95), 0.015, STEEL),
+        # Stern: rudders, planes, propeller.
+        *(block((CHORD / 2, 0.02, half / 2), (-STERN, 0.0, z * half / 2), GREY) for z in (-1.0, 1.0)),
+        block((CHORD / 2, PLANE_AREA / CHORD / 2, 0.02), (-STERN, 0.0, 0.0), GREY),
+        ball((0.14, 0.07, 0.07), (-LENGTH / 2 + 0.05, 0.0, 0.0), BRASS),
+        *(
+            block((0.012, 0.05, 0.3), (-LENGTH / 2 + 0.02, 0.0, 0.0), BRASS, (turn * math.pi / 3, 0.0, 0.0))
+            for turn in range(3)
+        ),
+        # Keel, and in it the sonar that looks down.
+        block((1.2, 0.1, HEIGHT / 2 - BALLAST_AT), (0.0, 0.0, BALLAST_AT), RED),
+        drum(0.06, 0.02, (0.0, 0.0, HEIGHT / 2 - 0.015), BLACK),
+        *(ball((0.03, 0.02, 0.02), (BOW - 0.25, y, 0.0), LAMP) for y in (-0.36, 0.36)),
+    )
 
 
 SUBMARINE = RobotSpec(
@@ -68,6 +114,7 @@ SUBMARINE = RobotSpec(
         _plate((CHORD / 2, 0.02, RUDDER_AREA / CHORD / 2)),
         _plate((CHORD / 2, PLANE_AREA / CHORD / 2, 0.02)),
     ),
+    looks=_looks(),
     drive=Underwater(
         hull=Hull(
             radii=RADII,

@@ -5,6 +5,7 @@ A release of 2011 could spawn a class of that name; of its looks and figures not
 
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import POSE_SENSORS, sick_housing, sick_lms200, wheel
+from usarmjx.models.robots.pioneer_looks import loader_looks
 from usarmjx.models.spec.robot import Motor, Mount, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
@@ -26,6 +27,7 @@ UNIT_LOADER = RobotSpec(
         Shape(kind="box", size=(LENGTH / 2, WIDTH / 2, 0.02), at=(0.0, 0.0, -0.05), rgba=YELLOW),
         sick_housing(SCANNER),
     ),
+    looks=loader_looks(LENGTH, WIDTH, SCANNER, YELLOW),
     parts=tuple(
         wheel(name, at=(x, y, ORIGIN - RADIUS), size=(RADIUS, WIDTH - TRACK), mass=1.0, motor=MOTOR)
         for name, x, y in (

@@ -84,6 +84,8 @@ class Part:
         spring: Spring and damper.
         geared: Part whose joint this one's is geared to: both have the same position.
         shapes: Its solids; together they need a mass.
+        looks: What it is drawn as instead of its solids, to which contacts and range sensors keep; empty: as
+            these. In the same axes, opaque; mass and surface mean nothing.
         is_wheel: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
     """
 
@@ -98,6 +100,7 @@ class Part:
     spring: Spring | None = None
     geared: str | None = None
     shapes: tuple[Shape, ...] = ()
+    looks: tuple[Shape, ...] = ()
     is_wheel: bool = False
 
 
@@ -108,7 +111,7 @@ class Link:
     Location and orientation are the link frame's in its parent's frame; the joint turns about (or
     slides along) the link frame's z axis. `min_range` above `max_range` means no limits. `max_torque` is
     what CONF reports, in the original's units; `motor` says what the joint can do, and None makes it a
-    servo for parts of some 0.5 kg with the reported limits.
+    servo for parts of some 0.5 kg with the reported limits. `looks` are as a `Part`'s.
     """
 
     number: int
@@ -122,6 +125,7 @@ class Link:
     shapes: tuple[Shape, ...]
     joint: Literal["Revolute", "Prismatic"] = "Revolute"
     motor: Motor | None = None
+    looks: tuple[Shape, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +168,7 @@ class RobotSpec:
         payload: What it can carry.
         origin_height: Chassis origin above flat ground (manual 5.3.6).
         chassis: Solids of the chassis.
+        looks: What the chassis is drawn as; see `Part`.
         parts: What hangs on it by joints, parents first.
         drive: How DRIVE moves it.
         packages: Mission packages.
@@ -188,6 +193,7 @@ class RobotSpec:
     payload: float = 0.0
     origin_height: float
     chassis: tuple[Shape, ...]
+    looks: tuple[Shape, ...] = ()
     parts: tuple[Part, ...] = ()
     drive: Drive
     packages: tuple[MissionPackage, ...] = ()

@@ -80,9 +80,20 @@ lets everything but light through, is never touched, and is no wall to the radio
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A convex solid: its corners [m] (vertices, 3), of which MuJoCo takes the convex hull."""
+    """A convex solid: its corners [m] (vertices, 3), of which MuJoCo takes the convex hull.
+
+    Two are the same if they have the same corners.
+    """
 
     vertices: np.ndarray
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other has the same corners."""
+        return isinstance(other, Mesh) and np.array_equal(self.vertices, other.vertices)
+
+    def __hash__(self) -> int:
+        """Return the hash of the corners."""
+        return hash(self.vertices.tobytes())
 
 
 @dataclass(frozen=True, eq=False)
