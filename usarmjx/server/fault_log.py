@@ -12,6 +12,36 @@ MAX_SHOWN = 3
 """Most different faults that a line tells."""
 
 
+class LineLimit:
+    """Lets so many lines of a kind into the log in a time, and counts the others.
+
+    Args:
+        most: So many.
+        interval: In this time from the first of them [s].
+        clock: The time [s].
+    """
+
+    def __init__(self, most: int, interval: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._interval, self._clock = most, interval, clock
+        self._ends, self._lines, self._left_out = 0.0, 0, 0
+
+    def admits(self) -> bool:
+        """Return whether another line may be logged; if not it is counted."""
+        now = self._clock()
+        if now >= self._ends:
+            self._ends, self._lines = now + self._interval, 0
+        self._lines += 1
+        self._left_out += self._lines > self._most
+        return self._lines <= self._most
+
+    def take_left_out(self) -> int:
+        """Return how many lines were counted only, once their time is over, and forget them; 0 before."""
+        if self._clock() < self._ends:
+            return 0
+        count, self._left_out = self._left_out, 0
+        return count
+
+
 class FaultLog:
     """Logs what clients do wrong, and only so many lines of it in a second.
 
@@ -21,26 +51,18 @@ class FaultLog:
     """
 
     def __init__(self, log: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
-        self._log, self._clock = log, clock
-        self._ends, self._lines, self._left_out = 0.0, 0, 0
+        self._log, self._limit = log, LineLimit(MAX_LINES, INTERVAL, clock)
 
     def warning(self, text: str, *args: object) -> None:
         """Log a line as `logging` does, or only count it."""
         self.flush()
-        if self._lines < MAX_LINES:
-            self._lines += 1
+        if self._limit.admits():
             self._log.warning(text, *args)
-        else:
-            self._left_out += 1
 
     def flush(self) -> None:
         """Say how many lines were left out, once the second is over; to be called now and then."""
-        now = self._clock()
-        if now < self._ends:
-            return
-        if self._left_out:
-            self._log.warning("%d more lines about clients' faults are left out", self._left_out)
-        self._ends, self._lines, self._left_out = now + INTERVAL, 0, 0
+        if left_out := self._limit.take_left_out():
+            self._log.warning("%d more lines about clients' faults are left out", left_out)
 
 
 def summary(faults: Sequence[str], count: int) -> str:

@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
 from usarmjx.server.access import AUTH, AccessRules, IPAddress, parse_address, token_of
+from usarmjx.server.fault_log import LineLimit
 
 log = logging.getLogger(__name__)
 
@@ -44,10 +45,9 @@ class Gate:
     ) -> None:
         self.rules, self._room = rules, room
         self._limit = -(-3 * room // 4) if rules.per_address is None else rules.per_address
-        self._name, self._now = name, now
+        self._name, self._lines = name, LineLimit(1, LOG_INTERVAL, now)
         self._counts: Counter[IPAddress] = Counter()
         self._strangers: list[asyncio.WriteTransport] = []
-        self._next_log, self._unlogged = 0.0, 0
 
     def enter(self, address: str) -> bool:
         """Return whether a connection from an address is let in; tell `leave` when it has ended."""
@@ -78,13 +78,10 @@ class Gate:
 
     def refuse(self, peer: str, reason: str) -> None:
         """Log that a peer is refused, unless another one was just before: then it is counted."""
-        now = self._now()
-        if now < self._next_log:
-            self._unlogged += 1
-            return
-        more = f" ({self._unlogged} more since the last such line)" if self._unlogged else ""
-        log.warning("%s: %s is refused: %s%s", self._name, peer, reason, more)
-        self._next_log, self._unlogged = now + LOG_INTERVAL, 0
+        count = self._lines.take_left_out()
+        if self._lines.admits():
+            more = f" ({count} more since the last such line)" if count else ""
+            log.warning("%s: %s is refused: %s%s", self._name, peer, reason, more)
 
     async def is_known(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: bytes) -> bool:
         """Return whether a peer says the token, if one is asked for; what follows its line stays unread."""

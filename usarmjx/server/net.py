@@ -17,7 +17,7 @@ from usarmjx.server.adapter import Client
 from usarmjx.server.bot_server import BotServerSettings, Tally
 from usarmjx.server.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
 from usarmjx.server.fault_log import FaultLog
-from usarmjx.server.gate import Gate
+from usarmjx.server.gate import Gate, peer_address
 from usarmjx.server.protocol.commands import Command, Init
 from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
@@ -240,7 +240,7 @@ class BotServer:
             self._connections[client].writer.transport.abort()
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peer = "{}:{}".format(*writer.get_extra_info("peername")[:2])
+        peer = "{}:{}".format(*peer_address(writer))
         if self.title:
             peer = f"{self.title}, {peer}"
         if not self._make_room():
