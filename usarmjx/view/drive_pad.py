@@ -98,13 +98,14 @@ def pad_html(buttons: Mapping[str, str]) -> str:
     leave = f"for(const k of {_list(buttons.values())}){_release('k')}"
     return (
         f"<style>{hide}{{display:none}}"
-        ".drivepad{display:grid;grid-template-columns:repeat(4,3.2em);grid-auto-rows:3.2em;gap:.3em;"
+        f".drivepad{{grid-template-columns:repeat({4 if 'up' in buttons else 3},3.2em)}}"
+        ".drivepad{display:grid;grid-auto-rows:3.2em;gap:.3em;"
         "justify-content:center;padding:.4em;margin:0 .6em .5em;border-radius:.5em;outline:1px solid #8888;"
         "touch-action:none;user-select:none;-webkit-user-select:none}"
         ".drivepad:focus{outline:2px solid #4a90e2}"
         ".drivepad button{font-size:1.4em;border:0;border-radius:.4em;background:#8883;color:inherit;"
         "touch-action:none}.drivepad button:active{background:#4a90e2}"
-        ".drivepad small{grid-column:1 / 5;align-self:center;text-align:center;opacity:.7}</style>"
+        ".drivepad small{grid-column:1 / -1;align-self:center;text-align:center;opacity:.7}</style>"
         f'<div class="drivepad" tabindex="0" aria-label="drive" '
         f'onkeydown="{_quoted(on_key + "if(!event.repeat)" + _press("k") + "}")}" '
         f'onkeyup="{_quoted(on_key + _release("k") + "}")}" '
