@@ -214,6 +214,16 @@ def test_a_rotation_is_in_the_wires_sense(house):
     assert 2 * math.atan2(quat[3], quat[0]) == pytest.approx(-0.5, abs=0.01), "clockwise is negative here"
 
 
+def test_without_a_location_the_first_free_start_is_taken_and_a_rotation_counts(house):
+    starts = house.world.arena.starts
+    lines = ("INIT {ClassName P2DX}", "INIT {ClassName P2DX} {Rotation 0,0,0.5}", "INIT {ClassName P2DX}")
+    states = [house.world.state(house.connect(line).robot) for line in lines]
+    for state, start, yaw in zip(states, starts, (starts[0].yaw, -0.5, starts[2].yaw), strict=False):
+        assert state.pos[:2] == pytest.approx(start.at[:2], abs=1e-3)
+        turned = 2 * math.atan2(state.quat[3], state.quat[0]) - yaw
+        assert math.remainder(turned, 2 * math.pi) == pytest.approx(0.0, abs=1e-3)
+
+
 def test_a_robot_inside_the_floor_is_raised_and_that_is_logged(house, caplog):
     caplog.set_level(logging.INFO, "usarmjx")
     client = house.connect("INIT {ClassName P2AT} {Name Mole} {Location 4.5,1.9,3.0}")
