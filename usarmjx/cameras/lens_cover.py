@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 
@@ -18,7 +19,8 @@ def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray
     """
     rest_mat, solids = plan.rest_frames, plan.figure.solids
     lens_pos = plan.rest_pos[body] + rest_mat[body] @ at
-    pos, mat = solids.poses(plan.rest_pos, rest_mat)
+    with numpy_backend():  # it may be asked for while JAX traces
+        pos, mat = solids.poses(plan.rest_pos, rest_mat)
     local = np.einsum("gji,gj->gi", mat, lens_pos - pos)
     rows = zip(solids.kind.tolist(), local, solids.size, strict=True)
     near = np.array([_away(kind, point, size) < COVER_DISTANCE for kind, point, size in rows], bool)
