@@ -32,7 +32,7 @@ ViewerControlOption = Annotated[
     bool,
     typer.Option(
         "--viewer-control",
-        help="Whoever opens the page may have its controls; else only where it needs this machine or the token.",
+        help="Whoever opens the page may have its controls; else only on this machine, or with a token.",
     ),
 ]
 ViewerPortOption = Annotated[
