@@ -58,6 +58,10 @@ class Extras:
     ask: bool = True
 
 
+class Key(Button, can_focus=False):
+    """A button that leaves the keyboard to whom it was with."""
+
+
 class ConsoleApp(App[str]):
     """The console; `run` returns why it could not begin, else nothing.
 
@@ -112,7 +116,7 @@ class ConsoleApp(App[str]):
                 for row in BUTTONS:
                     with Horizontal(classes="buttons"):
                         for name, text in row:
-                            yield Button(text, id=f"do-{name}")
+                            yield Key(text, id=f"do-{name}")
         yield Footer()
 
     async def on_mount(self) -> None:
@@ -130,7 +134,7 @@ class ConsoleApp(App[str]):
             self.run_worker(self._learn_classes(self._extras.load_classes))
         if self._extras.pictures is not None:
             self.run_worker(self._watch(self._extras.pictures))
-        self.set_interval(0.25, self._show_status)
+        self.set_interval(0.5, self._show_status)
 
     def on_unmount(self) -> None:
         """Hang up."""
@@ -282,4 +286,4 @@ class ConsoleApp(App[str]):
             parts += [f"light {'on' if known.light else 'off'}", f"speed {self._pilot.speed:g} %"]
         if self._device is not None:
             parts.append("joystick")
-        self._state_line.update(Text(" | ".join(parts)))
+        self._state_line.update(Text(" | ".join(parts)), layout=False)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from usarmjx.base.errors import PeerError
+from usarmjx.console.vocabulary import ASKED_TYPES, SENSOR_TYPES
 from usarmjx.server.protocol.grammar import Message, Segment, to_float, to_vector
 
 REPORTED_SEGMENTS = frozenset(
@@ -93,11 +94,9 @@ class Knowledge:
         """Return what to ask the server now to know more; each question once."""
         wanted = ["GETSTARTPOSES"] if self.level else []
         if self.has_robot:
-            types = ["Robot", "Camera", "MisPkg", "Effecter", *self.items]
-            wanted += [
-                f"{head} {{Type {kind}}}" for kind in dict.fromkeys(types) for head in ("GETGEO", "GETCONF")
-            ]
-        new = [line for line in wanted if line not in self._asked]
+            wanted += [f"GETGEO {{Type {kind}}}" for kind in (*ASKED_TYPES, *SENSOR_TYPES, *self.items)]
+            wanted += [f"GETCONF {{Type {kind}}}" for kind in (*ASKED_TYPES, *self.items)]
+        new = [line for line in dict.fromkeys(wanted) if line not in self._asked]
         self._asked.update(new)
         return new
 

@@ -51,7 +51,7 @@ class MessagePanes(Vertical):
 
     def on_mount(self) -> None:
         """Write now and then, not with each message."""
-        self.set_interval(0.1, self.flush)
+        self.set_interval(0.2, self.flush)
 
     def add(self, direction: str, kind: str, line: str) -> None:
         """Take a line."""
@@ -83,7 +83,7 @@ class SensorTree(Tree[None]):
 
     def on_mount(self) -> None:
         """Show new values now and then."""
-        self.set_interval(0.25, self.show_latest)
+        self.set_interval(0.5, self.show_latest)
 
     def hear(self, message: Message) -> None:
         """Take a message."""
@@ -123,12 +123,13 @@ class RangeBars(Static):
 
     def __init__(self) -> None:
         super().__init__(id="ranges")
+        self._height = 0
         self._latest: dict[str, Message] = {}
         self._longest: dict[str, float] = {}
 
     def on_mount(self) -> None:
         """Show new values now and then."""
-        self.set_interval(0.25, self.show_latest)
+        self.set_interval(0.5, self.show_latest)
 
     def hear(self, message: Message) -> None:
         """Take a message."""
@@ -144,7 +145,7 @@ class RangeBars(Static):
             self._latest[kind if message.get("Range") == "" else f"{kind} {message.get('Name')}"] = message
 
     def show_latest(self) -> None:
-        """Draw the bars."""
+        """Draw the bars; all is laid out anew only where there are more of them."""
         text, column = Text(), max(20, self.size.width // COLUMNS)
         for message in self._latest.values():
             is_scan = bool(message.get("Range"))
@@ -154,7 +155,10 @@ class RangeBars(Static):
                 text.append(f"{name[: NAME_WIDTH - 1]:{NAME_WIDTH}}").append(drawn, color)
                 ends = is_scan or number % COLUMNS == COLUMNS - 1 or number == len(bars) - 1
                 text.append("\n" if ends else " " * max(1, column - NAME_WIDTH - len(drawn)))
-        self.update(text)
+        rows = text.plain.count("\n")
+        if rows or self._height:
+            self.update(text, layout=rows != self._height)
+        self._height = rows
 
 
 class PictureView(Widget):

@@ -31,6 +31,12 @@ REPEATED_KEYS = {
     "SET": frozenset({"name", "fov"}),
 }
 """Keys that a line may have several times."""
+SENSOR_TYPES = (
+    *("Sonar", "IR", "RangeScanner", "IRScanner", "RangeScanner3D"),
+    *("Odometry", "INS", "Encoder", "GroundTruth", "GPS"),
+    *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
+)
+"""Types of sensors: some of them say nothing until there is something to say."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")
 SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "odometry": ("RESET",),
