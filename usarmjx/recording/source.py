@@ -86,9 +86,23 @@ class RecordingSource:
         before: Frame = message.value
         if self.time <= message.time or later is None or later.time > message.time + LONGEST_GAP:
             return before
-        if self._read(world, later.time)[1] is not self._read(world, message.time)[1]:
-            return before
-        return between(before, later.value, (self.time - message.time) / (later.time - message.time))
+        after: Frame = later.value
+        drawings = self._read(world, message.time)[1], self._read(world, later.time)[1]
+        if drawings[0] is not drawings[1]:
+            after = _in_order_of(drawings, before, after)
+        return between(before, after, (self.time - message.time) / (later.time - message.time))
+
+
+def _in_order_of(drawings: tuple[Drawing, Drawing], before: Frame, after: Frame) -> Frame:
+    """Return a later frame with the bodies of an earlier one: those that are gone by then stay."""
+    places = {body.name: place for place, body in enumerate(drawings[1].bodies)}
+    there = np.array([places.get(body.name, -1) for body in drawings[0].bodies])
+    gone = (there < 0)[:, None]
+    return replace(
+        after,
+        pos=np.where(gone, before.pos, after.pos[there]),
+        quat=np.where(gone, before.quat, after.quat[there]),
+    )
 
 
 def between(before: Frame, after: Frame, share: float) -> Frame:

@@ -99,8 +99,6 @@ class DynamicWorld(ServedWorld):
         if self.recorder is not None:
             self.recorder.reset()
         self._began = self.time
-        if self.recorder is not None:
-            self.recorder.reset()
         self._single.reset()
         for slot, robot in self.robots.items():
             robot.begin_again(self._single.state_of(slot).command)
