@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-AZIMUTH, ELEVATION = math.radians(-115.0), math.radians(38.0)
+AZIMUTH, ELEVATION = math.radians(-115.0), math.radians(50.0)
 """From where one looks at first: seen from the middle, in which direction of the compass and how high."""
 FOV = math.radians(50.0)
 """How much the picture shows from top to bottom at first [rad]."""

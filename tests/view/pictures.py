@@ -1,0 +1,182 @@
+"""Makes the pictures of docs/viewing.md and the film of the README: `python -m tests.view.pictures FOLDER`.
+
+Worlds run here, step by step, and a browser without a screen looks at their page between two steps: however
+slow it draws, the film's time is the worlds'.
+"""
+
+import base64
+import io
+import math
+import sys
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+from PIL import Image
+
+from tests.view.browser import Browser, find_browser
+from usarmjx.models.files.load import find_arena
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.control import CommandUpdate
+from usarmjx.view.page import ViewerPage
+
+SIZE, FILM_SIZE = (960, 600), (560, 350)
+FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 8, 128
+DRAWN = 6.0
+"""A processor has drawn a page after so long [s]."""
+TIDY = (
+    "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
+    "document.querySelectorAll('canvas ~ *').length"
+)
+PICTURES = {
+    "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
+    "orange": (("P2AT", "Talon", "Zerg", "Lisa"), {}),
+    "red": (("Kenaf", "Talon", "Tarantula", "P2AT"), {}),
+    "road": (("Sedan", "Hummer", "P2AT"), {}),
+    "pool": (("Submarine",), {}),
+}
+
+
+def make_world(arena, robots, seed=1):
+    """A world with robots at its start poses, one of each class, which turn and drive."""
+    world = DynamicWorld(find_arena(arena), seed=seed)
+    starts = world.arena.starts
+    for number, name in enumerate(robots):
+        spec, start = ROBOTS.get(name), starts[number % len(starts)]
+        aside = 1.5 * (number // len(starts))
+        at = (start.at[0] + aside, start.at[1], start.at[2] + spec.dimensions[2] / 2)
+        world.prepare(spec)
+        robot = world.spawn(spec, name, at, (0.0, 0.0, start.yaw))
+        drive(world, robot, 0.8, 1.0 + 0.1 * number)
+    return world
+
+
+def drive(world, robot, left, right):
+    """Set the wheels of a robot that has wheels or tracks."""
+    if {"Left", "Right"} <= set(robot.spec.drive.full_scale):
+        world.update_command(robot, CommandUpdate(drive={"Left": left, "Right": right}))
+
+
+def advance(worlds, seconds):
+    """Let worlds go on, and their robots read their sensors."""
+    for world in worlds:
+        for _ in range(max(1, math.ceil(seconds / world.period - 1e-9))):
+            world.step()
+        world.observe(list(world.robots.values()))
+
+
+class Studio:
+    """A page of worlds in a browser's window without its panels.
+
+    Args:
+        browser: The browser.
+        worlds: The worlds.
+        size: Of the window [pixels].
+    """
+
+    def __init__(self, browser, worlds, size):
+        self.worlds = worlds
+        self.page = ViewerPage(ServedSource(worlds), title="usarmjx")
+        self.page.server.gui.main_panel.minimize()
+        self._window = browser.open(f"http://127.0.0.1:{self.page.server.get_port()}/")
+        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+        self._window.call("Emulation.setDeviceMetricsOverride", **metrics)
+        self._window.wait(lambda: self.page.refresh() or self.page.onlookers)
+        self.draw(DRAWN)
+
+    @property
+    def onlooker(self):
+        """Who looks."""
+        return next(iter(self.page.onlookers.values()))
+
+    def draw(self, seconds):
+        """Let the browser draw."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.page.refresh()
+            self._window.js(TIDY)
+            time.sleep(0.1)
+
+    def look(self):
+        """What the browser shows now."""
+        self.page.refresh()
+        self._window.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        data = self._window.call("Page.captureScreenshot", format="png")["data"]
+        return Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
+
+    def close(self):
+        """Close window and page."""
+        self._window.leave()
+        self.page.close()
+
+
+def arena_picture(browser, name):
+    """An arena with some robots in it, after some seconds."""
+    robots, options = PICTURES[name]
+    world = make_world(name, robots, **options)
+    advance([world], 4.0)
+    studio = Studio(browser, [world], SIZE)
+    try:
+        return studio.look()
+    finally:
+        studio.close()
+
+
+def wall_picture(browser):
+    """Sixteen worlds side by side."""
+    worlds = [make_world("yellow", ("P2AT", "Zerg"), seed=n) for n in range(16)]
+    for number, world in enumerate(worlds):
+        advance([world], 0.5 * number + 1.0)
+    studio = Studio(browser, worlds, SIZE)
+    try:
+        studio.page.choose_world(0, wall=True)
+        studio.draw(2 * DRAWN)
+        return studio.look()
+    finally:
+        studio.close()
+
+
+def film(browser, file):
+    """Ten seconds of robots at work, first from above, then over one of them."""
+    world = make_world("yellow", ("P2AT", "Zerg", "Kenaf", "P2DX"))
+    studio = Studio(browser, [world], FILM_SIZE)
+    frames = []
+    try:
+        for number in range(FILM_SECONDS * FILM_RATE):
+            if number == FILM_SECONDS * FILM_RATE // 2:
+                studio.onlooker.attach(0)
+                studio.onlooker.toggle()
+            advance([world], 1 / FILM_RATE)
+            frames.append(studio.look())
+    finally:
+        studio.close()
+    palette = [one.quantize(FILM_COLOURS, dither=Image.Dither.NONE) for one in frames]
+    palette[0].save(
+        file, save_all=True, append_images=palette[1:], duration=1000 // FILM_RATE, loop=0, optimize=True
+    )
+
+
+def main(folder, *names):
+    """Make some of the pictures, or all, in a folder."""
+    binary = find_browser()
+    if binary is None:
+        sys.exit("no Chromium here")
+    makers = {name: partial(arena_picture, name=name) for name in PICTURES} | {"wall": wall_picture}
+    with tempfile.TemporaryDirectory(prefix="usarmjx-pictures-", ignore_cleanup_errors=True) as profile:
+        browser = Browser(binary, profile)
+        try:
+            for name in names or (*makers, "film"):
+                if name == "film":
+                    film(browser, Path(folder) / "viewing.gif")
+                else:
+                    makers[name](browser).save(Path(folder) / f"viewing-{name}.jpg", quality=85)
+                print(name, flush=True)
+        finally:
+            browser.close()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
