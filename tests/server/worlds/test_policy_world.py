@@ -14,12 +14,14 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.switch import InstanceSwitch
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds import follow
 from usarmjx.server.worlds.follow import PolicyFollower, newest, wait_for_run
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import StepResult, Task
+from usarmjx.train.envs.task import StepResult, Task, TeamMaps
+from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX
 
 P2AT = ROBOTS.get("P2AT")
 LEVEL = (0.0, 0.0, 0.0)
@@ -42,6 +44,10 @@ class Roll(Task):
 
     def observe(self, view, memory):
         return (view.sensor(0, "GroundTruth"),)
+
+    def maps(self, scene, memory):
+        squares = jnp.full((2, 4, 3), memory).at[1].add(10)
+        return TeamMaps(low=(1.0, -2.0), cell=0.3, squares=squares)
 
     def evaluate(self, view, memory):
         return StepResult(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
@@ -178,6 +184,22 @@ def test_clients_are_told_what_was_measured_for_the_last_action(world):
             told += 1
             np.testing.assert_allclose(truth[:3], world.state(robot).pos, atol=1e-5)
     assert told == 20 / 4
+
+
+def test_maps_that_the_tasks_robots_build_are_shown(world):
+    run(world, 2.0)
+    source = ServedSource([world])
+    extra = source.frame(0).extra
+    names = [robot.name for robot in source.drawing(0).robots.values()]
+    assert sorted(extra) == sorted([MAP_GRID, *(f"{MAP_PREFIX}{name}" for name in names)])
+    assert np.allclose(extra[MAP_GRID], (1.0, -2.0, 0.3))
+    first, second = (extra[f"{MAP_PREFIX}{name}"] for name in names)
+    assert (first == world.score % STEPS).all()  # Roll scores its actions, and begins anew
+    assert (second == first + 10).all()
+    run(world, 4 * world.period)
+    after = source.frame(0).extra[f"{MAP_PREFIX}{names[0]}"]
+    assert (after == world.score % STEPS).all()
+    assert not np.array_equal(after, first)
 
 
 def test_the_task_begins_anew_where_the_robots_are(world):

@@ -11,7 +11,7 @@ from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
 from usarmjx.train.baselines.frontier import frontier_action
 from usarmjx.train.baselines.relay import relay_policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
-from usarmjx.train.mapping.maps import FREE, MARK
+from usarmjx.train.mapping.maps import FREE, MARK, WALL
 from usarmjx.train.scenes.buildings import Buildings, arena_grid_of, reachable_of, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
@@ -80,6 +80,21 @@ def test_maps_are_shared_over_links_alone(explored):
     assert not (maps[3][0] & ~maps[4][1]).any()
     gaps = [float(result.metrics["unlinked"]) for _, _, result in steps[1:]]
     np.testing.assert_allclose(gaps[-1], 2 / STEPS, atol=1e-6)  # steps 1 and 2
+
+
+def test_the_maps_that_robots_build_lie_over_the_room(explored):
+    task, steps = explored
+    view, memory, _ = steps[-1]
+    maps = task.maps(view.scene, memory)
+    squares = np.asarray(maps.squares)
+    assert len(squares) == 2
+    for own in squares:
+        free, wall = (np.array(maps.low) + maps.cell * np.argwhere(own == kind) for kind in (FREE, WALL))
+        assert len(free) > 100
+        assert ((free > 0) & (free < (WIDTH, DEPTH))).all()
+        edge = np.minimum(np.abs(wall), np.abs(wall - (WIDTH, DEPTH))).min(-1)
+        assert len(wall) > 20
+        assert (edge < maps.cell).all()
 
 
 def test_observations_have_one_size_and_are_finite(explored):

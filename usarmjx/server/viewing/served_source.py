@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.view.capture import Capture
-from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
 
 LINK_PERIOD = 0.5
 """The radio of a world that has none of its own is looked at so often [s of its time]."""
@@ -56,6 +58,7 @@ class ServedSource:
             links=self._links(looked, served, frame),
             trace=served.traces.sketch(),
             score=served.score if isinstance(served, PolicyWorld) else None,
+            extra=_maps(looked.drawing, served) if isinstance(served, PolicyWorld) else {},
         )
 
     def _look(self, world: int) -> _Looked:
@@ -75,3 +78,14 @@ class ServedSource:
         if not 0.0 <= looked.links_due - frame.time <= LINK_PERIOD:
             looked.links, looked.links_due = served.links(self._radio), frame.time + LINK_PERIOD
         return looked.links
+
+
+def _maps(drawing: Drawing, world: PolicyWorld) -> dict[str, np.ndarray]:
+    """Return the maps that the robots of a task are building, as `Frame.extra` has them."""
+    maps = world.maps
+    if maps is None:
+        return {}
+    named = {
+        f"{MAP_PREFIX}{robot.name}": np.asarray(maps.squares[slot]) for slot, robot in drawing.robots.items()
+    }
+    return {MAP_GRID: np.array([*maps.low, maps.cell]), **named}

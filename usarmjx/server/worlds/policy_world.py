@@ -30,7 +30,7 @@ from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import TaskView
+from usarmjx.train.envs.task import TaskView, TeamMaps
 
 Readings = tuple[tuple[Reading, ...], ...]
 
@@ -83,6 +83,10 @@ class PolicyBatch(SharedBatch):
         self._observe_all = jax.jit(jax.vmap(env.task.observe))
         self._apply_actions_all = jax.jit(jax.default_matmul_precision("highest")(apply))
         self._act = jax.jit(policy.act)
+        self._maps_of = jax.jit(
+            lambda memory, world: env.task.maps(env.scene, jax.tree.map(lambda x: x[world], memory))
+        )
+        self._maps: dict[int, tuple[int, TeamMaps | None]] = {}
         self._episodes = np.asarray(self.state.worlds.episode)
         super()._step()  # a client that comes at once finds a world that has begun
         views = self._views()
@@ -176,6 +180,14 @@ class PolicyBatch(SharedBatch):
         )
         return after, began
 
+    def maps(self, world: int) -> TeamMaps | None:
+        """Return the maps that the robots of a world are building, as they were after the last action."""
+        before = self._maps.get(world)
+        if before is None or before[0] != self.measured:
+            maps = self._maps_of(self._policy_state.task, world)
+            self._maps[world] = before = self.measured, jax.device_get(maps)
+        return before[1]
+
     def _task_keys(self) -> jax.Array:
         return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self.env.worlds)
 
@@ -218,6 +230,11 @@ class PolicyWorld(BatchWorld):
     def score(self) -> float:
         """The task's score of the served world so far."""
         return self.policy_batch.score(self._instance)
+
+    @property
+    def maps(self) -> TeamMaps | None:
+        """The maps that the task's robots are building; None: they build none."""
+        return self.policy_batch.maps(self._instance)
 
     def agents(self) -> dict[str, int]:
         """Return the names of the task's robots, and their slots."""

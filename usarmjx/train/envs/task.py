@@ -35,6 +35,20 @@ from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, s
 from usarmjx.train.envs.state import Memory
 
 
+class TeamMaps(NamedTuple):
+    """Maps that the robots of a task are building.
+
+    Attributes:
+        low: x and y of the middle of their first square [m].
+        cell: Side of a square [m].
+        squares: What each robot believes of squares, as `mapping.maps` has it (robots, i, j).
+    """
+
+    low: tuple[float, float]
+    cell: float
+    squares: jax.Array
+
+
 class TaskView(struct.PyTreeNode, kw_only=True):
     """What one world offers to a task's functions at one moment. Groups are numbered as `scene.groups`.
 
@@ -219,6 +233,11 @@ class Task(ABC):
         """Return what only critics see (privileged_size,); by default nothing."""
         del view, memory
         return jnp.zeros(0)
+
+    def maps(self, scene: Scene, memory: Memory) -> TeamMaps | None:
+        """Return the maps that the robots are building, by slot; None: they build none."""
+        del scene, memory
+        return None
 
     @abstractmethod
     def start(self, view: TaskView, key: jax.Array) -> Memory:

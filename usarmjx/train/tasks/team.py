@@ -13,7 +13,7 @@ from usarmjx.sim.actions import Actions
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Task, TaskView
+from usarmjx.train.envs.task import Task, TaskView, TeamMaps
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import (
     HEADER_SIZE,
@@ -124,6 +124,11 @@ class TeamTask(Task):
         return tuple(values[scene.groups[group].slots] for group in self.agent_groups(scene))
 
     # What the robots believe.
+
+    def maps(self, scene: Scene, memory: TeamMemory) -> TeamMaps:
+        """Return the robots' maps."""
+        grid = self.arena_grid(scene).grid
+        return TeamMaps(low=grid.low, cell=grid.cell, squares=memory.belief.squares)
 
     def poses(self, view: TaskView) -> jax.Array:
         """Return where the robots believe to be: x, y [m], yaw [rad], by slot (robots, 3)."""

@@ -29,9 +29,9 @@ ENLARGED = 4
 """So many pixels along a side has a square, so that browsers do not blur it away."""
 PICTURE_PERIOD = 0.4
 """A changed map is sent no more often than this [s of the world's time]."""
-SCANS_AT_ONCE = 2
-"""So many scans are looked at in one update; the others wait for the next."""
-MOST_BEAMS = 91
+SCANS_AT_ONCE = 1
+"""So many scans are looked at in one update; the others wait for the next, 50 ms later."""
+MOST_BEAMS = 181
 """Of a scan with more beams than this some are not followed along their way, only to their ends."""
 LEVEL = 0.35
 """A scan counts as level while its plane's normal leans by less than this [rad]."""
