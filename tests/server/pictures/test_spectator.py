@@ -21,6 +21,7 @@ from tests.server.watchers import DISTANCE, EYE, SIDE, classes, gallery, shows
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.cli.app import app
 from usarmjx.server.access import AccessRules
+from usarmjx.server.clock import StepClock
 from usarmjx.server.console import NOT_ALLOWED
 from usarmjx.server.pictures.spectator import (
     CHASE_ABOVE,
@@ -33,6 +34,7 @@ from usarmjx.server.pictures.spectator import (
 )
 from usarmjx.server.pictures.spectator_server import Page, SpectatorServer, SpectatorSettings
 from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.viewing.controls import ServedControls
 
 SIZE = (96, 72)
 
@@ -263,6 +265,23 @@ def test_the_pages_console_edits_robots_and_says_where_the_camera_is(world):
             look(socket, click="left")
             assert "Eye, Cyclops" in tell(socket, "showdebug")
         robot.close()
+
+
+def test_the_pages_console_lets_the_world_stand_still_and_go_on(world):
+    service, clock = SpectatorServer(world, SpectatorSettings(port=0, size=SIZE)), StepClock(1.0)
+    with serving(world, [service], realtime_factor=clock) as (_, server):
+        service.controls = ServedControls([server], clock)
+        with connect(f"ws://127.0.0.1:{service.port}/view") as socket:
+            assert tell(socket, "pause") == "it stands still"
+            first, _ = look(socket)
+            assert ", paused" in tell(socket, "showdebug")
+            assert look(socket)[0]["time"] == first["time"]
+            assert tell(socket, "pause") == "it goes on"
+            for _ in range(200):
+                if look(socket)[0]["time"] > first["time"]:
+                    break
+            else:
+                raise AssertionError("it still stands still")
 
 
 @pytest.mark.parametrize(
