@@ -5,26 +5,46 @@ import numpy as np
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.build.body_plan import KinematicTree
+from usarmjx.models.build.figures import Solids
 from usarmjx.models.build.pieces import TRIANGLE_KIND
 
 COVER_DISTANCE = 0.04
 """How near to the lens a solid covers it [m]."""
+STAND_IN_MARGIN = 0.01
+"""How far beside a solid the middle of what is drawn in its place may be [m]."""
 GeomType = mujoco.mjtGeom
 
 
 def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray:
     """Return which of a robot's drawn solids a camera at a place (3,) on a body does not see (solids,).
 
-    Those of the body itself, and those nearer than `COVER_DISTANCE` with all joints at 0.
+    Those of the body itself, those nearer than `COVER_DISTANCE` with all joints at 0, and those that are
+    drawn in the place of a solid so near, as the pieces of a housing are.
     """
-    rest_mat, solids = plan.rest_frames, plan.figure.solids
-    lens_pos = plan.rest_pos[body] + rest_mat[body] @ at
+    drawn, solids = plan.figure.solids, plan.solids
+    (middles, drawn_mat), (pos, mat) = _rest_poses(plan, drawn), _rest_poses(plan, solids)
+    lens = (plan.rest_pos[body] + plan.rest_frames[body] @ at)[None]
+
+    def away(of: Solids, place: int, mat: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, 3), seen from the middle of a solid, are from it (n,)."""
+        kind, size = int(of.kind[place]), of.size[place]
+        return np.array([_away(kind, point, size) for point in points @ mat[place]])
+
+    count = range(len(drawn.kind))
+    near = [away(drawn, i, drawn_mat, lens - middles[i])[0] < COVER_DISTANCE for i in count]
+    hidden = np.array(near, bool) | (drawn.frame == body)
+    for place in range(len(solids.kind)):
+        if away(solids, place, mat, lens - pos[place])[0] < COVER_DISTANCE:
+            own = np.flatnonzero((drawn.frame == solids.frame[place]) & ~hidden)
+            hidden[own[away(solids, place, mat, middles[own] - pos[place]) <= STAND_IN_MARGIN]] = True
+    return hidden
+
+
+def _rest_poses(plan: KinematicTree, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
+    """Return where solids are on the chassis with all joints at 0 [m] (n, 3), and their turns (n, 3, 3)."""
     with numpy_backend():  # it may be asked for while JAX traces
-        pos, mat = solids.poses(plan.rest_pos, rest_mat)
-    local = np.einsum("gji,gj->gi", mat, lens_pos - pos)
-    rows = zip(solids.kind.tolist(), local, solids.size, strict=True)
-    near = np.array([_away(kind, point, size) < COVER_DISTANCE for kind, point, size in rows], bool)
-    return near | (solids.frame == body)
+        pos, mat = solids.poses(plan.rest_pos, plan.rest_frames)
+    return np.asarray(pos), np.asarray(mat)
 
 
 def _away(kind: int, point: np.ndarray, size: np.ndarray) -> float:

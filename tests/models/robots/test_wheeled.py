@@ -324,7 +324,7 @@ def test_the_stereo_p2at_is_a_p2at_with_eyes_ten_centimetres_apart():
     assert right.at[1] - left.at[1] == pytest.approx(0.10)
     assert left.parent == right.parent == plain.cameras[0].parent
     assert np.mean([left.at, right.at], 0) == pytest.approx(plain.cameras[0].at)
-    same = replace(stereo, name="P2AT", cameras=plain.cameras, sources=plain.sources)
+    same = replace(stereo, name="P2AT", cameras=plain.cameras, sources=plain.sources, looks=plain.looks)
     assert same == plain
 
 
