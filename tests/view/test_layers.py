@@ -50,6 +50,16 @@ def test_layers_can_be_switched_and_taken_away(scene, pair, name):
 
 
 @pytest.mark.parametrize("name", LAYERS.names())
+def test_what_stands_still_is_not_sent_again(scene, pair, name, monkeypatch):
+    _, source = pair
+    layer, drawing, _ = drawn(LAYERS.get(name), source, scene)
+    sent = []
+    monkeypatch.setattr(scene, "_queue_scene_message", sent.append)
+    layer.update(drawing, source.frame(0))
+    assert sent == []
+
+
+@pytest.mark.parametrize("name", LAYERS.names())
 def test_layers_know_worlds_without_robots(scene, name):
     _, source = seers()
     drawn(LAYERS.get(name), source, scene)
@@ -288,7 +298,7 @@ def test_lamps_shine_where_the_arena_has_them(scene):
     lights = nodes(scene, viser.PointLightHandle).values()
     assert np.allclose(sorted(light.position.tolist() for light in lights), sorted(drawing.lamps.tolist()))
     assert all(light.intensity == pytest.approx(np.pi * drawing.lamp_rgb.max(), rel=0.01) for light in lights)
-    assert len(nodes(scene)["lamps/bulbs"].batched_positions) == len(drawing.lamps) == 2
+    assert len(nodes(scene)["lamps/bulbs"].points) == len(drawing.lamps) == 2
 
 
 def test_headlights_shine_while_they_are_on(scene):

@@ -8,7 +8,7 @@ import viser
 from usarmjx.cameras.light import HEADLIGHT_BRIGHTNESS, SPOT_INNER_ANGLE, SPOT_OUTER_ANGLE, SUN_DIRECTION
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.mounts import mount_poses
-from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer
+from usarmjx.view.layers.nodes import LineNode, NodeLayer, PointNode
 
 WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""
@@ -20,10 +20,12 @@ than them [m]."""
 SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
 ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
 """Colours of what is behind the world: high up, halfway, and below."""
-MOST_LAMPS, MOST_HEADLIGHTS = 8, 8
-"""So many lamps and headlights light the page: each costs browsers time for all that they draw."""
-BULB_RADIUS = 0.09
-BULB_RGB = (255, 222, 150)
+MOST_LAMPS, MOST_HEADLIGHTS, MOST_SHADOWS = 8, 8, 2
+"""So many lamps and headlights light the page, and so many headlights throw shadows: each costs browsers time
+for all that they draw."""
+HEADLIGHT_REACH = 15.0
+"""Headlights shine no farther [m]."""
+BULB_RADIUS, BULB_RGB = 0.08, (255, 246, 214)
 BEAM_LENGTH = 2.5
 """Of the lines that show where a headlight shines [m]."""
 BEAM_RGB = (255, 226, 120)
@@ -119,22 +121,6 @@ def backdrop(zenith: tuple[int, ...], horizon: tuple[int, ...], haze: tuple[int,
     return np.repeat(np.stack(rgb, -1)[:, None], 8, 1).round().astype(np.uint8)
 
 
-def ball(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (corners, 3) and triangles (triangles, 3) of an octahedron, cut once: nearly a ball."""
-    six = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
-    corners, faces = list(six), []
-    for x in (0, 1):
-        for y in (2, 3):
-            for z in (4, 5):
-                a, b, c = (x, y, z) if (x + y + z) % 2 == 0 else (y, x, z)
-                first = len(corners)
-                middles = [six[a] + six[b], six[b] + six[c], six[c] + six[a]]
-                corners += [middle / np.linalg.norm(middle) for middle in middles]
-                ab, bc, ca = first, first + 1, first + 2
-                faces += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return radius * np.array(corners), np.array(faces)
-
-
 class LampLayer(NodeLayer):
     """The arena's lamps."""
 
@@ -148,8 +134,7 @@ class LampLayer(NodeLayer):
         pos = np.asarray(drawing.lamps, float).reshape(-1, 3)
         there = (rgb > 0).any(-1)
         rgb, pos = rgb[there], pos[there]
-        bulbs = InstanceNode(self.scene, f"{self.root}/bulbs", ball(BULB_RADIUS))
-        bulbs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), np.tile(BULB_RGB, (len(pos), 1)))
+        PointNode(self.scene, f"{self.root}/bulbs", BULB_RADIUS).set(pos, np.tile(BULB_RGB, (len(pos), 1)))
         brightness = rgb.max(-1)
         for place in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
             red, green, blue = (255 * rgb[place] / brightness[place]).astype(int).tolist()
@@ -206,7 +191,8 @@ class HeadlightLayer(NodeLayer):
             intensity=WHITE_CANDELA * HEADLIGHT_BRIGHTNESS * 2,
             angle=SPOT_OUTER_ANGLE,
             penumbra=1 - SPOT_INNER_ANGLE / SPOT_OUTER_ANGLE,
-            cast_shadow=False,
+            distance=HEADLIGHT_REACH,
+            cast_shadow=place < MOST_SHADOWS,
         )
 
 
