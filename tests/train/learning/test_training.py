@@ -85,6 +85,8 @@ def both():
         for traceable in (True, False):
             trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
             train_state, worlds = trainer.start()
+            found["looks", traceable] = looks = []
+            trainer.rollout.look = looks.append
             first, counts = trainer.rollout.collect(train_state, worlds, trainer._key), []
             for iteration in range(3):
                 train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
@@ -101,6 +103,14 @@ def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
     counts, _ = both[traceable]
     assert counts[0] > 0
     assert counts == counts[:1] * 3
+
+
+def test_who_looks_sees_the_worlds_after_each_action_or_each_compiled_rollout(both):
+    config_rollout, rollouts = 4, 4
+    assert len(both["looks", True]) == rollouts
+    assert len(both["looks", False]) == rollouts * config_rollout
+    lengths = [np.asarray(state.length).sum() for state in both["looks", False]]
+    assert len(set(lengths[:config_rollout])) > 1
 
 
 def test_a_rollout_step_by_step_is_that_in_one_piece(both):
