@@ -31,6 +31,8 @@ MAX_WALL = 16
 """So many worlds stand side by side at most."""
 WORLDS_AT_ONCE = 4
 """Of worlds side by side so many are looked at in an update, in turn, beside the one that is chosen."""
+NEAREST, NEAR_LIMITS = 1e-3, (0.02, 0.2)
+"""What is nearer than this share of the first view's distance is not drawn; least and most of that [m]."""
 OVER_PATH = "/over"
 """What the layers draw is below this node, which stands where the chosen world does."""
 PanelMaker: TypeAlias = Callable[["ViewerPage"], Panel]
@@ -209,6 +211,8 @@ class ViewerPage:
             self._guarded(lambda panel=panel: panel.begin(self.drawing))
         camera, pose = self.server.initial_camera, self.first_pose()
         camera.position, camera.look_at, camera.fov = pose.pos, pose.look_at, FOV
+        # The further away the nearest is that is drawn, the better far things are told apart.
+        camera.near = float(np.clip(np.linalg.norm(pose.pos - pose.look_at) * NEAREST, *NEAR_LIMITS))
 
     def _take_frames(self) -> None:
         """Look at the chosen world, and at some of those beside it."""

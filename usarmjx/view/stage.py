@@ -8,11 +8,13 @@ import numpy as np
 import viser
 
 from usarmjx.view.drawing import Drawing, DrawnShape, Frame
-from usarmjx.view.glb import Finish, TriangleMesh, glb_of
+from usarmjx.view.glb import Finish, glb_of
 from usarmjx.view.mesh import PLANE, meshes_of, rectangle
 
 STILL_TOLERANCE = 1e-5
 """What moved by less, and turned by less, stays where it is drawn [m]."""
+FLOOR_DROP = 3e-4
+"""The floor is drawn lower by this share of the arena's diagonal: what lies on it is seen from afar."""
 GROUND_MARGIN = 2.0
 """So far beyond the arena its floor is drawn [m]."""
 
@@ -177,7 +179,8 @@ class Stage:
 
     def _floor(self, path: str, cell: Cell, rgb: np.ndarray) -> viser.GlbHandle:
         low, high = cell.drawing.extent.T
-        mesh: TriangleMesh = rectangle(low - GROUND_MARGIN, high + GROUND_MARGIN, cell.drawing.floor, rgb)
+        height = cell.drawing.floor - FLOOR_DROP * float(np.linalg.norm(high - low))
+        mesh = rectangle(low - GROUND_MARGIN, high + GROUND_MARGIN, height, rgb)
         data = glb_of(mesh, Finish(roughness=1.0))
         return self._scene.add_glb(path, data, position=cell.offset, cast_shadow=False)
 
