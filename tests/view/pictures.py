@@ -27,6 +27,8 @@ SIZE, FILM_SIZE = (960, 600), (560, 350)
 FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 8, 128
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
+MANY = 40
+COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
     "document.querySelectorAll('canvas ~ *').length"
@@ -93,9 +95,10 @@ class Studio:
         return next(iter(self.page.onlookers.values()))
 
     def draw(self, seconds):
-        """Let the browser draw."""
+        """Let the browser draw for so long at least, and so often: what appears does so bit by bit."""
         end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        self._window.js(COUNT)
+        while time.monotonic() < end or self._window.js("window.drawn") < MANY:
             self.page.refresh()
             self._window.js(TIDY)
             time.sleep(0.1)

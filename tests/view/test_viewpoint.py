@@ -11,7 +11,7 @@ from tests.view.simple_worlds import CAMERA_AT, drawing_of, frame_of
 from usarmjx.base.backend import numpy_backend
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.picture import camera_viewpoint
-from usarmjx.view.framing import FOV, USED, framed
+from usarmjx.view.framing import FOV, USED, bounds_of, framed
 from usarmjx.view.viewpoint import Onlooker, ViewMode, camera_pose, chase_pose, robot_on_ray
 
 LOW, HIGH = np.array([-10.0, -6.0, 0.0]), np.array([10.0, 6.0, 1.5])
@@ -29,6 +29,18 @@ def test_a_box_fills_the_picture_and_all_of_it_is_seen(aspect):
     assert (corners @ ahead > 0).all()
     fullest = max(np.abs(up).max(), np.abs(aside).max())
     assert USED - 0.08 <= fullest <= 1.0
+
+
+def test_what_stands_in_a_world_is_in_its_bounds():
+    low, high = bounds_of(drawing_of(floor=2.0))
+    assert low.tolist() == [-5.0, -4.0, 2.0]
+    assert high.tolist() == [5.0, 4.0, 3.0]
+    tall = drawing_of()
+    tall.shapes["arena"].size[1, 2] = 7.0
+    try:
+        assert bounds_of(tall)[1].tolist() == [5.0, 4.0, 7.0]
+    finally:
+        tall.shapes["arena"].size[1, 2] = 1.0
 
 
 def test_a_view_through_a_camera_is_the_raycasters():

@@ -5,14 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from usarmjx.view.drawing import NOBODY, Drawing
+from usarmjx.view.mesh import BOX
+
 AZIMUTH, ELEVATION = math.radians(-115.0), math.radians(50.0)
 """From where one looks at first: seen from the middle, in which direction of the compass and how high."""
 FOV = math.radians(50.0)
 """How much the picture shows from top to bottom at first [rad]."""
 USED = 0.94
 """The world fills so much of the picture's width or height, whichever is full first."""
-WALL_HEIGHT = 1.5
-"""What stands in a world is so high, as far as framing goes [m]."""
+LOWEST = 1.0
+"""A world is at least so high [m]."""
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -23,6 +26,17 @@ class CameraPose:
     pos: np.ndarray
     look_at: np.ndarray
     up: np.ndarray
+
+
+def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
+    """Return least and largest x, y and z of what a drawing has to show [m], both (3,)."""
+    low, high = drawing.extent.T
+    tops = [drawing.floor + LOWEST]
+    for shape in (drawing.shapes[body.shape] for body in drawing.bodies if body.slot == NOBODY):
+        boxes = shape.kind == BOX
+        upward = (np.abs(shape.mat[boxes, 2]) * shape.size[boxes]).sum(1)
+        tops += (shape.pos[boxes, 2] + upward).tolist()
+    return np.array([*low, drawing.floor]), np.array([*high, max(tops)])
 
 
 def framed(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose:

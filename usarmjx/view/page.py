@@ -11,7 +11,7 @@ import viser
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.view.drawing import Drawing, Frame, FrameSource
-from usarmjx.view.framing import FOV, WALL_HEIGHT, CameraPose, framed
+from usarmjx.view.framing import FOV, CameraPose, bounds_of, framed
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import Layer
 from usarmjx.view.page_parts import LayerSwitches, ViewButtons, WorldChoice
@@ -171,13 +171,9 @@ class ViewerPage:
 
     def first_pose(self, aspect: float = 1.6) -> CameraPose:
         """Return from where all that is shown fills a picture of some aspect."""
-        lows, highs = [], []
-        for cell in self._stage.cells:
-            (west, east), (south, north) = cell.drawing.extent
-            floor = cell.drawing.floor
-            lows.append(np.array([west, south, floor]) + cell.offset)
-            highs.append(np.array([east, north, floor + WALL_HEIGHT]) + cell.offset)
-        return framed(np.min(lows, axis=0), np.max(highs, axis=0), aspect)
+        bounds = [np.array(bounds_of(cell.drawing)) + cell.offset for cell in self._stage.cells]
+        low, high = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
+        return framed(low, high, aspect)
 
     @property
     def _cell(self) -> Cell:
