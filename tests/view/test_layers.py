@@ -345,6 +345,10 @@ def test_a_small_arena_lies_in_the_suns_light_as_a_whole(scene, pair):
     assert (off_axis < sun.angle).all()
     layer.begin(scene, replace(drawing, extent=drawing.extent * 20), ROOT)
     assert nodes(scene, viser.SpotLightHandle) == {}
+    assert len(nodes(scene, viser.DirectionalLightHandle)) == 1
+    layer.alone = False
+    layer.begin(scene, drawing, ROOT)
+    assert nodes(scene, viser.SpotLightHandle) == {}  # it would leave the worlds beside it in the dark
     (far,) = nodes(scene, viser.DirectionalLightHandle).values()
     assert np.allclose(far.position / np.linalg.norm(far.position), -np.array(sun.direction))
 

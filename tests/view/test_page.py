@@ -130,9 +130,11 @@ def test_another_world_or_all_side_by_side(page, source):
         until(page, lambda: all(np.subtract(source.asked, before) >= 3))
         # The chosen world's layers stand where it does.
         assert tuple(page._over.position) == tuple(page._cell.offset) != (0.0, 0.0, 0.0)
+        assert not any(layer.alone for layer in page.layers.values())
         visitor.set("World", "world 2")
         until(page, lambda: page.world == 2 and not page.wall)
         assert tuple(page._over.position) == (0.0, 0.0, 0.0)
+        assert all(layer.alone for layer in page.layers.values())
 
 
 def test_robots_that_come_are_seen_and_views_of_those_that_went_are_free(page, source):

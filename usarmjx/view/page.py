@@ -202,6 +202,7 @@ class ViewerPage:
             self.robot = None
         self._over.position = self._cell.offset
         for layer in self.layers.values():
+            layer.alone = len(drawings) == 1
             self._guarded(lambda layer=layer: layer.begin(self.server.scene, self.drawing, OVER_PATH))
         for panel in self.panels:
             self._guarded(lambda panel=panel: panel.begin(self.drawing))

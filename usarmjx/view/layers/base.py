@@ -15,11 +15,13 @@ class Layer(ABC):
         name: What its switch is called.
         about: One line on what it shows.
         shown_at_first: Whether it is on when the page opens.
+        alone: Whether no other world is shown beside the one that it is drawn over.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
     shown_at_first: ClassVar[bool]
+    alone: bool = True
 
     @abstractmethod
     def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:

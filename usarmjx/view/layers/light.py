@@ -14,7 +14,7 @@ WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""
 SUN_RGB, SUN_INTENSITY, INDOOR_SUN_INTENSITY = (255, 236, 206), 2.6, 1.3
 """Indoors there are no roofs to be seen, and the sun is there for the sake of shadows."""
-WIDEST_SPOT, SPOT_HEIGHT, SPOT_MARGIN = 16.0, 4.0, 2.5
+WIDEST_SPOT, SPOT_HEIGHT, SPOT_MARGIN = 16.0, 4.0, 4.0
 """The sun is a spotlight over arenas of up to this radius [m], so many radii away, and lights so much more
 than them [m]."""
 SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
@@ -80,13 +80,13 @@ class SkyLayer(NodeLayer):
         self._add_sun(INDOOR_SUN_INTENSITY if indoors else SUN_INTENSITY)
 
     def _add_sun(self, intensity: float) -> None:
-        """Add the sun; over a small arena it is a spotlight.
+        """Add the sun; over a small arena that stands alone it is a spotlight.
 
         The browser draws shadows of sunlight near the eye only, and of a spotlight everywhere, but those are
         coarse if it is far away.
         """
         name, way = f"{self.root}/sun", np.array(SUN_DIRECTION) / np.linalg.norm(SUN_DIRECTION)
-        if self._radius > WIDEST_SPOT:
+        if self._radius > WIDEST_SPOT or not self.alone:
             self.scene.add_light_directional(
                 name, color=SUN_RGB, intensity=intensity, cast_shadow=True, position=SUN_DIRECTION
             )
