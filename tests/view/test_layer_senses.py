@@ -25,10 +25,11 @@ def seer():
 
 
 def scans_of(scene):
-    """Corners of the fans, one scan after the other, and the points."""
+    """Corners of the fans, one after the other, and the points; copied, as viser writes into its arrays."""
     shown = nodes(scene)
-    # Copied, as viser writes into its own arrays.
-    return shown["laser_fans/fans"].vertices.copy(), shown["laser_fans/points"].points.copy()
+    fans = [node.vertices for name, node in shown.items() if name.endswith("/fan")]
+    points = [node.points for name, node in shown.items() if name.endswith("/points")]
+    return np.concatenate(fans), np.concatenate(points)
 
 
 def test_beams_of_all_scanners_end_on_surfaces(scene, seer):
@@ -53,15 +54,16 @@ def test_beams_of_all_scanners_end_on_surfaces(scene, seer):
     assert np.allclose(lengths[~hits[0]], 3.0)
 
 
-def test_a_fan_is_one_triangle_between_two_beams(scene, seer):
+def test_a_fan_is_one_triangle_between_two_beams_in_its_robots_colour(scene, seer):
     _, source = seer
     drawn(LaserLayer, source, scene)
-    mesh = nodes(scene)["laser_fans/fans"]
-    beams = [len(reading) for reading in source.frame(0).robots[0].readings[:2]]
-    assert len(mesh.faces) == sum(n - 1 for n in beams)
-    tips = np.unique(mesh.faces[:, 0]).tolist()
-    assert tips == [0, beams[0] + 1]
-    assert (mesh.faces[: beams[0] - 1, 1:] <= beams[0]).all()
+    fans = [node for name, node in nodes(scene).items() if name.endswith("/fan")]
+    for mesh, reading in zip(fans, source.frame(0).robots[0].readings, strict=False):
+        beams = len(reading)
+        assert mesh.faces.tolist() == [[0, n, n + 1] for n in range(1, beams)]
+        assert len(mesh.vertices) == beams + 1
+        assert mesh.color == tuple(ROBOT_COLORS[0])
+    assert len(fans) == 2
 
 
 def test_a_fan_leans_with_the_head_that_its_scanner_sits_on(scene):
@@ -137,9 +139,9 @@ def test_scans_of_robots_that_left_are_gone(scene, seer):
     _, source = seer
     layer, drawing, frame = drawn(LaserLayer, source, scene)
     layer.update(drawing, replace(frame, robots={}))
-    assert set(nodes(scene)) == {"laser_fans"}
+    assert nodes(scene, viser.MeshHandle) == nodes(scene, viser.PointCloudHandle) == {}
     layer.update(drawing, frame)
-    assert len(nodes(scene)["laser_fans/points"].points)
+    assert len(nodes(scene, viser.MeshHandle)) == 2
 
 
 def test_sonar_cones_touch_what_they_heard(scene, seer):

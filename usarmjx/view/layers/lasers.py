@@ -1,6 +1,7 @@
 """What laser scanners see: fans, and points where their beams end."""
 
 import numpy as np
+import viser
 
 from usarmjx.sensors.ranging import RangeScanner, fan_directions
 from usarmjx.sensors.scanners import Scanner3DSettings, grid_directions
@@ -11,7 +12,7 @@ from usarmjx.view.layers.nodes import MeshNode, NodeLayer, PointNode
 
 LONGEST_BEAM = 8.0
 """Beams that meet nothing are drawn no longer than this [m]; scanners see up to a kilometre far."""
-FAN_RGB, FAN_OPACITY = (255, 84, 48), 0.14
+FAN_OPACITY = 0.16
 POINT_SIZE = 0.03
 """Radius of the points where beams end [m]."""
 
@@ -31,7 +32,10 @@ def fan_faces(beams: int) -> np.ndarray:
 
 
 class LaserLayer(NodeLayer):
-    """Fans of RangeScanner and IRScanner, and where beams end, also those of RangeScanner3D."""
+    """Fans of RangeScanner and IRScanner, and where beams end, also those of RangeScanner3D.
+
+    Each scanner has nodes of its own: scans come one after the other, and only what is new is sent.
+    """
 
     name = "Laser fans"
     about = "what laser scanners swept at their last scan, with a point where a beam met something"
@@ -40,48 +44,48 @@ class LaserLayer(NodeLayer):
     def draw(self, drawing: Drawing) -> None:
         """Look which scanners there are."""
         self._held = HeldMounts(sensors_of(drawing, RangeScanner))
-        self._directions = [beam_directions_of(sensor) for sensor in self._held.sensors]
-        nothing = np.zeros((0, 3), np.float32)
-        self._corners = [nothing for _ in self._held.sensors]
-        self._hits = [nothing for _ in self._held.sensors]
-        self._fans = MeshNode(self.scene, f"{self.root}/fans", FAN_RGB, FAN_OPACITY)
-        self._points = PointNode(self.scene, f"{self.root}/points", POINT_SIZE)
+        self._scans = [
+            _Scan(self.scene, f"{self.root}/{number}", sensor)
+            for number, sensor in enumerate(self._held.sensors)
+        ]
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Show each scan where it was taken."""
         del drawing
-        new = self._held.look(frame)
-        if not new:
-            return
-        for number in new:
-            self._take(number)
-        flat = [len(self._corners[number]) for number in self._flat]
-        starts = np.cumsum([0, *flat])[:-1].tolist()
-        faces = [fan_faces(n - 1) + start for n, start in zip(flat, starts, strict=True)]
-        corners = [self._corners[number] for number in self._flat]
-        self._fans.set(_joined(corners), np.concatenate([np.zeros((0, 3), int), *faces]))
-        slots = [sensor.slot for sensor in self._held.sensors]
-        self._points.set(_joined(self._hits), robot_colors(np.repeat(slots, list(map(len, self._hits)))))
+        held = self._held
+        for number in held.look(frame):
+            start = held.pos[held.rows[number]]
+            self._scans[number].show(start, held.mat(number), held.readings[number])
 
-    @property
-    def _flat(self) -> list[int]:
-        """The scanners whose beams lie in a plane."""
-        sensors = enumerate(self._held.sensors)
-        return [n for n, sensor in sensors if not isinstance(sensor.settings[0], Scanner3DSettings)]
 
-    def _take(self, number: int) -> None:
-        """Work out where the beams of a scan ended."""
-        held, ranges = self._held, self._held.readings[number]
+class _Scan:
+    """One scanner's scan.
+
+    Args:
+        scene: Where to draw.
+        path: Of its nodes.
+        sensor: The scanner.
+    """
+
+    def __init__(self, scene: viser.SceneApi, path: str, sensor: DrawnSensor) -> None:
+        settings = sensor.settings[0]
+        self._directions, self._max_range = beam_directions_of(sensor), settings.max_range
+        self._rgb = robot_colors(np.array(sensor.slot))
+        self._points = PointNode(scene, f"{path}/points", POINT_SIZE)
+        self._fan: MeshNode | None = None
+        if not isinstance(settings, Scanner3DSettings):  # whose beams fill a room
+            self._fan = MeshNode(scene, f"{path}/fan", tuple(self._rgb.tolist()), FAN_OPACITY)
+        self._faces = fan_faces(len(self._directions))
+
+    def show(self, start: np.ndarray, mat: np.ndarray, ranges: np.ndarray) -> None:
+        """Show where beams ended: from `start` [m] (1, 3), turned (3, 3), with ranges [m], if there are any."""
         if not len(ranges):
-            self._corners[number] = self._hits[number] = self._corners[number][:0]
-            return
-        hit = (ranges > 0) & (ranges < held.sensors[number].settings[0].max_range)
-        drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
-        start = held.pos[held.rows[number]]
-        ends = start + drawn[:, None] * (self._directions[number] @ held.mat(number).T)
-        self._corners[number] = np.concatenate([start, ends]).astype(np.float32)
-        self._hits[number] = self._corners[number][1:][hit]
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.zeros((0, 3), np.float32), *parts])
+            start, hit, faces = start[:0], np.zeros(0, bool), self._faces[:0]
+            ends = start
+        else:
+            hit, faces = (ranges > 0) & (ranges < self._max_range), self._faces
+            drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
+            ends = start + drawn[:, None] * (self._directions @ mat.T)
+        self._points.set(ends[hit], self._rgb)
+        if self._fan is not None:
+            self._fan.set(np.concatenate([start, ends]), faces)

@@ -104,7 +104,7 @@ class PointNode:
         self._handle: viser.PointCloudHandle | None = None
 
     def set(self, points: np.ndarray, rgb: np.ndarray) -> None:
-        """Show points [m] (points, 3) in colours, 0 to 255 (points, 3)."""
+        """Show points [m] (points, 3) in colours, 0 to 255 (points, 3), or in one (3,)."""
         points, colors = np.asarray(points, np.float32), np.asarray(rgb, np.uint8)
         if self._handle is None and len(points):
             self._handle = self._scene.add_point_cloud(
