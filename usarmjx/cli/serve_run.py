@@ -164,11 +164,10 @@ class PageChoice:
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 
         settings = SpectatorSettings(host, access=rules, names=check_names(self.names))
-        tail = keep_log()
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--spectator-port"]
-            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound, tail)
+            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound, keep_log())
 
         return make
 

@@ -131,6 +131,7 @@ def add_viewer(
         settings: How to serve it.
         radio: The radio's constants; None: there is none.
     """
+    from usarmjx.server.log_tail import keep_log
     from usarmjx.server.viewing.seat import control_seat
     from usarmjx.server.viewing.served_source import ServedSource
     from usarmjx.server.viewing.viewer_service import ViewerService
@@ -138,14 +139,20 @@ def add_viewer(
     worlds = [server.world for server in servers]
     source = ServedSource(worlds, radio)
     seat = control_seat(bound.getsockname()[0], settings.access, settings.control)
+    tail = keep_log()
 
     def make_page(server: "viser.ViserServer") -> "ViewerPage":
+        from usarmjx.server.viewing.console_panel import ConsolePanel
         from usarmjx.server.viewing.inset import CameraInset
         from usarmjx.view.page import ViewerPage
         from usarmjx.view.people import PeoplePanel
 
         title = worlds[0].arena.name
-        panels = [partial(PeoplePanel, seat=seat), partial(CameraInset, worlds=worlds)]
+        panels = [
+            partial(PeoplePanel, seat=seat),
+            partial(CameraInset, worlds=worlds),
+            partial(ConsolePanel, worlds=worlds, seat=seat, tail=tail),
+        ]
         return ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
 
     servers[0].services.append(ViewerService(source, settings, bound, make_page))

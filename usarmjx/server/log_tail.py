@@ -37,13 +37,14 @@ def keep_log() -> LogTail:
         What keeps it; the same one whenever this is called again.
     """
     package = logging.getLogger(PACKAGE)
-    for handler in package.handlers:
-        if isinstance(handler, LogTail):
-            return handler
-    for handler in logging.getLogger().handlers:
-        if type(handler) is logging.StreamHandler:
-            handler.setLevel(max(handler.level, package.getEffectiveLevel()))
-    tail = LogTail()
-    package.setLevel(min(package.getEffectiveLevel(), tail.level))
-    package.addHandler(tail)
+    shown = package.getEffectiveLevel()
+    tail = next((handler for handler in package.handlers if isinstance(handler, LogTail)), None)
+    if tail is None:
+        tail = LogTail()
+        package.addHandler(tail)
+    if shown > tail.level:
+        for handler in logging.getLogger().handlers:
+            if type(handler) is logging.StreamHandler:
+                handler.setLevel(max(handler.level, shown))
+        package.setLevel(tail.level)
     return tail
