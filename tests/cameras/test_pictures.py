@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import jax
 import mujoco
 import numpy as np
 import pytest
 
+from tests.dressed import dressed
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.cameras.lenses import MIRROR_DISTANCE
 from usarmjx.cameras.mounts import camera_index, cameras_of, headlight_of
@@ -23,6 +25,8 @@ from usarmjx.cameras.paint import (
 )
 from usarmjx.cameras.picture import Picture, render_picture_jit
 from usarmjx.models.build.body_plan import kinematic_tree_of
+from usarmjx.models.build.victim_looks import SLOTS, drawn_bones, used_slots
+from usarmjx.models.build.victims import orientations, segment_poses, victim_table
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.omni_pioneer import OMNI_P2DX
@@ -104,9 +108,28 @@ def picture_of(batch: Batch, state, eye: int, world: int, robot: int) -> Picture
     return jax.tree.map(lambda x: np.asarray(x)[world, robot], picture)
 
 
+@cache
+def drawn_model() -> mujoco.MjModel:
+    """The world whose solids are what is drawn of robots and victims."""
+    bare = replace(ARENA_SPEC, victims=(), false_alarms=())
+    spec = build_scene(bare, [dressed(ROBOT_SPEC)] * 2).spec
+    table = victim_table(ARENA_SPEC.victims, ARENA_SPEC.false_alarms)
+    (pos, quat), bones = segment_poses(table, 0.0), drawn_bones(table)
+    for box, slot in zip(*np.nonzero(used_slots(table.part)), strict=True):
+        offset, turn = bones.offset[box, slot], orientations(quat[box])
+        spec.worldbody.add_geom(
+            name=f"victim/{box}/{slot}",
+            type=SLOTS[slot],
+            size=bones.size[box, slot],
+            pos=pos[box] + turn @ offset + (0.0, 0.0, ARENA_SPEC.floor),
+            quat=quat[box],
+        )
+    return spec.compile()
+
+
 def posed(batch: Batch, state, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The world on C MuJoCo."""
-    model = batch.scene.model
+    """The world as it is drawn, on C MuJoCo."""
+    model = drawn_model() if batch.scene.arena is ARENA_SPEC else batch.scene.model
     data = mujoco.MjData(model)
     data.qpos[:] = np.asarray(batch.physics(state).qpos)[world]
     mujoco.mj_kinematics(model, data)
@@ -143,7 +166,7 @@ def traced(model, data, hidden: list[int], eye: np.ndarray, rays: np.ndarray) ->
 
 
 def hidden_geoms(batch: Batch, slot: int, eye: int) -> list[int]:
-    model, index = batch.scene.model, batch.scene.groups[0].indices[slot]
+    model, index = drawn_model(), batch.scene.groups[0].indices[slot]
     own = [g for g in range(model.ngeom) if model.geom_bodyid[g] in index.body_ids]
     return [g for g, hides in zip(own, cameras_of(ROBOT_SPEC)[eye].hidden_geoms, strict=True) if hides]
 

@@ -15,12 +15,12 @@ from usarmjx.cameras.picture import Viewpoint
 from usarmjx.engines.c_figures import NOBODY
 from usarmjx.engines.c_sight import CSight
 from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
+from usarmjx.models.build.figures import reach_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.plots.render import DEFAULT_LIGHTING, lit_scene
 from usarmjx.plots.viewpoint import FOV_Y, camera_axes, downsample, fit_camera
-from usarmjx.sensors.rays.kernels import bounding_box
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.looks import looks_of
 from usarmjx.sim.scene import build_scene
@@ -63,12 +63,9 @@ def _corners(plan: KinematicTree) -> np.ndarray:
     """Return the corners of the boxes about all that is drawn of a robot, with room around them (n, 3)."""
     solids, corner = plan.figure.solids, np.array(list(product((-1.0, 1.0), repeat=3)))
     places, turns = solids.poses(plan.rest_pos + np.array([0.0, 0.0, plan.clearance]), plan.rest_frames)
-    found: list[np.ndarray] = []
-    for kind, pos, mat, size in zip(solids.kind.tolist(), places, turns, solids.size, strict=True):
-        middle, half = bounding_box(kind, size)
-        offset = np.zeros(3) if middle is None else np.array(middle)
-        found.append(pos + (offset + corner * np.array(half)) @ mat.T)
-    corners = np.concatenate(found)
+    low, high = reach_of(solids, np.asarray(turns))
+    boxes = np.asarray(places)[:, None] + np.where(corner > 0, high[:, None], low[:, None])
+    corners = boxes.reshape(-1, 3)
     middle = (corners.min(0) + corners.max(0)) / 2
     return middle + FRAME_FACTOR * (corners - middle)
 

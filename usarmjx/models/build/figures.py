@@ -14,9 +14,10 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.models.build.geoms import add_geom
-from usarmjx.models.build.pieces import ray_primitives_of
+from usarmjx.models.build.pieces import TRIANGLE_KIND, ray_primitives_of
 from usarmjx.models.spec.shapes import OPAQUE, Shape
 
+GeomType = mujoco.mjtGeom
 FIGURE_MEMORY = 1 << 16
 """What a figure's MjData takes: it is never stepped [bytes]."""
 
@@ -45,6 +46,33 @@ class Solids:
         """Return where they are (..., n, 3), (..., n, 3, 3) for frames at (..., frames, 3), (..., 3, 3)."""
         turn = mat[..., self.frame, :, :]
         return pos[..., self.frame, :] + matvec(turn, self.pos), matmul(turn, self.mat)
+
+
+def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far solids reach from their positions along the axes: least and most [m] (n, 3) twice.
+
+    Args:
+        solids: Boxes, spheres, capsules, cylinders, ellipsoids and triangles.
+        mat: How they are turned (n, 3, 3).
+    """
+    size, kind = solids.size, solids.kind[:, None]
+    round_, long = size[:, :1], size[:, 1:2]
+    up = np.abs(mat[:, :, 2])
+    half = np.select(
+        [kind == one for one in (GeomType.mjGEOM_BOX, GeomType.mjGEOM_CYLINDER, GeomType.mjGEOM_CAPSULE)],
+        [
+            (np.abs(mat) * size[:, None]).sum(-1),
+            round_ * np.sqrt(np.maximum(0.0, 1 - up * up)) + long * up,
+            round_ + long * up,
+        ],
+        np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
+    )
+    half = np.where(kind == GeomType.mjGEOM_SPHERE, round_, half)
+    corners = np.stack(
+        [0 * mat[:, :, 0], round_ * mat[:, :, 0], long * mat[:, :, 0] + size[:, 2:] * mat[:, :, 1]]
+    )
+    is_triangle = kind == TRIANGLE_KIND
+    return np.where(is_triangle, corners.min(0), -half), np.where(is_triangle, corners.max(0), half)
 
 
 @dataclass(frozen=True, eq=False)
