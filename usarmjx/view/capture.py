@@ -135,7 +135,7 @@ class Capture:
                 for member in np.flatnonzero(np.asarray(state.active)).tolist():
                     robots[int(group.slots[member])] = _robot_frame(group, member, body, state, time)
                     overlays += _overlays(group, member, state)
-        turns = Rotation.from_matrix(np.concatenate(mat)).as_quat(scalar_first=True)
+        turns = Rotation.from_matrix(np.concatenate(mat), assume_valid=True).as_quat(scalar_first=True)
         return Frame(
             time=time,
             pos=np.concatenate(pos).astype(np.float32),
