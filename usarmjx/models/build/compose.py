@@ -87,7 +87,7 @@ class Physics:
         Found by a search over settings; docs/performance.md tables what every robot class does under them,
         beside the reference settings, and what they are not for.
         """
-        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5, cone="pyramidal")
+        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
 
 
 PHYSICS: Registry[Physics] = Registry("physics")
