@@ -1,6 +1,7 @@
 """RFID sensor against the manual's closed forms (10.9.3), C MuJoCo's rays and a captured line."""
 
 import math
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -13,7 +14,14 @@ from usarmjx.models.build.tags import tag_ids, tag_table
 from usarmjx.models.spec.arena import Tag
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.base import Sensor
-from usarmjx.sensors.rfid import MAX_TAGS, OBSTACLE_MARGIN, RAY_END_HEIGHT, RfidSettings, signal_strength
+from usarmjx.sensors.rfid import (
+    MAX_TAGS,
+    OBSTACLE_MARGIN,
+    RAY_END_HEIGHT,
+    RfidSettings,
+    distance_of_strength,
+    signal_strength,
+)
 from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.messages.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
@@ -63,6 +71,14 @@ def test_the_strength_of_the_signal_is_the_manuals():
     assert np.isfinite(signal_strength(settings, np.float64(0.0), False, np))
     assert signal_strength(settings, np.float64(FREE), False, np) == pytest.approx(-88, abs=1e-3)
     assert signal_strength(settings, np.float64(THROUGH), True, np) == pytest.approx(-88, abs=1e-3)
+
+
+def test_rays_go_no_further_than_a_tag_can_be_read():
+    settings = RfidSettings()
+    far = distance_of_strength(settings)
+    assert far == pytest.approx(FREE, rel=1e-3)
+    assert signal_strength(settings, np.float64(far), False, np) <= settings.rx_sensitivity_dbm
+    assert np.isfinite(distance_of_strength(replace(settings, tx_power_dbm=1e6)))
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,8 @@ HIDDEN_GROUP = len(MATERIALS)
 
 FEW_RAYS = 12
 """Fewer rays from a point are cast one by one at all geoms: to cast them together begins with all bounds."""
+MANY_RAYS = 32
+"""More rays from a point are cast at all geoms: to find those within reach would not pay."""
 MARGIN = 1e-4
 """By how much a geom's bounding sphere counts as larger than it is, against what is rounded [m]."""
 MIN_COSINE = 0.1
@@ -120,7 +122,7 @@ class CRayCaster:
         lines, normals = along.reshape(-1), normal.reshape(-1)
         groups, shown, few = model.geom_group, None, FEW_RAYS
         before = groups.copy()
-        if len(turns) and math.isfinite(query.max_distance):
+        if 0 < count <= MANY_RAYS * (len(bounds) - 1) and math.isfinite(query.max_distance):
             geoms, near = self._near(start, along, np.array(bounds), query.max_distance)
             shown, few = np.full((len(near), len(before)), HIDDEN_GROUP, before.dtype), 1
             shown[:, geoms] = np.where(near, before[geoms], HIDDEN_GROUP)

@@ -26,6 +26,8 @@ OBSTACLE_MARGIN = 0.02
 """What is nearer to a tag than this is no obstacle [m]."""
 MIN_TAG_DISTANCE = 1e-3
 """No tag counts as nearer than this [m]: the path loss has no limit."""
+MAX_EXPONENT = 6.0
+"""No arena is as large as this power of ten [m]: tags farther away need not be thought of."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,12 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
     """
     loss = 2 * 10 * (5.25 + 2 * xp.log10(xp.maximum(distance, MIN_TAG_DISTANCE)))
     return settings.tx_power_dbm - loss - settings.obstacle_attenuation_db * blocked
+
+
+def distance_of_strength(settings: RfidSettings) -> float:
+    """Return how far away a tag with nothing on the way answers as weakly as can be received [m]."""
+    loss = settings.tx_power_dbm - settings.rx_sensitivity_dbm
+    return 10 ** min((loss / 20 - 5.25) / 2, MAX_EXPONENT) * (1 + 1e-5)
 
 
 def _goodness(settings: RfidSettings, strength: Array) -> Array:
@@ -156,6 +164,14 @@ class Rfid(Sensor):
     needs_victims = False
     transparent = frozenset({SKY, GLASS})
     settings_class = RfidSettings
+
+    @property
+    def max_distance(self) -> float:
+        """It reads no tag that is farther away, whatever there is on the way [m]."""
+        settings = self.settings[0]
+        if settings.mode != ATTENUATION_MODE:
+            return max(settings.max_range, settings.max_single_shot_range)
+        return max(distance_of_strength(settings), MIN_TAG_DISTANCE)
 
     @for_teams
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
