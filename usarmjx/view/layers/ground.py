@@ -96,12 +96,16 @@ class TagLayer(NodeLayer):
                 depth_test=True,
             )
         self._discs = InstanceNode(self.scene, f"{self.root}/discs", disc())
+        self._dropped: np.ndarray | None = None
         self._fixed = np.array([tag.pos for tag in drawing.tags], np.float32).reshape(-1, 3)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Show what was dropped too."""
         del drawing
         dropped = np.asarray(frame.dropped_tags, np.float32).reshape(-1, 3)
+        if self._dropped is not None and np.array_equal(dropped, self._dropped):
+            return
+        self._dropped = dropped
         pos = np.concatenate([self._fixed, dropped])
         rgb = np.repeat([TAG_RGB, DROPPED_RGB], [len(self._fixed), len(dropped)], axis=0)
         self._discs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), rgb)

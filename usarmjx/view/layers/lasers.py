@@ -54,8 +54,8 @@ class LaserLayer(NodeLayer):
         del drawing
         held = self._held
         for number in held.look(frame):
-            start = held.pos[held.rows[number]]
-            self._scans[number].show(start, held.mat(number), held.readings[number])
+            rows = held.rows[number]
+            self._scans[number].show(held.pos[rows], held.mat[rows.start], held.readings[number])
 
 
 class _Scan:
@@ -70,22 +70,23 @@ class _Scan:
     def __init__(self, scene: viser.SceneApi, path: str, sensor: DrawnSensor) -> None:
         settings = sensor.settings[0]
         self._directions, self._max_range = beam_directions_of(sensor), settings.max_range
-        self._rgb = robot_colors(np.array(sensor.slot))
+        self._rgb = np.array(robot_colors(np.array(sensor.slot)))
         self._points = PointNode(scene, f"{path}/points", POINT_SIZE)
         self._fan: MeshNode | None = None
         if not isinstance(settings, Scanner3DSettings):  # whose beams fill a room
             self._fan = MeshNode(scene, f"{path}/fan", tuple(self._rgb.tolist()), FAN_OPACITY)
-        self._faces = fan_faces(len(self._directions))
+        self._faces = fan_faces(len(self._directions)).astype(np.uint32)
 
     def show(self, start: np.ndarray, mat: np.ndarray, ranges: np.ndarray) -> None:
-        """Show where beams ended: from `start` [m] (1, 3), turned (3, 3), with ranges [m], if there are any."""
+        """Show where beams ended: from `start` [m] (1, 3), turned (3, 3), with ranges [m]: all or none."""
         if not len(ranges):
-            start, hit, faces = start[:0], np.zeros(0, bool), self._faces[:0]
-            ends = start
-        else:
-            hit, faces = (ranges > 0) & (ranges < self._max_range), self._faces
-            drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
-            ends = start + drawn[:, None] * (self._directions @ mat.T)
+            self._points.set(start[:0], self._rgb)
+            if self._fan is not None:
+                self._fan.set(start[:0], self._faces[:0])
+            return
+        hit = (ranges > 0) & (ranges < self._max_range)
+        drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
+        ends = start + drawn[:, None] * (self._directions @ mat.T)
         self._points.set(ends[hit], self._rgb)
         if self._fan is not None:
-            self._fan.set(np.concatenate([start, ends]), faces)
+            self._fan.set(np.concatenate([start, ends]), self._faces)

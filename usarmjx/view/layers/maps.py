@@ -134,10 +134,11 @@ class MapLayer(NodeLayer):
         self._waiting |= dict.fromkeys(self._held.look(frame))
         for number in list(self._waiting)[:SCANS_AT_ONCE]:
             del self._waiting[number]
-            mat, reading = self._held.mat(number), self._held.readings[number]
+            rows, reading = self._held.rows[number], self._held.readings[number]
+            mat = self._held.mat[rows.start]
             if len(reading) and mat[2, 2] > math.cos(LEVEL):
                 hit = (reading > 0) & (reading < self._held.sensors[number].settings[0].max_range)
-                start = self._held.pos[self._held.rows[number]][0, :2]
+                start = self._held.pos[rows.start, :2]
                 ends = start + reading[:, None] * (self._directions[number] @ mat[:2].T)
                 self._scans.add(start, ends, hit)
 

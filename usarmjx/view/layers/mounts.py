@@ -91,6 +91,7 @@ class HeldMounts:
         rows: Which of the arrays below are the mounts of each.
         pos: Where mounts were [m] (mounts, 3).
         quat: How they were turned, w first (mounts, 4).
+        mat: The same as matrices (mounts, 3, 3).
     """
 
     def __init__(self, sensors: Sequence[DrawnSensor]) -> None:
@@ -100,9 +101,11 @@ class HeldMounts:
         self.rows = [slice(first, last) for first, last in pairwise(ends)]
         self.pos = np.zeros((ends[-1], 3), np.float32)
         self.quat = np.tile(np.array([1, 0, 0, 0], np.float32), (ends[-1], 1))
+        self.mat = np.tile(np.eye(3, dtype=np.float32), (ends[-1], 1, 1))
         self._body = np.concatenate([np.zeros(0, int), *(sensor.mount.body for sensor in sensors)])
         self._at = np.concatenate([np.zeros((0, 3)), *(sensor.mount.pos for sensor in sensors)])
-        self._turn = quats_of(np.concatenate([np.zeros((0, 3, 3)), *(s.mount.mat for s in sensors)]))
+        self._local = np.concatenate([np.zeros((0, 3, 3)), *(sensor.mount.mat for sensor in sensors)])
+        self._turn = quats_of(self._local)
         self._max_range = [min(one.max_range for one in sensor.settings) for sensor in sensors]
 
     def look(self, frame: Frame) -> list[int]:
@@ -122,17 +125,14 @@ class HeldMounts:
         if new:
             quat = frame.quat[self._body]
             with numpy_backend():
-                pos = frame.pos[self._body] + np.asarray(matvec(mat_from_quat(quat), self._at))
+                mat = np.asarray(mat_from_quat(quat))
+                pos = frame.pos[self._body] + np.asarray(matvec(mat, self._at))
+                mat = np.asarray(matmul(mat, self._local))
             turned = quat_product(quat, self._turn)
             for number in new:
                 rows = self.rows[number]
-                self.pos[rows], self.quat[rows] = pos[rows], turned[rows]
+                self.pos[rows], self.quat[rows], self.mat[rows] = pos[rows], turned[rows], mat[rows]
         return new
-
-    def mat(self, number: int) -> np.ndarray:
-        """Return how a sensor's first mount was turned (3, 3)."""
-        with numpy_backend():
-            return np.asarray(mat_from_quat(self.quat[self.rows[number].start]))
 
     def _met_nothing(self, number: int, reading: np.ndarray) -> bool:
         return bool(((reading <= 0) | (reading >= self._max_range[number])).all())

@@ -101,10 +101,17 @@ class PointNode:
 
     def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:
         self._scene, self._name, self._size = scene, name, size
+        self._rgb: np.ndarray | None = None
         self._handle: viser.PointCloudHandle | None = None
 
     def set(self, points: np.ndarray, rgb: np.ndarray) -> None:
-        """Show points [m] (points, 3) in colours, 0 to 255 (points, 3), or in one (3,)."""
+        """Show points.
+
+        Args:
+            points: Where they are [m] (points, 3).
+            rgb: Their colours, 0 to 255 (points, 3), or one for all (3,). The same array as before is taken
+                to be unchanged.
+        """
         points, colors = np.asarray(points, np.float32), np.asarray(rgb, np.uint8)
         if self._handle is None and len(points):
             self._handle = self._scene.add_point_cloud(
@@ -120,7 +127,10 @@ class PointNode:
             return
         self._handle.visible = bool(len(points))
         if len(points):
-            self._handle.points, self._handle.colors = points, colors
+            self._handle.points = points
+            if rgb is not self._rgb:
+                self._handle.colors = colors
+            self._rgb = rgb
 
 
 class MeshNode:
@@ -136,9 +146,15 @@ class MeshNode:
     def __init__(self, scene: viser.SceneApi, name: str, rgb: tuple[int, int, int], opacity: float) -> None:
         self._scene, self._name, self._rgb, self._opacity = scene, name, rgb, opacity
         self._handle: viser.MeshHandle | None = None
+        self._faces: np.ndarray | None = None
 
     def set(self, corners: np.ndarray, faces: np.ndarray) -> None:
-        """Show triangles: corners [m] (corners, 3), and which make up each (faces, 3)."""
+        """Show triangles.
+
+        Args:
+            corners: Their corners [m] (corners, 3).
+            faces: Which corners make up each (faces, 3). The same array as before is taken to be unchanged.
+        """
         corners, faces = np.asarray(corners, np.float32), np.asarray(faces, np.uint32)
         if self._handle is None and len(faces):
             self._handle = self._scene.add_mesh_simple(
@@ -155,7 +171,10 @@ class MeshNode:
             return
         self._handle.visible = bool(len(faces))
         if len(faces):
-            self._handle.vertices, self._handle.faces = corners, faces
+            self._handle.vertices = corners
+            if faces is not self._faces:
+                self._handle.faces = faces
+            self._faces = faces
 
 
 class InstanceNode:

@@ -12,6 +12,9 @@ HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
 """Radii of the points of victim sensors and of trails [m]."""
 
 
+NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+
+
 def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
     """Return lines and points of sketches.
 
@@ -19,6 +22,8 @@ def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
         Where lines start and end [m] (lines, 2, 3), their colours, 0 to 255 (lines, 3), points [m]
         (points, 3), and their colours (points, 3).
     """
+    if not sketches:
+        return NO_SKETCHES
     shown = [np.asarray(one.shown, bool) for one in sketches]
     start, end, rgb = (
         np.concatenate(
