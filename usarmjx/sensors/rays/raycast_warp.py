@@ -17,10 +17,10 @@ from usarmjx.sensors.rays.warp_kinds import (
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 WARP_SIZE = wp.constant(32)
-PASS_GEOMS = wp.constant(256)
-"""Most geoms whose distances a bundle keeps while the nearest are tested."""
+KEYS_PER_LANE = 4
+"""Geoms whose distances a lane keeps while the nearest are tested."""
 BLOCK_DIM = 128
-"""Threads of a block: as many as its shared memory is for."""
+"""Threads of a block."""
 SLOT_BITS = wp.constant(wp.uint32(255))
 """The last bits of a key: which geom of a pass it is. The first ones sort as the distance does."""
 LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
@@ -90,37 +90,6 @@ def _least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
 def _any_lane(x: bool) -> bool: ...
 
 
-@wp.func_native(f"""
-#if defined(__CUDA_ARCH__)
-    __shared__ wp::uint32 all_kept[{BLOCK_DIM // 32}][256];
-    wp::uint32* const kept = all_kept[threadIdx.x / 32];
-    if (!writes) return kept[place];
-    const unsigned mask = __ballot_sync(0xffffffffu, key < 0x7F800000u);
-    if (key < 0x7F800000u) kept[total + __popc(mask & ((1u << (threadIdx.x % 32)) - 1u))] = key;
-    __syncwarp();
-    return total + __popc(mask);
-#else
-    static wp::uint32 kept[256];
-    if (!writes) return kept[place];
-    if (key < 0x7F800000u) kept[total++] = key;
-    return total;
-#endif
-""")
-def _key_list(writes: bool, place: int, total: int, key: wp.uint32) -> wp.uint32: ...
-
-
-@wp.func
-def _keep(total: int, key: wp.uint32) -> int:
-    """Append the lanes' keys to those that are kept, but for misses; return how many there are."""
-    return int(_key_list(True, 0, total, key))
-
-
-@wp.func
-def _kept(place: int) -> wp.uint32:
-    """Return one of the keys that are kept."""
-    return _key_list(False, place, 0, LAST_KEY)
-
-
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     const float4 v = __ldg(reinterpret_cast<const float4*>(values.data) + index);
@@ -179,28 +148,42 @@ def local(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, v: wp.vec3) -> wp.vec3:
     )
 
 
+Keys = wp.types.vector(length=KEYS_PER_LANE, dtype=wp.uint32)
+
+
 @wp.func
-def _approach(geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float) -> float:
-    """Return how far away the cone meets a geom, infinite for a miss and for the viewer's own [m]."""
+def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, number: int) -> wp.uint32:
+    """Return what sorts as the distance does (`SLOT_BITS`); the last of all for what is not there."""
+    bits = wp.cast(wp.where(cone.slope < 0.0, 0.0, near), wp.uint32) & ~SLOT_BITS
+    return wp.where(slot >= number or owner == exclude, LAST_KEY, bits | wp.uint32(slot))
+
+
+@wp.func
+def _box_key(
+    geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
+) -> wp.uint32:
+    """Return the key of a geom by the box about it."""
+    pos = four_at(geoms, at)
+    r0 = four_at(geoms, at + 32)
+    r1 = four_at(geoms, at + 64)
+    r2 = four_at(geoms, at + 96)
+    half = four_at(geoms, at + 160)
+    tip = local(r0, r1, r2, cone.tip - wp.vec3(pos[0], pos[1], pos[2]))
+    axis = local(r0, r1, r2, cone.axis)
+    near = cone_box_distance(wp.vec3(half[0], half[1], half[2]), tip, axis, cone.tip_radius, cone.slope)
+    return _key(near, r0[3], exclude, cone, slot, number)
+
+
+@wp.func
+def _sphere_key(
+    geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
+) -> wp.uint32:
+    """Return the key of a geom by the sphere about it."""
     pos = four_at(geoms, at)
     r0 = four_at(geoms, at + 32)
     away = wp.vec3(pos[0], pos[1], pos[2]) - cone.tip
-    near = wp.float32(0.0)
-    if cone.slope >= 0.0:
-        if pos[3] > 0.0:
-            near = cone_sphere_distance(away, cone.axis, pos[3], cone.tip_radius, cone.slope)
-        else:
-            r1 = four_at(geoms, at + 64)
-            r2 = four_at(geoms, at + 96)
-            half = four_at(geoms, at + 160)
-            near = cone_box_distance(
-                wp.vec3(half[0], half[1], half[2]),
-                local(r0, r1, r2, -away),
-                local(r0, r1, r2, cone.axis),
-                cone.tip_radius,
-                cone.slope,
-            )
-    return wp.where(r0[3] == exclude, wp.inf, near)
+    near = cone_sphere_distance(away, cone.axis, pos[3], cone.tip_radius, cone.slope)
+    return _key(near, r0[3], exclude, cone, slot, number)
 
 
 @wp.struct
@@ -212,41 +195,28 @@ class WarpBest:
 
 
 @wp.func
-def _keep_near(
-    geoms: wp.array[wp.vec4], first: int, count: int, begin: int, lane: int, cone: WarpCone, exclude: float
-) -> int:
-    """Keep the keys of those geoms of a pass that the cone meets, and return how many they are."""
-    total = wp.int32(0)
-    number = wp.min(count - begin, PASS_GEOMS)
-    group = wp.int32(0)
-    while group < number:
-        slot = group + lane
-        key = LAST_KEY
-        if slot < number:
-            near = _approach(geoms, first + place_of(begin + slot), cone, exclude)
-            key = (wp.cast(near, wp.uint32) & ~SLOT_BITS) | wp.uint32(slot)
-        total = _keep(total, key)
-        group += _lanes()
-    return total
+def _first_key(keys: Keys) -> wp.uint32:
+    """Return the least of all lanes' keys."""
+    mine = LAST_KEY
+    for k in range(KEYS_PER_LANE):
+        mine = wp.min(mine, keys[k])
+    return _least_key_of_lanes(mine)
 
 
 @wp.func
-def _least_kept(least: wp.uint32, lane: int, total: int) -> wp.uint32:
-    """Return the least key of this lane's that is no less than a number."""
+def _next_key(keys: Keys, after: wp.uint32) -> wp.uint32:
+    """Return the least of all lanes' keys that is greater than one."""
     mine = LAST_KEY
-    place = lane
-    while place < total:
-        other = _kept(place)
-        if other >= least:
-            mine = wp.min(mine, other)
-        place += _lanes()
-    return mine
+    for k in range(KEYS_PER_LANE):
+        mine = wp.min(mine, wp.where(keys[k] > after, keys[k], LAST_KEY))
+    return _least_key_of_lanes(mine)
 
 
 @wp.func
 def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     geoms: wp.array[wp.vec4],
     first: int,
+    wide: int,
     count: int,
     lane: int,
     start: wp.vec3,
@@ -260,11 +230,22 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     best.distance = reach
     best.geom = -1.0
     cone = _cone_about(start, along, same_start)
+    width = _lanes()
     begin = wp.int32(0)
     while begin < count:
-        total = _keep_near(geoms, first, count, begin, lane, cone, exclude)
-        mine = _least_kept(wp.uint32(0), lane, total)
-        key = _least_key_of_lanes(mine)
+        end = wp.where(begin < wide, wide, count)
+        keys = Keys()
+        if begin < wide:
+            for k in range(KEYS_PER_LANE):
+                slot = k * width + lane
+                at = first + place_of(wp.min(begin + slot, end - 1))
+                keys[k] = _box_key(geoms, at, cone, exclude, slot, end - begin)
+        else:
+            for k in range(KEYS_PER_LANE):
+                slot = k * width + lane
+                at = first + place_of(wp.min(begin + slot, end - 1))
+                keys[k] = _sphere_key(geoms, at, cone, exclude, slot, end - begin)
+        key = _first_key(keys)
         while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
             at = first + place_of(begin + wp.int32(key & SLOT_BITS))
             pos = four_at(geoms, at)
@@ -272,6 +253,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
             r1 = four_at(geoms, at + 64)
             r2 = four_at(geoms, at + 96)
             s = four_at(geoms, at + 128)
+            key = _next_key(keys, key)
             away = start - wp.vec3(pos[0], pos[1], pos[2])
             t = distance_of(
                 int(r1[3]), local(r0, r1, r2, away), local(r0, r1, r2, along), wp.vec3(s[0], s[1], s[2])
@@ -279,10 +261,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
             if t < best.distance:
                 best.distance = t
                 best.geom = r2[3]
-            if mine <= key:
-                mine = _least_kept(key + wp.uint32(1), lane, total)
-            key = _least_key_of_lanes(mine)
-        begin += PASS_GEOMS
+        begin = wp.min(begin + KEYS_PER_LANE * width, end)
     if best.geom < 0.0:
         best.distance = wp.inf
     return best
@@ -297,6 +276,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     pos: wp.array[wp.vec3],
     mat: wp.array[wp.mat33],
     lines: wp.array[wp.vec3],
+    wide: int,
     count: int,
     rays: int,
     bundle: int,
@@ -321,6 +301,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
         best = _nearest(
             geoms,
             first,
+            wide,
             count,
             lane & (_lanes() - 1),
             pos[fan],
@@ -341,6 +322,7 @@ def cast_rays(  # noqa: PLR0913 - as above
     wanted: wp.array[int],
     origin: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
+    wide: int,
     count: int,
     rays: int,
     bundle: int,
@@ -361,6 +343,7 @@ def cast_rays(  # noqa: PLR0913 - as above
         best = _nearest(
             geoms,
             first,
+            wide,
             count,
             lane & (_lanes() - 1),
             origin[ray],

@@ -98,8 +98,9 @@ def nearest_of_bundles(
     count, bundle = len(lines[0] if lines else rays[0]), _bundle_of(bundle_size)
     if not work or not count:
         return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
+    wide = sum(info.num_geoms for info, _ in work if not info.compact)
     geoms = sum(info.num_geoms for info, _ in work)
-    numbers = [geoms, count, bundle, min(max_distance, UNLIMITED_DISTANCE)]
+    numbers = [wide, geoms, count, bundle, min(max_distance, UNLIMITED_DISTANCE)]
     if isinstance(rays, Fans):
         numbers.append(len(rays.pos))
 
