@@ -151,7 +151,7 @@ def plot(
     png: Annotated[Path | None, typer.Option(help="Write the figure to this PNG file.")] = None,
     pdf: Annotated[Path | None, typer.Option(help="Write the figure to this PDF file.")] = None,
     world: WorldOption = 0,
-    since: Annotated[float, typer.Option(help="Leave out what was before this time [s].")] = 0.0,
+    since: Annotated[float, typer.Option("--from", help="Leave out what was before this time [s].")] = 0.0,
     until: Annotated[float, typer.Option(help="Leave out what was after this time [s].")] = math.inf,
 ) -> None:
     """Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time."""

@@ -41,7 +41,7 @@ class RobotWay:
 
 
 @dataclass(frozen=True, eq=False)
-class Mission:
+class RecordedMission:
     """A recorded mission.
 
     Attributes:
@@ -61,7 +61,7 @@ class Mission:
     loose: list[tuple[float, np.ndarray]]
 
 
-def read_mission(recording: Recording, world: int, span: tuple[float, float]) -> Mission:
+def read_mission(recording: Recording, world: int, span: tuple[float, float]) -> RecordedMission:
     """Return what a recording has of a world in a span of time [s].
 
     Raises:
@@ -90,7 +90,7 @@ def read_mission(recording: Recording, world: int, span: tuple[float, float]) ->
         raise UsageError(f"{recording.path}: no robots in that time of world {world}")
     scans = _scan_points(recording, world, reader.scans)
     ways = list(reader.ways.values())
-    return Mission(setup.arenas[0], ways, scans, reader.found, reader.scores, reader.loose)
+    return RecordedMission(setup.arenas[0], ways, scans, reader.found, reader.scores, reader.loose)
 
 
 @dataclass

@@ -9,13 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import write_beside
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.plots.floor_plan import draw_plan
-from usarmjx.plots.mission import Mission, RobotWay, read_mission
+from usarmjx.plots.mission import RecordedMission, RobotWay, read_mission
 from usarmjx.plots.picture import ARROW
 from usarmjx.plots.play import COLOURS
-from usarmjx.plots.radio_map import power_map
+from usarmjx.plots.radio_map import MIN_STEP, power_map
 from usarmjx.recording.reader import Recording
 
 WIDTH = 11.0
@@ -26,6 +27,8 @@ STATION = "ComStation"
 """The class of robot from which the radio's power is drawn; without one, from where the first began."""
 INSIDE: dict[str, Any] = {"scalex": False, "scaley": False}
 """What is drawn so leaves the picture as large as it is."""
+GRID_POINTS = 160
+"""Points of the radio's map along the longer side of the arena."""
 SMOOTHED = 1.0
 """Speeds are averaged over this time [s]."""
 
@@ -52,7 +55,7 @@ def plot_recording(
     return [*paths]
 
 
-def mission_figure(mission: Mission) -> Figure:
+def mission_figure(mission: RecordedMission) -> Figure:
     """Return the figure of a mission."""
     (x0, x1), (y0, y1) = mission.arena.extent
     tall = WIDTH / 2 * min(1.4, max(0.5, (y1 - y0) / (x1 - x0)))
@@ -79,7 +82,7 @@ def _colour(place: int) -> str:
     return COLOURS[place % len(COLOURS)]
 
 
-def _draw_ways(axes: Axes, mission: Mission) -> None:
+def _draw_ways(axes: Axes, mission: RecordedMission) -> None:
     """Draw the plan, where beams ended, the robots' ways and the victims that were met."""
     draw_plan(axes, mission.arena, words=False, starts=False)
     axes.plot(*mission.scans.T, ".", ms=1.0, color=SCAN, alpha=0.4, zorder=6, rasterized=True, **INSIDE)
@@ -105,11 +108,13 @@ def _draw_way(axes: Axes, way: RobotWay, colour: str) -> None:
     axes.plot(*poses[-1, :2], marker=marker, color=colour, ms=11, mec="white", mew=0.5, zorder=9, **INSIDE)
 
 
-def _draw_power(figure: Figure, axes: Axes, mission: Mission) -> None:
+def _draw_power(figure: Figure, axes: Axes, mission: RecordedMission) -> None:
     """Draw the radio's power all over the arena, from a station or from where the first robot began."""
     station = next((way for way in mission.ways if way.robot == STATION), mission.ways[0])
     source = station.poses[0][:2]
-    drawn = power_map(mission.arena, source)
+    step = max(MIN_STEP, np.ptp(mission.arena.extent, axis=1).max() / GRID_POINTS)
+    with numpy_backend():  # compiled it would take longer
+        drawn = power_map(mission.arena, source, step=step)
     draw_plan(axes, mission.arena, words=False, starts=False)
     top = np.percentile(drawn.power, 99.5)
     colours = axes.pcolormesh(
@@ -139,13 +144,13 @@ def _travelled(way: RobotWay) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _draw_distance(axes: Axes, mission: Mission) -> None:
+def _draw_distance(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         axes.plot(way.times, _travelled(way), color=_colour(place), lw=1.2)
     axes.set_title("distance travelled [m]", loc="left", fontsize=9)
 
 
-def _draw_speed(axes: Axes, mission: Mission) -> None:
+def _draw_speed(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         times, gone = np.array(way.times), _travelled(way)
         before = np.interp(times - SMOOTHED, times, gone)
@@ -154,20 +159,20 @@ def _draw_speed(axes: Axes, mission: Mission) -> None:
     axes.set_title("speed [m/s]", loc="left", fontsize=9)
 
 
-def _draw_battery(axes: Axes, mission: Mission) -> None:
+def _draw_battery(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         axes.plot(way.times, np.array(way.battery) / 60.0, color=_colour(place), lw=1.2)
     axes.set_title("battery left [min]", loc="left", fontsize=9)
     axes.set_ylim(bottom=0)
 
 
-def _draw_score(axes: Axes, mission: Mission) -> None:
+def _draw_score(axes: Axes, mission: RecordedMission) -> None:
     times, scores = zip(*mission.scores, strict=True)
     axes.step(times, scores, where="post", color="#333333", lw=1.2)
     axes.set_title("score", loc="left", fontsize=9)
 
 
-def _draw_found(axes: Axes, mission: Mission) -> None:
+def _draw_found(axes: Axes, mission: RecordedMission) -> None:
     first, last = (pick(time for way in mission.ways for time in way.times) for pick in (min, max))
     times = sorted(time for time, _ in mission.found.values())
     axes.step([first, *times, last], [*range(len(times) + 1), len(times)], where="post", color=FOUND, lw=1.4)

@@ -9,7 +9,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
-from usarmjx.plots.mission import Mission, read_mission
+from usarmjx.plots.mission import RecordedMission, read_mission
 from usarmjx.plots.play import EpisodeRecording, film_frames, save_gif
 from usarmjx.recording.reader import Recording
 
@@ -37,7 +37,7 @@ def save_film(recording: Recording, path: Path, world: int = 0, speed: float = 2
         write(shown, fresh, speed)
 
 
-def _as_episode(mission: Mission, title: str) -> EpisodeRecording:
+def _as_episode(mission: RecordedMission, title: str) -> EpisodeRecording:
     """Return a mission as what films are drawn of; who was not there yet stands where it came."""
     times = np.unique(np.concatenate([way.times for way in mission.ways]))
     poses = np.zeros((len(times), len(mission.ways), 3))

@@ -12,7 +12,7 @@ from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import Drawing, Frame
 
 if TYPE_CHECKING:
-    from usarmjx.recording.recorder import Look, Measured
+    from usarmjx.recording.recorder import Look, SensorValues
 
 
 class WorldMessages:
@@ -62,7 +62,7 @@ class WorldMessages:
         text = data.decode("utf-8", "replace")
         file.write(self._channel("lines"), at, {"peer": peer, "robot": robot, "sent": sent, "text": text})
 
-    def readings(self, measured: "Measured", at: float, file: RecordingFile) -> None:
+    def readings(self, measured: "SensorValues", at: float, file: RecordingFile) -> None:
         """Write what sensors measured; plane scans for Foxglove too."""
         slots, sensors, values = zip(*measured, strict=True)
         said = {"slots": slots, "sensors": sensors, "values": values}

@@ -31,7 +31,7 @@ from usarmjx.sim.world import World
 
 FRAME_PERIOD = 0.2
 """A world is looked at so often [s of its time]; its physics is kept after every control step."""
-Measured = list[tuple[int, int, np.ndarray]]
+SensorValues = list[tuple[int, int, np.ndarray]]
 """Slots, indices of sensors in the suite, and what they measured."""
 
 
@@ -83,7 +83,7 @@ class WorldRecorder:
         self._messages = WorldMessages(self.number)
         self._told: tuple[Any, ...] = ()
         self._known: dict[int, tuple[bytes, ...]] = {}
-        self._measured: Measured = []
+        self._measured: SensorValues = []
         self._next_frame = self._time = 0.0
         self.file.put(partial(self._messages.setup, self.setup, self.since))
 

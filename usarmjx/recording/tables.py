@@ -26,10 +26,10 @@ COLUMNS = {
     "scores": ("time", "world", "score"),
 }
 """The tables and their columns; lengths in metres, angles in radians, times in seconds."""
-Row = tuple[Any, ...]
+TableRow = tuple[Any, ...]
 
 
-def rows_of(recording: Recording, table: str) -> Iterator[Row]:
+def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
     """Yield the rows of a table.
 
     Args:
@@ -50,7 +50,7 @@ def rows_of(recording: Recording, table: str) -> Iterator[Row]:
             yield from _rows(table, message, drawings.get(message.channel.world))
 
 
-def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[Row]:
+def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[TableRow]:
     time, world, said = round(message.time, 6), message.channel.world, message.value
     if table == "commands":
         for slot, order in getattr(said, "orders", {}).items():
@@ -70,7 +70,7 @@ def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iter
         yield from _frame_rows(table, (time, world), said, drawing)
 
 
-def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Drawing) -> Iterator[Row]:
+def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Drawing) -> Iterator[TableRow]:
     for slot, robot in frame.robots.items():
         drawn = drawing.robots[slot]
         if table == "joints":
@@ -81,7 +81,7 @@ def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Draw
             yield *when, drawn.name, *numbers, robot.battery
 
 
-def _reading_rows(time: float, world: int, said: dict[str, Any], drawing: Drawing) -> Iterator[Row]:
+def _reading_rows(time: float, world: int, said: dict[str, Any], drawing: Drawing) -> Iterator[TableRow]:
     for slot, sensor, value in zip(said["slots"], said["sensors"], said["values"], strict=True):
         if slot in drawing.robots:
             robot = drawing.robots[slot]
@@ -122,13 +122,13 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
     return written
 
 
-def _with_first(first: Row | None, rest: Iterator[Row]) -> Iterator[Row]:
+def _with_first(first: TableRow | None, rest: Iterator[TableRow]) -> Iterator[TableRow]:
     if first is not None:
         yield first
     yield from rest
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterator[Row]) -> None:
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterator[TableRow]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -142,7 +142,7 @@ def _parquet_writer() -> Any:  # noqa: ANN401 - a function like `_write_csv`
     except ImportError as error:
         raise UsageError("Parquet needs pyarrow: pip install pyarrow; or write .csv") from error
 
-    def write(path: Path, columns: Sequence[str], rows: Iterator[Row]) -> None:
+    def write(path: Path, columns: Sequence[str], rows: Iterator[TableRow]) -> None:
         values = [*zip(*rows, strict=True)] or [() for _ in columns]
         table = pyarrow.table({name: [*column] for name, column in zip(columns, values, strict=True)})
         pyarrow.parquet.write_table(table, path)
