@@ -2,6 +2,7 @@
 
 import html
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,9 @@ UPDATE_PERIOD = 0.25
 """Figures and plots are brought up to date so often [s]."""
 TOAST_PERIOD = 2.0
 """What could not be done is told so often at most [s]."""
+DROP_DELAY = 10.0
+"""What goes is only hidden for so long [s]: the page may still have to be told of its last figures, and
+complains if it is not there any more."""
 NO_ROBOT: str = "none"
 TAKE, LEAVE = "Take the controls", "Give the controls back"
 
@@ -108,6 +112,7 @@ class PersonPanel:
         self._shown_world: tuple[int, str] | None = None
         self._names: dict[int, str] = {}
         self._folders: dict[str, viser.GuiFolderHandle] = {}
+        self._dropped: deque[tuple[float, viser.GuiFolderHandle]] = deque()
         self._run: RunControls | None = None
         self._robot: tuple[object, RobotState, RobotControls | None] | None = None
         self._take = client.gui.add_button(TAKE, order=order + 0.1, visible=False)
@@ -151,6 +156,7 @@ class PersonPanel:
             followed: Slot of the robot that this person looks from; None: from none.
         """
         drawing = self._page.drawing
+        self._clear_away()
         if followed != self._followed:
             self._followed = followed
             if followed is not None and followed in self._names:
@@ -200,7 +206,14 @@ class PersonPanel:
     def _drop(self, title: str) -> None:
         folder = self._folders.pop(title, None)
         if folder is not None:
-            folder.remove()
+            folder.visible = False
+            self._dropped.append((time.monotonic() + DROP_DELAY, folder))
+
+    def _clear_away(self) -> None:
+        """Remove folders that have been out of sight for long enough."""
+        now = time.monotonic()
+        while self._dropped and now >= self._dropped[0][0]:
+            self._dropped.popleft()[1].remove()
 
     def _show_run(self, drawing: Drawing) -> None:
         """Show what this person may do to the world."""
