@@ -7,7 +7,7 @@ import pytest
 import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
-from usarmjx.view.stage import Cell, Stage, in_rows
+from usarmjx.view.stage import Stage, StagedWorld, in_rows
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def batches(scene):
 
 def staged(scene, *drawings):
     stage = Stage(scene)
-    stage.begin([Cell(*pair) for pair in zip(drawings, in_rows(drawings), strict=True)])
+    stage.begin([StagedWorld(*pair) for pair in zip(drawings, in_rows(drawings), strict=True)])
     stage.update([frame_of(drawing) for drawing in drawings])
     return stage
 
@@ -64,12 +64,12 @@ def test_robots_that_come_and_go_leave_the_rest_as_it_is(scene, sent):
     sent.clear()
     for robots in (4, 2):
         drawing = drawing_of(robots=robots)
-        stage.begin([Cell(drawing, np.zeros(3))])
+        stage.begin([StagedWorld(drawing, np.zeros(3))])
         stage.update([frame_of(drawing)])
         assert {batch.name for batch in batches(scene)} == before
         assert sorted(len(batch.batched_positions) for batch in batches(scene)) == [1, 1, robots, 2 * robots]
     assert not any(hasattr(getattr(message, "props", None), "batched_positions") for message in sent)
-    stage.begin([Cell(drawing_of(robots=0), np.zeros(3))])
+    stage.begin([StagedWorld(drawing_of(robots=0), np.zeros(3))])
     assert len(batches(scene)) == 2
 
 

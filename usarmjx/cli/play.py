@@ -22,9 +22,9 @@ from usarmjx.cli.recordings import RecordOption, recorded, recorded_episode
 from usarmjx.cli.serve_run import MetricsOption, PageChoice, add_metrics, make_servers, metrics_socket
 from usarmjx.cli.tools import ErrorExit, PortOffsetOption, SeedOption
 from usarmjx.cli.viewer_options import (
+    ShowLiveOption,
     ViewerControlOption,
     ViewerPortOption,
-    ViewOption,
     add_controls,
     add_viewer,
     viewer_settings,
@@ -167,7 +167,7 @@ def play(
     ] = None,
     allow_host: AllowHostOption = None,
     metrics_port: MetricsOption = None,
-    view: ViewOption = False,
+    view: ShowLiveOption = False,
     record: RecordOption = None,
     viewer_port: ViewerPortOption = None,
     viewer_control: ViewerControlOption = False,

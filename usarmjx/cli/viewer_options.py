@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ViewerOption = Annotated[
     bool, typer.Option("--viewer/--no-viewer", help="Show the worlds in three dimensions, in a browser.")
 ]
-ViewOption = Annotated[
+ShowLiveOption = Annotated[
     bool, typer.Option("--view", help="Show what happens in three dimensions, in a browser.")
 ]
 ViewerControlOption = Annotated[

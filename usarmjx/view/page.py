@@ -16,7 +16,7 @@ from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import Layer
 from usarmjx.view.page_parts import LayerSwitches, ViewButtons, WorldChoice
 from usarmjx.view.panel import Panel
-from usarmjx.view.stage import Cell, Stage, in_rows
+from usarmjx.view.stage import Stage, StagedWorld, in_rows
 from usarmjx.view.viewpoint import Onlooker, move_camera, robot_on_ray
 from usarmjx.view.viser_server import make_viser_server
 
@@ -176,7 +176,7 @@ class ViewerPage:
         return framed(low, high, aspect)
 
     @property
-    def _cell(self) -> Cell:
+    def _cell(self) -> StagedWorld:
         """Where the chosen world stands."""
         return self._stage.cells[self._numbers().index(self.world)]
 
@@ -194,7 +194,7 @@ class ViewerPage:
         """Show other drawings."""
         numbers = self._numbers()
         offsets = in_rows(drawings) if self.wall else [np.zeros(3)]
-        self._stage.begin([Cell(*pair) for pair in zip(drawings, offsets, strict=True)])
+        self._stage.begin([StagedWorld(*pair) for pair in zip(drawings, offsets, strict=True)])
         self._frames = [self.source.frame(number) for number in numbers]
         self.drawing, self.frame = self._cell.drawing, self._frames[numbers.index(self.world)]
         self._stage.update(self._frames)

@@ -20,7 +20,7 @@ GROUND_MARGIN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
+class StagedWorld:
     """A world on the stage.
 
     Attributes:
@@ -108,9 +108,9 @@ class Stage:
         self._batches: dict[str, BodyBatch] = {}
         self._floors: dict[str, viser.GlbHandle] = {}
         self._keys: dict[DrawnShape, str] = {}
-        self.cells: tuple[Cell, ...] = ()
+        self.cells: tuple[StagedWorld, ...] = ()
 
-    def begin(self, cells: Sequence[Cell]) -> None:
+    def begin(self, cells: Sequence[StagedWorld]) -> None:
         """Show other drawings; what looks as before is not sent again.
 
         Args:
@@ -168,7 +168,7 @@ class Stage:
 
     def _lay_floors(self) -> None:
         """Draw the floors that have no bounds as far as there is something to see, and a little further."""
-        wanted: dict[str, tuple[Cell, np.ndarray]] = {}
+        wanted: dict[str, tuple[StagedWorld, np.ndarray]] = {}
         for number, cell in enumerate(self.cells):
             rgb = floor_rgb(cell.drawing)
             if rgb is not None:
@@ -177,7 +177,7 @@ class Stage:
             handle.remove()
         self._floors = {path: self._floor(path, *value) for path, value in wanted.items()}
 
-    def _floor(self, path: str, cell: Cell, rgb: np.ndarray) -> viser.GlbHandle:
+    def _floor(self, path: str, cell: StagedWorld, rgb: np.ndarray) -> viser.GlbHandle:
         low, high = cell.drawing.extent.T
         height = cell.drawing.floor - FLOOR_DROP * float(np.linalg.norm(high - low))
         mesh = rectangle(low - GROUND_MARGIN, high + GROUND_MARGIN, height, rgb)
