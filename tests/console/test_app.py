@@ -17,10 +17,10 @@ from usarmjx.base.errors import UsageError
 from usarmjx.console.app import BUTTONS, VIEW, ConsoleApp, Extras
 from usarmjx.console.client import ConsoleClient
 from usarmjx.console.driving import ACTIONS
-from usarmjx.console.inputs import CommandLine, DrivePad
+from usarmjx.console.inputs import CommandLine, KeyPad
 from usarmjx.console.joystick import AXIS, EVENT, FULL
 from usarmjx.console.panes import PictureView, SensorTree
-from usarmjx.console.pictures import PictureClient, PictureFiles, decode, half_blocks
+from usarmjx.console.pictures import PictureFiles, PictureStream, decode, half_blocks
 from usarmjx.console.readings import branch, longest_range, range_bars
 from usarmjx.console.transcript import Transcript
 from usarmjx.models.robots import ROBOTS
@@ -100,7 +100,7 @@ async def brings_a_robot(app, pilot, client):
 async def drives(app, pilot, robot):
     """By F2 and arrows, by buttons, and back to the command line."""
     await pilot.press("f2")
-    assert app.focused is app.query_one(DrivePad)
+    assert app.focused is app.query_one(KeyPad)
     await pilot.press("plus", "up")
     await until(pilot, lambda: np.any(robot().command.setpoint > 1.0), "driving")
     await pilot.press("space")
@@ -140,7 +140,7 @@ def test_a_robot_is_brought_and_seen_and_driven(tmp_path):
     """All of it in one session: typing, completion, panes, driving, pictures, and another connection."""
     with served() as (world, port, image_port), Transcript(tmp_path / "talk.txt") as kept:
         client = ConsoleClient("127.0.0.1", port, transcript=kept)
-        pictures = PictureClient("127.0.0.1", image_port, fps=2.0)
+        pictures = PictureStream("127.0.0.1", image_port, fps=2.0)
         app = ConsoleApp(client, Extras(ROBOTS.names, pictures, PictureFiles(tmp_path / "seen")))
 
         def bound():
@@ -200,7 +200,7 @@ def test_who_is_not_there_ends_the_console_with_one_line():
 def test_a_server_that_goes_and_a_robot_that_is_not_there_are_told():
     with contextlib.ExitStack() as server:
         _, port, _ = server.enter_context(served())
-        app = ConsoleApp(ConsoleClient("127.0.0.1", port), Extras(pictures=PictureClient("127.0.0.1", 1)))
+        app = ConsoleApp(ConsoleClient("127.0.0.1", port), Extras(pictures=PictureStream("127.0.0.1", 1)))
 
         async def script(pilot):
             await until(
@@ -226,13 +226,13 @@ class Pad(App):
         self.said = []
 
     def compose(self):
-        yield DrivePad()
+        yield KeyPad()
         yield Input()
 
-    def on_drive_pad_pressed(self, event):
+    def on_key_pad_pressed(self, event):
         self.said.append(event.action)
 
-    def on_drive_pad_left(self):
+    def on_key_pad_left(self):
         self.said.append("left the pad")
 
 
@@ -241,7 +241,7 @@ def test_the_mouse_turns_the_camera_while_the_pad_is_in_use():
     app = Pad()
 
     async def script(pilot):
-        pad = app.query_one(DrivePad)
+        pad = app.query_one(KeyPad)
         pad.styles.height = 10
         app.query_one(Input).focus()
         await pilot.pause()

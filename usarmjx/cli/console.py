@@ -17,7 +17,7 @@ from usarmjx.cli.tools import ErrorExit
 
 if TYPE_CHECKING:
     from usarmjx.console.client import ConsoleClient
-    from usarmjx.console.pictures import PictureClient, PictureFiles
+    from usarmjx.console.pictures import PictureFiles, PictureStream
 
 PLACE = "HOST:PORT"
 LIBRARY = "textual"
@@ -77,21 +77,21 @@ def console(
 
 def _pictures(
     video: str | None, folder: Path | None, host: str, fps: float, token: str
-) -> tuple[PictureClient | None, PictureFiles | None]:
+) -> tuple[PictureStream | None, PictureFiles | None]:
     """Return whose pictures are shown, and where they are put.
 
     Raises:
         UsageError: No such port, or a folder without pictures.
     """
     from usarmjx.console.client import parse_place
-    from usarmjx.console.pictures import PictureClient, PictureFiles
+    from usarmjx.console.pictures import PictureFiles, PictureStream
 
     if video is None:
         if folder is not None:
             raise UsageError("--save-pictures needs --video, the port of an image server")
         return None, None
     there = parse_place(video if ":" in video else f"{host}:{video}", "[HOST:]PORT")
-    return PictureClient(*there, token, fps), None if folder is None else PictureFiles(folder)
+    return PictureStream(*there, token, fps), None if folder is None else PictureFiles(folder)
 
 
 def _run_script(
@@ -99,7 +99,7 @@ def _run_script(
     script: Path,
     linger: float,
     patience: float,
-    pictures: PictureClient | None,
+    pictures: PictureStream | None,
     files: PictureFiles | None,
 ) -> None:
     from usarmjx.console.script import read_script, run_script
@@ -129,7 +129,7 @@ def _run_script(
 
 def _run_panes(
     client: ConsoleClient,
-    pictures: PictureClient | None,
+    pictures: PictureStream | None,
     files: PictureFiles | None,
     joystick: str,
     ask: bool,

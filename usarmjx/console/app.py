@@ -16,10 +16,10 @@ from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.console.client import ConsoleClient, Received
 from usarmjx.console.completion import Completer
 from usarmjx.console.driving import Pilot
-from usarmjx.console.inputs import CommandLine, DrivePad
+from usarmjx.console.inputs import CommandLine, KeyPad
 from usarmjx.console.joystick import JoystickDevice, Stick
 from usarmjx.console.panes import MessagePanes, PictureView, RangeBars, SensorTree
-from usarmjx.console.pictures import PictureClient, PictureFiles, half_blocks
+from usarmjx.console.pictures import PictureFiles, PictureStream, half_blocks
 
 BUTTONS = (
     (("left", "◀"), ("forward", "▲"), ("backward", "▼"), ("right", "▶"), ("stop", "Stop")),
@@ -52,7 +52,7 @@ class Extras:
     """
 
     load_classes: Callable[[], Sequence[str]] | None = None
-    pictures: PictureClient | None = None
+    pictures: PictureStream | None = None
     files: PictureFiles | None = None
     joystick: Path | None = None
     ask: bool = True
@@ -101,7 +101,7 @@ class ConsoleApp(App[str]):
         self._viewed = -1
         self._messages, self._sensors, self._ranges = MessagePanes(), SensorTree(), RangeBars()
         self._offers, self._state_line = Static(id="offered"), Static(id="status")
-        self._command, self._pad = CommandLine(self._complete, self._offer), DrivePad()
+        self._command, self._pad = CommandLine(self._complete, self._offer), KeyPad()
         self._picture = PictureView()
 
     def compose(self) -> ComposeResult:
@@ -217,11 +217,11 @@ class ConsoleApp(App[str]):
         """Drive, or drive no more."""
         (self._command if self._pad.has_focus else self._pad).focus()
 
-    def on_drive_pad_left(self) -> None:
+    def on_key_pad_left(self) -> None:
         """Back to the command line."""
         self._command.focus()
 
-    async def on_drive_pad_pressed(self, event: DrivePad.Pressed) -> None:
+    async def on_key_pad_pressed(self, event: KeyPad.Pressed) -> None:
         """Do what a key says."""
         await self._press(event.action)
 
@@ -248,7 +248,7 @@ class ConsoleApp(App[str]):
 
     # Pictures
 
-    async def _watch(self, pictures: PictureClient) -> None:
+    async def _watch(self, pictures: PictureStream) -> None:
         view = self._picture
         try:
             async for picture in pictures.pictures():

@@ -12,7 +12,7 @@ ZOOM_FACTOR = 0.8
 STEEP = 0.7
 """An axis counts as upright, or as lying across, if so much of it is."""
 
-Axis = tuple[float, float, float]
+LinkAxis = tuple[float, float, float]
 
 
 @dataclass
@@ -74,9 +74,9 @@ class CameraAim:
         return next((name for name in known.packages if "pantilt" in name.lower()), "")
 
 
-def link_axis(links: dict[int, PackageLink], number: int) -> Axis:
+def link_axis(links: dict[int, PackageLink], number: int) -> LinkAxis:
     """Return the axis of a link in the robot's frame on the wire, its package at rest."""
-    axis: Axis = (0.0, 0.0, 1.0)
+    axis: LinkAxis = (0.0, 0.0, 1.0)
     seen: set[int] = set()
     while number in links and number not in seen:
         seen.add(number)
@@ -85,7 +85,7 @@ def link_axis(links: dict[int, PackageLink], number: int) -> Axis:
     return axis
 
 
-def _rotate(angles: tuple[float, ...], vector: Axis) -> Axis:
+def _rotate(angles: tuple[float, ...], vector: LinkAxis) -> LinkAxis:
     """Return a vector turned by roll, pitch and yaw [rad], in this order about the fixed axes."""
     roll, pitch, yaw = (*angles, 0.0, 0.0, 0.0)[:3]
     x, y, z = vector

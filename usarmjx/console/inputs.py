@@ -79,7 +79,7 @@ class CommandLine(Input):
         self.cursor_position = len(line)
 
 
-class DrivePad(Static, can_focus=True):
+class KeyPad(Static, can_focus=True):
     """Drives while it is in use: by keys, and the mouse turns the camera (manual 5.2.1)."""
 
     class Pressed(Event):

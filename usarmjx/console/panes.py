@@ -15,7 +15,7 @@ from textual.widgets import RichLog, Static, TabbedContent, TabPane, Tree
 from textual.widgets.tree import TreeNode
 
 from usarmjx.base.errors import PeerError
-from usarmjx.console.pictures import HALF_BLOCK, Rows
+from usarmjx.console.pictures import HALF_BLOCK, HalfBlocks
 from usarmjx.console.readings import branch, longest_range, range_bars, title
 from usarmjx.server.protocol.grammar import Message
 
@@ -166,9 +166,9 @@ class PictureView(Widget):
 
     def __init__(self) -> None:
         super().__init__(id="picture")
-        self._rows: Rows = []
+        self._rows: HalfBlocks = []
 
-    def show(self, rows: Rows) -> None:
+    def show(self, rows: HalfBlocks) -> None:
         """Show another picture."""
         self._rows = rows
         self.refresh()

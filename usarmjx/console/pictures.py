@@ -20,11 +20,11 @@ HALF_BLOCK = "\N{UPPER HALF BLOCK}"
 """Its upper half has the character's colour, the lower one that of its background."""
 
 Pixel = tuple[int, int, int]
-Rows = list[list[tuple[Pixel, Pixel]]]
+HalfBlocks = list[list[tuple[Pixel, Pixel]]]
 """Characters of a picture, row by row: the colours of their upper and lower halves."""
 
 
-class PictureClient:
+class PictureStream:
     """A client of the image server.
 
     Args:
@@ -93,7 +93,7 @@ def decode(number: int, data: bytes) -> Image.Image:
         raise UsageError(f"a picture that cannot be read: {' '.join(str(error).split())}") from error
 
 
-def half_blocks(image: Image.Image, width: int, height: int) -> Rows:
+def half_blocks(image: Image.Image, width: int, height: int) -> HalfBlocks:
     """Return a picture as characters, as large as fits into so many of them and in proportion."""
     scale = min(width / image.width, 2 * height / image.height)
     columns = max(1, min(width, round(image.width * scale)))
