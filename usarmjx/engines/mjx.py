@@ -16,6 +16,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
+from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.compose_arena import split_long_boxes
@@ -245,11 +246,13 @@ class WarpEngine(MjxEngine):
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
         # Rows are counted per world, contacts over all worlds: a world has room for three times the average.
+        pairs = self.mx._impl.nxn_geom_pair_filtered
         return mjx.make_data(
             self.model,
             impl=self.impl,
             device=own_device(),
             naconmax=self.worlds * contacts,
+            naccdmax=self.worlds * convex_room(self.model, pairs, contacts),
             njmax=3 * self.physics.rows_per_contact * contacts,
         )
 

@@ -14,6 +14,7 @@ class Model(_Node):
     geom_size: Array
     geom_aabb: Array
     geom_rbound: Array
+    _impl: Any
 
 class Data(_Node):
     time: Array
@@ -32,6 +33,7 @@ def make_data(
     device: Any = None,
     impl: str | None = None,
     naconmax: int | None = None,
+    naccdmax: int | None = None,
     njmax: int | None = None,
 ) -> Data: ...
 def step(m: Model, d: Data) -> Data: ...

@@ -1,0 +1,144 @@
+"""Rays on Warp, whose kernels run here on its CPU device: kind by kind, under maps, and who uses them."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
+from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
+from usarmjx.sensors.rays import choice
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.raycast import RayQuery, brute_force_hits, indexed_blocks, warp_hits
+from usarmjx.sensors.rays.targets import make_geoms
+
+pytest.importorskip("warp", reason="needs warp-lang")
+
+ATOL = 1e-5  # m: the same arithmetic, differently contracted by the compilers
+RAYS = 300
+
+
+def geoms_of(kind, rng, count, reach=2.0):
+    """Random ones, every other one straight, so that rays along the axes are parallel to faces."""
+    turned = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    mat = np.where((np.arange(count) % 2 == 0)[:, None, None], turned, np.eye(3))
+    size = rng.uniform(0.1, 1.0, (count, 3))
+    pos = rng.uniform(-reach, reach, (count, 3))
+    single = (jnp.asarray(x, jnp.float32) for x in (pos, mat, size))
+    return make_geoms(np.full(count, kind), *single, jnp.arange(count) % 3 - 1)
+
+
+def rays_at(rng, count=RAYS, reach=2.0):
+    start, along = rng.uniform(-reach, reach, (count, 3)), rng.normal(size=(count, 3))
+    along[::5] = np.eye(3)[rng.integers(3, size=len(along[::5]))]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return (jnp.asarray(x, jnp.float32) for x in (start, along))
+
+
+@pytest.mark.parametrize("kind", RAY_KERNELS)
+def test_each_kind_is_met_as_on_jax(kind):
+    rng = np.random.default_rng(kind)
+    seen, rays = indexed_blocks(geoms_of(kind, rng, 50)), tuple(rays_at(rng))
+    plain = brute_force_hits(seen, *rays)
+    assert 0.05 < np.isfinite(np.asarray(plain.distance)).mean() < 1
+    found = warp_hits(seen, rays)
+    same = np.asarray(found.geom_index) == plain.geom_index
+    assert (~same).sum() <= 1  # a ray along an edge may slip by on one of them
+    np.testing.assert_allclose(found.distance[same], plain.distance[same], atol=ATOL)
+
+
+def test_kinds_are_those_of_jax():
+    """One that is missing would be met by no ray."""
+    assert set(RAY_KERNELS) == {*map(int, KINDS.values()), TRIANGLE_KIND, FENDER_KIND}
+
+
+@pytest.mark.oracle
+def test_casts_match_c_mujoco():
+    room = make_room(3)
+    rays = make_rays(room, 103)
+    distance, _, clear = room.oracle(*rays)
+    single = tuple(jnp.asarray(x, jnp.float32) for x in rays)
+    found = np.asarray(warp_hits(indexed_blocks(room.geoms), single).distance)
+    np.testing.assert_allclose(found[clear], distance[clear], atol=1e-4)
+
+
+def test_more_geoms_than_a_pass_looks_at():
+    rng = np.random.default_rng(5)
+    seen, rays = indexed_blocks(geoms_of(6, rng, 600, reach=9.0)), tuple(rays_at(rng, reach=9.0))
+    plain, found = brute_force_hits(seen, *rays), warp_hits(seen, rays)
+    np.testing.assert_array_equal(found.geom_index, plain.geom_index)
+    assert len(set(np.asarray(plain.geom_index) // 256)) == 4  # all three passes, and misses
+
+
+@pytest.mark.parametrize("outer", ["robots", "worlds"])
+def test_all_maps_make_one_launch(outer):
+    """Robots in worlds, or worlds of each robot: geoms have an axis over worlds, queries one over robots."""
+    rng = np.random.default_rng(9)
+    worlds, robots = 3, 2
+    kinds = [geoms_of(6, rng, 7) for _ in range(worlds)]
+    blocks = jax.tree.map(lambda *x: jnp.stack(x), *(g.blocks[0] for g in kinds))
+    info = indexed_blocks(kinds[0])[0]
+    start, along = rays_at(rng, worlds * robots * 40)
+    rays = tuple(x.reshape(worlds, robots, 40, 3) for x in (start, along))
+    slots = jnp.arange(robots)
+
+    def one(block, start, along, slot):
+        return warp_hits([info._replace(block=block)], (start, along), RayQuery(exclude_owner=slot))
+
+    if outer == "worlds":
+        cast = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)), in_axes=(0, 0, 0, None))
+    else:
+        cast = jax.vmap(jax.vmap(one, in_axes=(0, 0, 0, None)), in_axes=(None, 1, 1, 0), out_axes=1)
+    found = jax.jit(cast)(blocks, *rays, slots)
+    lowered = jax.jit(cast).lower(blocks, *rays, slots).as_text()
+    assert lowered.count("stablehlo.custom_call @") == 1
+    for w in range(worlds):
+        for r in range(robots):
+            alone = brute_force_hits(
+                indexed_blocks(kinds[w]), rays[0][w, r], rays[1][w, r], RayQuery(exclude_owner=slots[r])
+            )
+            np.testing.assert_array_equal(found.geom_index[w, r], alone.geom_index)
+            np.testing.assert_allclose(found.distance[w, r], alone.distance, atol=ATOL)
+
+
+def test_where_there_is_nothing_nothing_is_met():
+    rays = tuple(rays_at(np.random.default_rng(1)))
+    found = warp_hits([], rays)
+    assert np.isinf(found.distance).all()
+    assert (np.asarray(found.geom_index) == -1).all()
+
+
+def test_a_gpu_takes_what_is_there(monkeypatch):
+    def used(backend, installed):
+        monkeypatch.setattr(jax, "default_backend", lambda: backend)
+        roads = {choice.ROADS[name] for name in installed}
+        monkeypatch.setattr(choice, "find_spec", lambda module: object() if module in roads else None)
+        return choice.caster_in_use.__wrapped__(), choice.counts_on_warp.__wrapped__()
+
+    assert used("cpu", {"warp", "pallas"}) == ("jax", False)
+    assert used("gpu", {"warp", "pallas"}) == (choice.PREFERRED[0], True)
+    assert used("gpu", {"warp"}) == ("warp", True)
+    assert used("gpu", {"pallas"}) == ("pallas", False)
+    assert used("gpu", set()) == ("jax", False)
+
+
+def test_jax_without_any_pallas_is_no_error(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setitem(choice.ROADS, "pallas", "jax.no_such_package.triton")
+    assert choice.caster_in_use.__wrapped__() == "warp"
+
+
+def test_rays_are_cast_by_what_is_in_use(monkeypatch):
+    from usarmjx.sensors.rays import raycast
+
+    rng = np.random.default_rng(2)
+    geoms, rays = geoms_of(6, rng, 5), tuple(rays_at(rng))
+    asked = []
+    for name in ("warp", "pallas"):
+        cast = partial(asked.append, name)
+        monkeypatch.setitem(raycast.GPU_CASTERS, name, lambda *_, cast=cast: cast())
+        monkeypatch.setattr(raycast, "caster_in_use", lambda name=name: name)
+        raycast.nearest_hits(geoms, *rays)
+    assert asked == ["warp", "pallas"]
