@@ -1,6 +1,8 @@
 import pytest
 import viser
 
+from tests.view.browser import Browser, find_browser
+
 
 @pytest.fixture(scope="session")
 def _server():
@@ -14,3 +16,14 @@ def scene(_server):
     """A scene of viser that is empty at first, and that nobody looks at."""
     yield _server.scene
     _server.scene.reset()
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A browser for all tests that look at pages."""
+    binary = find_browser()
+    if binary is None:
+        pytest.skip("no Chromium on this machine")
+    running = Browser(binary, tmp_path_factory.mktemp("browser"))
+    yield running
+    running.close()
