@@ -1,5 +1,6 @@
-"""Served worlds on the live page.
+"""Served worlds on the live page, which itself is `view`'s.
 
-`served_source` says what there is to see of them, `controls` what may be done to them; the page itself is `view`'s.
-`viewer_service` begins it when a browser first asks, `front` lets in only who may look, `inset` has cameras' pictures.
+`viewer_service` begins it when a browser first asks, `front` lets in only who may look.
+`served_source` says what there is to see of the worlds, `controls` what may be done to them.
+`inset` shows pictures of robots' cameras.
 """
