@@ -33,7 +33,7 @@ from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.build.body_plan import BodyPoses
 from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.build.victim_looks import SLOTS, drawn_bones, used_slots
-from usarmjx.models.build.victims import segment_poses
+from usarmjx.models.build.victims import VictimTable, segment_poses
 from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms, indices_by_key, make_geoms
 from usarmjx.sim.scene import Scene
@@ -173,6 +173,30 @@ def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) ->
         transparency=np.zeros(len(which), np.float32),
         compact=True,
     )
+
+
+def drawn_limbs(table: VictimTable, boxes: np.ndarray) -> list[VisibleGeoms]:
+    """Return what is drawn of some boxes of victims (n,), each in its own axes; the table is NumPy's."""
+    drawn, used, rows = drawn_bones(table), used_slots(table.part), list[VisibleGeoms]()
+    for box in boxes:
+        slots = np.flatnonzero(used[box])
+        n = len(slots)
+        rows.append(
+            VisibleGeoms(
+                kind=np.array(SLOTS)[slots],
+                pos=drawn.offset[box, slots],
+                mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)),
+                size=drawn.size[box, slots],
+                owner=np.full(n, -1),
+                material=np.full(n, OPAQUE, object),
+                rgb=drawn.rgb[box, slots],
+                label=np.full(n, bone_labels(table.owner[box])),
+                geom_index=np.zeros(n, int),
+                transparency=np.zeros(n, np.float32),
+                compact=True,
+            )
+        )
+    return rows
 
 
 def visible_loose(scene: Scene, physics: PhysicsState) -> VisibleGeoms:

@@ -19,6 +19,7 @@ from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
 from usarmjx.models.build.parts import joint_names
 from usarmjx.models.build.tags import tag_ids
+from usarmjx.models.build.victims import PADDING_OWNER, VictimTable, orientations, segment_poses
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import OPAQUE
@@ -26,9 +27,10 @@ from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.site import moved_geom_poses
+from usarmjx.sim.site import moved_geom_poses, victims_of
 from usarmjx.sim.visible import (
     VisibleGeoms,
+    drawn_limbs,
     visible_arena,
     visible_doors,
     visible_loose,
@@ -50,6 +52,8 @@ from usarmjx.view.drawing import (
 
 FIXED_BODIES = {ARENA_LABEL: "arena", VICTIM_LABEL: "victims", FALSE_ALARM_LABEL: "false alarms"}
 """Names of the bodies that all fixed things are, by their labels."""
+BONES = (VICTIM_LABEL, FALSE_ALARM_LABEL)
+"""Labels of what is drawn of victims, not as the boxes that sensors meet."""
 ROW_FIELDS = ("kind", "pos", "mat", "size", "owner", "material", "rgb", "label", "geom_index", "transparency")
 FARTHEST = 1e5
 """What is further away has been put out of the way [m]."""
@@ -157,9 +161,10 @@ class Capture:
             yield "water", visible_water(scene)
         moving = self._moving(world)
         if moving.any():
-            row = _in_own_axes(visible_arena(scene, world.arena_state, time_of(scene, world))[1])
-            for geom in np.flatnonzero(moving):
-                yield f"limb/{geom}", _picked(row, np.array([geom]))
+            table = _victims(scene, world)
+            boxes = np.flatnonzero(table.swing > 0)
+            for geom, limb in zip(np.flatnonzero(moving), drawn_limbs(table, boxes), strict=True):
+                yield f"limb/{geom}", limb
         loose = scene.loose_geoms
         row = visible_loose(scene, physics)
         row = row._replace(pos=loose.local.pos, mat=loose.local.mat)
@@ -171,11 +176,13 @@ class Capture:
 
     def _fixed(self, world: World) -> VisibleGeoms:
         """Return all geoms that never move, of this world's arena, where they are."""
-        fixed, *data = visible_arena(self._scene, world.arena_state, time_of(self._scene, world))
-        if not data:
-            return fixed
-        here = ~self._moving(world) & (np.abs(np.asarray(data[0].pos)) < FARTHEST).all(-1)
-        rows = fixed, _picked(data[0], here)
+        time = time_of(self._scene, world)
+        fixed, *data = visible_arena(self._scene, world.arena_state, time)
+        rows = [_picked(fixed, ~np.isin(fixed.label, BONES))]
+        if data:
+            here = ~self._moving(world) & (np.abs(np.asarray(data[0].pos)) < FARTHEST).all(-1)
+            rows.append(_picked(data[0], here & ~np.isin(data[0].label, BONES)))
+        rows += _still_limbs(_victims(self._scene, world), time, self._scene.arena.floor)
         return fixed._replace(
             **{
                 field: np.concatenate([np.asarray(getattr(row, field)) for row in rows])
@@ -222,6 +229,21 @@ class Capture:
         return np.concatenate(pos), np.concatenate(mat), shown
 
 
+def _victims(scene: Scene, world: World) -> VictimTable:
+    return jax.tree.map(np.asarray, victims_of(scene, world.arena_state))
+
+
+def _still_limbs(table: VictimTable, time: Array, floor: float) -> list[VisibleGeoms]:
+    """Return what is drawn of victims' limbs that never move, where they are."""
+    boxes = np.flatnonzero((table.swing == 0) & (table.owner != PADDING_OWNER))
+    places, turns = (np.asarray(x)[boxes] for x in segment_poses(table, time))
+    found: list[VisibleGeoms] = []
+    for limb, place, turn in zip(drawn_limbs(table, boxes), places, orientations(turns), strict=True):
+        pos = place + (0.0, 0.0, floor) + np.asarray(limb.pos) @ np.asarray(turn).T
+        found.append(limb._replace(pos=pos, mat=np.tile(turn, (len(limb.kind), 1, 1))))
+    return found
+
+
 def _picked(row: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     """Return some geoms of a row, by index or mask."""
     return row._replace(**{field: np.asarray(getattr(row, field))[which] for field in ROW_FIELDS})
@@ -247,16 +269,16 @@ def _key(group: RobotGroup, part: str) -> str:
 
 def _robot_shapes(group: RobotGroup) -> dict[str, DrawnShape]:
     """Return what the bodies of a class look like, by its name and theirs."""
-    plan, shapes = group.plan, dict[str, DrawnShape]()
-    for place, part in enumerate(plan.parts):
-        own = plan.geom_body == place
+    drawn, shapes = group.plan.figure.solids, dict[str, DrawnShape]()
+    for place, part in enumerate(group.plan.parts):
+        own = drawn.frame == place
         n = int(own.sum())
         shapes[_key(group, part)] = DrawnShape(
-            kind=plan.geom_type[own],
-            pos=plan.geom_pos[own],
-            mat=plan.geom_mat[own],
-            size=plan.geom_size[own],
-            rgb=plan.geom_rgb[own],
+            kind=drawn.kind[own],
+            pos=drawn.pos[own],
+            mat=drawn.mat[own],
+            size=drawn.size[own],
+            rgb=drawn.rgb[own],
             transparency=np.zeros(n, np.float32),
             material=np.full(n, OPAQUE, object),
         )
