@@ -1,4 +1,4 @@
-"""The spectator's page in a browser: its console opens by a key, answers, and keeps its keys from the view."""
+"""The spectator's page in a browser: its console opens by a key, answers, and keeps what is typed."""
 
 from tests.server.peers import serving
 from tests.server.watchers import CYCLOPS, classes, gallery
