@@ -82,7 +82,7 @@ class WorldRecorder:
         """Write what the world was made of."""
         self._messages = WorldMessages(self.number)
         self._told: tuple[Any, ...] = ()
-        self._known: dict[int, tuple[bytes, ...]] = {}
+        self._known: dict[tuple[int, ...], list[np.ndarray]] = {}
         self._measured: SensorValues = []
         self._next_frame = self._time = 0.0
         self.file.put(partial(self._messages.setup, self.setup, self.since))
@@ -104,13 +104,13 @@ class WorldRecorder:
 
     def joined(self, slot: int, name: str, robot: str) -> None:
         """A robot is there."""
-        self._known.pop(slot, None)
+        self._known.clear()
         self.event("join", f"{name}, a {robot}, joins", name, slot)
 
     def removed(self, slot: int, name: str) -> None:
         """A robot has left."""
         self._put(RobotRemoved(step=self.steps, slot=slot))
-        self._known.pop(slot, None)
+        self._known.clear()
         self.event("leave", f"{name} leaves", name, slot)
 
     def redescribed(self, slot: int, robot: RobotSpec) -> None:
@@ -143,13 +143,13 @@ class WorldRecorder:
         if len(told) == len(self._told) and all(a is b for a, b in zip(told, self._told, strict=True)):
             return
         self._told = told
+        known, self._known = self._known, {}
         orders: dict[int, dict[str, Any]] = {}
         for group, state in zip(scene.groups, states, strict=True):
-            for member, slot in enumerate(group.slots.tolist()):
-                order = {name: jax.tree.map(lambda x: np.asarray(x)[member], v) for name, v in state.items()}  # noqa: B023
-                content = tuple(leaf.tobytes() for leaf in jax.tree.leaves(order))
-                if self._known.get(slot) != content:
-                    self._known[slot], orders[slot] = content, order
+            slots = tuple(group.slots.tolist())
+            leaves = self._known[slots] = [np.asarray(leaf) for leaf in jax.tree.leaves(state)]
+            for member in _changed(leaves, known.get(slots), len(slots)):
+                orders[slots[member]] = jax.tree.map(lambda x, i=member: np.asarray(x)[i], dict(state))
         if orders:
             self._put(OrdersGiven(step=self.steps, orders=orders))
 
@@ -196,3 +196,15 @@ class WorldRecorder:
     def lines(self, peer: str, robot: str, data: bytes, *, sent: bool) -> None:
         """Lines went to or came from a client."""
         self.file.put(partial(self._messages.lines, (peer, robot, sent), data, self.since + self._time))
+
+
+def _changed(leaves: list[np.ndarray], before: list[np.ndarray] | None, count: int) -> list[int]:
+    """Return of which robots any bit is another one; all, where nothing is known of before."""
+    if before is None:
+        return [*range(count)]
+    differs = np.zeros(count, bool)
+    for new, old in zip(leaves, before, strict=True):
+        if new is not old:
+            bits = [np.ascontiguousarray(one).view(np.uint8).reshape(count, -1) for one in (new, old)]
+            differs |= (bits[0] != bits[1]).any(-1)
+    return np.flatnonzero(differs).tolist()
