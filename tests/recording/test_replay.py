@@ -9,11 +9,13 @@ from typer.testing import CliRunner
 
 import usarmjx
 from tests.recording.missions import HEIGHT, ROOM, SCOUT, mission_world
+from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
+from usarmjx.cli.recordings import recorded_episode
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.drives.ground import SkidSteer
 from usarmjx.models.robots import ROBOTS
-from usarmjx.recording.episodes import EpisodeRecorder, episode_file
+from usarmjx.recording.episodes import TrainingRecorder, episode_file
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.replay import ReplayResult, check_recording
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
@@ -142,20 +144,47 @@ def test_worlds_of_a_batch_are_computed_again_to_the_bit(tmp_path, engine):
     assert np.linalg.norm(ways[7] - ways[2]) > 1e-4  # it flew
 
 
-def test_an_episode_of_a_policy_is_computed_again_to_the_bit(tmp_path):
-    physics = Physics(timestep=0.01, substeps=5)
-    env = usarmjx.make(
-        "drive-to-goal", worlds=2, engine="c", ranges=(), physics=physics, repeat=2, radius=-1.0
-    )
+@pytest.fixture(scope="module")
+def env():
+    light = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+    return usarmjx.make("drive-to-goal", worlds=2, engine="c", radius=-1.0, **light)
+
+
+def act(env, state, step):
     (group,) = env.groups
-    path = tmp_path / "episode.mcap"
-    with episode_file(env, path) as file:
-        recorder, state = EpisodeRecorder(env, file, range(1), seed=4), env.reset(4)
-        recorder.watch(state)
+    return env.step(state, (jnp.full((2, len(group.agents), group.action_size), 0.1 * step),))
+
+
+def test_an_episode_of_a_policy_is_computed_again_to_the_bit(tmp_path, env):
+    with recorded_episode(env, tmp_path / "episode.mcap", 4) as watch:
+        state = env.reset(4)
+        watch(state)
         for step in range(5):
-            state = env.step(state, (jnp.full((2, len(group.agents), group.action_size), 0.1 * step),))
-            recorder.watch(state)
-    recording = Recording(path)
+            state = act(env, state, step)
+            watch(state)
+    recording = Recording(tmp_path / "episode.mcap")
     assert check_recording(recording, 0) == ReplayResult(5 * env.task.repeat)
     scores = [message.value.score for message in recording.messages(["frames"])]
     assert scores[0] == 0.0
+
+
+def test_of_a_training_every_other_iteration_is_kept_and_cannot_be_repeated(tmp_path, env):
+    state, places = env.reset(1), []
+    with episode_file(env, tmp_path / "training.mcap") as file:
+        recorder = TrainingRecorder(env, file, every=2, calls=3)
+        for step in range(12):
+            recorder.look(state)
+            places.append(np.asarray(env.batch.physics(state.batch).qpos)[1])
+            state = act(env, state, step)
+    recording = Recording(tmp_path / "training.mcap")
+    assert recording.worlds == (0, 1)
+    kept = [places[step] for step in (1, 2, 6, 7, 8)]  # the very first look tells where it begins
+    states = [message.value.qpos for message in recording.messages(["states"], 1)]
+    np.testing.assert_array_equal(states, kept)
+    with pytest.raises(UsageError, match="cannot be computed again: training"):
+        check_recording(recording, 0)
+
+
+def test_nothing_is_recorded_that_nobody_asks_for(env):
+    with recorded_episode(env, None, 4) as watch:
+        assert watch is None
