@@ -73,7 +73,7 @@ class CRayCaster:
         hidden = self.geoms_of(int(query.exclude_owner))
         distance, normal, _ = self.meet(start, along, query, hidden)
         met = distance <= query.max_distance
-        cosine = np.abs((normal * along).sum(-1)) if query.incidence else np.zeros(count)
+        cosine = np.abs(_dot(normal, along)) if query.incidence else np.zeros(count)
         return Hits(
             distance=np.where(met, distance, np.inf).astype(np.float32),
             cosine=np.where(met, cosine, 0.0).astype(np.float32),
@@ -168,14 +168,14 @@ class CRayCaster:
         firsts, rays = bounds[:-1], bounds[1:] - bounds[:-1]
         point = start[firsts] - start[0]
         middle, bound = self._data.geom_xpos - start[0], self._model.geom_rbound
-        most = reach + MARGIN + np.sqrt((point * point).sum(-1).max())
-        square = (middle * middle).sum(-1)
+        out = _dot(point, point)[:, None]
+        most, square = reach + MARGIN + math.sqrt(out.max()), _dot(middle, middle)
         geoms = np.flatnonzero((square <= (most + bound) ** 2) | (bound == 0))  # planes have no bound
         middle, square, bound = middle[geoms], square[geoms], bound[geoms]
         axis = along[firsts]
-        cosine = np.minimum.reduceat((along * axis.repeat(rays, 0)).sum(-1), firsts)[:, None]
-        ahead = axis @ middle.T - (axis * point).sum(-1, keepdims=True)
-        far = (point * point).sum(-1, keepdims=True) + square - 2 * (point @ middle.T)
+        cosine = np.minimum.reduceat(_dot(along, axis.repeat(rays, 0)), firsts)[:, None]
+        ahead = axis @ middle.T - _dot(axis, point)[:, None]
+        far = out + square - 2 * (point @ middle.T)
         aside, radius = np.sqrt(np.maximum(far - ahead * ahead, 0.0)), bound + MARGIN
         # How far the middle is from the side of the cone.
         outside = aside * cosine - ahead * np.sqrt(np.maximum(1 - cosine * cosine, 0.0)) > radius
@@ -202,6 +202,11 @@ class CRayCaster:
             np.where(closer[:, None], turned, normal),
             np.where(closer, ids[fender], geom),
         )
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the products of vectors (n, 3) with each other (n,)."""
+    return np.einsum("ij,ij->i", a, b)
 
 
 @cache
