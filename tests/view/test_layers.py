@@ -294,11 +294,15 @@ def test_sensor_bodies_are_the_boxes_of_hidden_sensors_as_housings_has_them(scen
 
 def test_lamps_shine_where_the_arena_has_them(scene):
     _, source = seers(arena=LIT_ROOM)
-    _, drawing, _ = drawn(LampLayer, source, scene)
+    layer, drawing, _ = drawn(LampLayer, source, scene)
     lights = nodes(scene, viser.PointLightHandle).values()
     assert np.allclose(sorted(light.position.tolist() for light in lights), sorted(drawing.lamps.tolist()))
     assert all(light.intensity == pytest.approx(np.pi * drawing.lamp_rgb.max(), rel=0.01) for light in lights)
     assert len(nodes(scene)["lamps/bulbs"].points) == len(drawing.lamps) == 2
+    layer.alone = False
+    layer.begin(scene, drawing, ROOT)
+    assert nodes(scene, viser.PointLightHandle) == {}  # the worlds beside it would be darker
+    assert len(nodes(scene)["lamps/bulbs"].points) == 2
 
 
 def test_headlights_shine_while_they_are_on(scene):
@@ -333,6 +337,10 @@ def test_the_sun_throws_shadows_and_goes_with_its_switch(scene, pair):
     layer.begin(scene, lit.drawing(0), ROOT)
     (inside,) = nodes(scene, viser.SpotLightHandle).values()
     assert inside.intensity < sun.intensity
+    layer.alone = False
+    layer.begin(scene, lit.drawing(0), ROOT)
+    (over_all,) = nodes(scene, viser.DirectionalLightHandle).values()
+    assert over_all.intensity == sun.intensity
 
 
 def test_a_small_arena_lies_in_the_suns_light_as_a_whole(scene, pair):

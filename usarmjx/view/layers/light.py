@@ -34,7 +34,7 @@ BEAM_RGB = (255, 226, 120)
 class SkyLayer(NodeLayer):
     """The sun with its shadows, light from the sky, and what is behind the world.
 
-    An arena with lamps gets less of it.
+    An arena with lamps gets less of it, where no other world stands beside it.
     """
 
     name = "Light"
@@ -46,7 +46,7 @@ class SkyLayer(NodeLayer):
         low, high = np.asarray(drawing.extent, float).T
         self._middle = np.array([*(low + high) / 2, drawing.floor])
         self._radius = float(np.linalg.norm(high - low)) / 2 + SPOT_MARGIN
-        self._indoors = bool((np.asarray(drawing.lamp_rgb) > 0).any())
+        self._indoors = self.alone and bool((np.asarray(drawing.lamp_rgb) > 0).any())
         if self._on:
             self._shine()
 
@@ -125,7 +125,7 @@ class LampLayer(NodeLayer):
     """The arena's lamps."""
 
     name = "Lamps"
-    about = "the arena's lamps, and their light"
+    about = "the arena's lamps, and their light where no other world stands beside it"
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
@@ -136,6 +136,8 @@ class LampLayer(NodeLayer):
         rgb, pos = rgb[there], pos[there]
         PointNode(self.scene, f"{self.root}/bulbs", BULB_RADIUS).set(pos, np.tile(BULB_RGB, (len(pos), 1)))
         brightness = rgb.max(-1)
+        if not self.alone:  # those of the worlds beside it do not shine either
+            return
         for place in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
             red, green, blue = (255 * rgb[place] / brightness[place]).astype(int).tolist()
             self.scene.add_light_point(
