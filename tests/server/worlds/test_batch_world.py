@@ -1,5 +1,7 @@
 """One world of a batch, served: clients claim robots that wait parked."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, one_of
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import CommandUpdate
@@ -279,3 +281,18 @@ def test_another_world_is_served_and_the_robots_come_along(batch):
         world.switch(0)
     assert world._instance == 2
     assert not other.robots
+
+
+def test_a_world_that_is_picked_is_a_copy_of_its_own():
+    tree = (
+        jnp.arange(6.0).reshape(3, 2),
+        np.arange(3),
+        {"key": jnp.arange(12, dtype=jnp.uint32).reshape(3, 4)},
+    )
+    found = one_of(1, tree)
+    assert all(isinstance(leaf, np.ndarray | np.generic) for leaf in jax.tree.leaves(found))
+    assert found[0].tolist() == [2.0, 3.0]
+    assert found[1] == 1
+    assert found[2]["key"].tolist() == [4, 5, 6, 7]
+    found[0][:] = -1.0
+    assert tree[0].tolist() == [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
