@@ -13,11 +13,15 @@ from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
+from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.net import BotServer
 from usarmjx.server.switch import InstanceSwitch
+from usarmjx.server.viewing.page_robots import PageRobots
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds import follow
 from usarmjx.server.worlds.follow import PolicyFollower, newest, wait_for_run
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
+from usarmjx.sim.control import CommandUpdate
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.task import StepResult, Task, TeamMaps
@@ -115,6 +119,45 @@ def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):
     world.remove(robot)
     run(world, 0.6)
     np.testing.assert_allclose(went(world, 1.0)[0, 1], SPEED, rtol=0.05)
+
+
+def test_the_page_takes_a_robot_over_from_the_policy_and_gives_it_back(world):
+    robots = PageRobots(BotServer(world, BotServerSettings(port=0)))
+    assert robots.drivers() == {0: "policy", 1: "policy"}
+    with pytest.raises(UsageError, match="take it over first"):
+        robots.drive(1, {"Left": 0.0, "Right": 0.0})
+    robots.take_over(1)
+    assert robots.drivers() == {0: "policy", 1: "page"}
+    run(world, 1.0)
+    assert went(world, 1.0)[0, 1] < 0.01
+    robots.drive(1, {"Left": 2.0, "Right": 2.0})
+    assert went(world, 0.4)[0, 1] > 0.05
+    robots.give_back(1)
+    assert robots.drivers() == {0: "policy", 1: "policy"}
+    assert world.robots == {}
+    run(world, 0.6)
+    np.testing.assert_allclose(went(world, 1.0)[0, 1], SPEED, rtol=0.05)
+
+
+def test_a_reset_begins_the_task_anew_in_that_world_alone(world):
+    """The robots are where the episode has them; a client keeps its own, which forgets what it was told."""
+    robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
+    world.update_command(robot, CommandUpdate(drive={"Left": 3.0, "Right": 3.0}))
+    run(world, 1.0)
+    world.prepare_reset()
+    before = places(world)
+    world.reset()
+    after = places(world)
+    np.testing.assert_array_equal(after[1], before[1])
+    starts = np.array([start.at[:2] for start in world.arena.starts])
+    assert (np.linalg.norm(after[0, :, None] - starts, axis=-1).min(-1) < 1e-3).all()
+    assert world.robots == {1: robot}
+    assert not np.asarray(robot.command.setpoint).any()
+    run(world, 0.6)
+    way = went(world, 1.0)
+    assert way[0, 1] < 0.01
+    np.testing.assert_allclose(way[[0, 1], 0], SPEED, rtol=0.05)
+    assert world.mishaps.resets == 0
 
 
 def test_two_served_worlds_share_the_policy_and_a_claim_is_one_worlds(world):
