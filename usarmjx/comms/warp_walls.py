@@ -9,7 +9,7 @@ import warp as wp
 
 from usarmjx.comms import clipping
 from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
-from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of
+from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of, thread_index
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -135,7 +135,7 @@ def count_crossings(
 
     Pieces of a solid follow one another; its last one is where the next geom has another owner or kind.
     """
-    t = wp.tid()
+    t = thread_index(wp.tid())
     first = world[t // segments] * ((count + 31) >> 5) * GROUP_SIZE
     middle = (start[t] + end[t]) * 0.5
     half = (end[t] - start[t]) * 0.5

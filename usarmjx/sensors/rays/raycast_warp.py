@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 WARP_SIZE = wp.constant(32)
 KEYS_PER_LANE = 4
 """Geoms whose distances a lane keeps while the nearest are tested."""
-BLOCK_DIM = 128
+BLOCK_DIM = 64
 """Threads of a block."""
 SLOT_BITS = wp.constant(wp.uint32(255))
 """The last bits of a key: which geom of a pass it is. The first ones sort as the distance does."""
@@ -32,6 +32,22 @@ MIN_COSINE = wp.constant(bundles.MIN_COSINE)
 TINY = wp.constant(1e-12)
 GROUP_SIZE = wp.constant(6 * 32)
 """Numbers of four of 32 geoms."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return (int)(blockIdx.x * blockDim.x + threadIdx.x);
+#else
+    return index;
+#endif
+""")
+def thread_index(index: int) -> int:
+    """Return `wp.tid()`, which it is given, without the division of 64 bits by which a GPU finds that."""
+    ...
+
+
+@wp.func_native("return (int)((unsigned)number / (unsigned)size);")
+def _whole_part(number: int, size: int) -> int: ...
 
 
 @wp.func_native("""
@@ -267,7 +283,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     return best
 
 
-@wp.kernel(enable_backward=False, grid_stride=False)
+@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=48)
 def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geoms: wp.array[wp.vec4],
     world: wp.array[int],
@@ -279,6 +295,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     wide: int,
     count: int,
     rays: int,
+    bundles: int,
     bundle: int,
     reach: float,
     fans: int,
@@ -286,9 +303,10 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geom: wp.array[int],
 ) -> None:
     """Cast the rays of fans; a warp for each bundle of each cast."""
-    cast, t = wp.tid()
+    t = thread_index(wp.tid())
     lane = t & 31
-    begin = (t >> 5) * bundle
+    cast = _whole_part(t >> 5, bundles)
+    begin = ((t >> 5) - cast * bundles) * bundle
     ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
     best.distance = wp.inf
@@ -296,7 +314,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if wanted[cast] > 0:
         fan = cast * fans
         if fans > 1:
-            fan += ray // (rays // fans)
+            fan += _whole_part(ray, _whole_part(rays, fans))
         first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
         best = _nearest(
             geoms,
@@ -314,7 +332,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geom[cast * rays + ray] = int(best.geom)
 
 
-@wp.kernel(enable_backward=False, grid_stride=False)
+@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=48)
 def cast_rays(  # noqa: PLR0913 - as above
     geoms: wp.array[wp.vec4],
     world: wp.array[int],
@@ -325,15 +343,17 @@ def cast_rays(  # noqa: PLR0913 - as above
     wide: int,
     count: int,
     rays: int,
+    bundles: int,
     bundle: int,
     reach: float,
     distance: wp.array[float],
     geom: wp.array[int],
 ) -> None:
     """Cast given rays; a warp for each bundle of each cast."""
-    cast, t = wp.tid()
+    t = thread_index(wp.tid())
     lane = t & 31
-    begin = (t >> 5) * bundle
+    cast = _whole_part(t >> 5, bundles)
+    begin = ((t >> 5) - cast * bundles) * bundle
     ray = cast * rays + wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
     best.distance = wp.inf

@@ -100,7 +100,8 @@ def nearest_of_bundles(
         return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
     wide = sum(info.num_geoms for info, _ in work if not info.compact)
     geoms = sum(info.num_geoms for info, _ in work)
-    numbers = [wide, geoms, count, bundle, min(max_distance, UNLIMITED_DISTANCE)]
+    bundles = -(-count // bundle)
+    numbers = [wide, geoms, count, bundles, bundle, min(max_distance, UNLIMITED_DISTANCE)]
     if isinstance(rays, Fans):
         numbers.append(len(rays.pos))
 
@@ -108,7 +109,7 @@ def nearest_of_bundles(
         casts = len(world)
         arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
         arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans, or rays, of all casts in one axis
-        threads = (casts, -(-count // bundle) * MAX_BUNDLE)
+        threads = casts * bundles * MAX_BUNDLE
         found = _kernel(name)(*arrays, *lines, *numbers, output_dims=casts * count, launch_dims=threads)
         return tuple(x.reshape(casts, count) for x in found)
 
