@@ -1,5 +1,6 @@
 """`editactor`: parameters of robots and sensors change while they run; what cannot be is one clear line."""
 
+import contextlib
 import shlex
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.settings import CameraSettings
+from usarmjx.server.adapter import Client
 from usarmjx.server.edit_actor import FIGURES, edit_actor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
@@ -137,7 +139,8 @@ def test_without_a_parameter_it_shows_those_that_there_are(world):
         ("class=Sonar MaxRange=-1", "MaxRange is -1.0, expected a number above 0"),
         ("class=Sonar MaxRange=nan", "MaxRange is nan, expected a number above 0"),
         ("class=Sonar MaxRange=far", "MaxRange is 'far', expected a number"),
-        ("class=Sonar MaxRange=" + "9" * 400, "MaxRange is inf"),
+        ("class=Sonar MaxRange=" + "9" * 400, "9{30} is out of reach: settings go to 1e[+]06 and -1e[+]06"),
+        ("class=INS Mean=-1e30", "-1e30 is out of reach"),
         ("class=Sonar MinRange=9", "MinRange is 9, expected at most MaxRange, 5"),
         ("sensor=F1 ScanInterval=1", "all Sonar sensors report together"),
         ("name=R1 sensor=Camera CameraDefFov=3", "expected 0 < CameraMinFov <= CameraDefFov"),
@@ -176,6 +179,21 @@ def test_every_figure_can_be_changed_and_the_world_stays_sound(world, key):
             world.step()
         assert world.mishaps.put_back == 0
         assert np.isfinite(np.asarray(world.one_world()[1].qpos)).all()
+
+
+@pytest.mark.parametrize("value", ["1e6", "-1e6", "1e-9"])
+@pytest.mark.parametrize("key", ["Mean", "Sigma", "Precision"])
+def test_the_largest_settings_can_still_be_reported(world, key, value):
+    """Who edits must not end the server: a number that is not finite cannot be sent."""
+    client = Client(world, "tests")
+    client.robot = robot(world, "R1")
+    with contextlib.suppress(UsageError):
+        edit(world, f"name=R1 class=INS {key}={value}")
+    for _ in range(30):
+        world.step()
+        world.observe([client.robot])
+    client.report()
+    assert b"{Type INS}" in client.session.data_to_send()
 
 
 def test_compiled_worlds_say_that_they_cannot():

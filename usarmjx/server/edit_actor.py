@@ -42,8 +42,10 @@ FIGURES: dict[str, tuple[float, float]] = {
 FIXED = frozenset({"weight", "is_stereo", "omni"})
 """Settings that nothing depends on while a robot runs, and what makes another camera of one."""
 FLAGS = {"true": True, "false": False}
-MAX_DIGITS = 15
-"""Whole numbers have no more digits."""
+LARGEST = 1e6
+"""No setting is larger: what is measured by it can be told in single precision."""
+MAX_SHOWN = 30
+"""So much of a number that cannot be is repeated [characters]."""
 SELECTORS = ("class", "name", "sensor")
 USAGE = "editactor [class=CLASS] [name=ROBOT] [sensor=NAME] [PARAMETER=VALUE ...]"
 
@@ -267,13 +269,20 @@ def _editable(kind: type[Any]) -> dict[str, str]:
 
 
 def _value(text: str) -> object:
-    """Return what a text of the console means: true, false, a number or a word."""
+    """Return what a text of the console means: true, false, a number or a word.
+
+    Raises:
+        UsageError: A number beyond `LARGEST`.
+    """
     if text.lower() in FLAGS:
         return FLAGS[text.lower()]
     try:
-        return int(text) if text.isdecimal() and len(text) <= MAX_DIGITS else float(text)
+        number = float(text)
     except ValueError:
         return text
+    if abs(number) > LARGEST:
+        raise UsageError(f"{text[:MAX_SHOWN]} is out of reach: settings go to {LARGEST:g} and -{LARGEST:g}")
+    return int(number) if text.isdecimal() else number
 
 
 def _settings_text(mount: Mount) -> str:

@@ -199,14 +199,15 @@ class SpectatorServer:
 
     def _console(self, page: Page) -> SpectatorConsole:
         """Return the console of a page: all of it on this machine, or where a token had to be said."""
+        peer = page.socket.remote_address
+        is_here = bool(peer) and parse_address(peer[0]).is_loopback
         return SpectatorConsole(
             self._world,
             self.controls,
             number=self.number,
             camera=page.camera,
             tail=self._tail,
-            trusted=bool(self._settings.access.token)
-            or parse_address(page.socket.remote_address[0]).is_loopback,
+            trusted=is_here or bool(self._settings.access.token),
         )
 
     async def _accept(self, socket: ServerConnection) -> None:
