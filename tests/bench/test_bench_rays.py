@@ -9,6 +9,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.bench.rays import RayCase, measure_rays
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
+from usarmjx.sensors.rays.choice import caster_in_use
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +28,7 @@ def test_the_record_says_what_was_measured(outcome):
     assert record["benchmark"] == "rays"
     assert record["geoms_per_world"] == 12 + 1 + 3 * parts
     assert record["rays_per_scan"] == 2 * 3 * 181
+    assert record["caster"] == caster_in_use()
 
 
 def test_the_rates_follow_from_the_times(outcome):

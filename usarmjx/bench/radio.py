@@ -21,6 +21,7 @@ from usarmjx.bench.tools import append_record, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate_links, no_links
 from usarmjx.models.spec.shapes import OPAQUE
+from usarmjx.sensors.rays.choice import counts_on_warp
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 
 ARENA_SIDE = 20.0
@@ -110,6 +111,7 @@ def measure_radio(case: RadioCase, file: Path | None = None) -> str:
         "wall_tests_per_s": work * case.walls / statistics.median(own),
         "times_s": own,
         "shared_walls_times_s": shared,
+        "counted_on": "warp" if counts_on_warp() else "jax",
         "compile_s": {"own": own_first - own[0], "shared": shared_first - shared[0]},
         "mean_walls": float(np.asarray(links.walls)[paired].mean()) if paired.any() else 0.0,
         "most_walls": int(np.asarray(links.walls).max()),
@@ -123,7 +125,7 @@ def _summary(record: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"{case['worlds']} worlds x {case['robots']} robots, {case['walls']} walls on {record['device']}",
-            f"own walls     {record['links_per_s']:15,.0f} links/s",
+            f"own walls     {record['links_per_s']:15,.0f} links/s, counted on {record['counted_on']}",
             f"shared walls  {record['links_per_s_shared_walls']:15,.0f} links/s",
             f"wall tests    {record['wall_tests_per_s']:15,.0f} /s, own walls",
             f"walls         {record['mean_walls']:.2f} on a link on average, {record['most_walls']} at most",

@@ -31,6 +31,7 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.ranging import RangeScanner
 from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.rays.choice import caster_in_use
 from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, distance_to, nearest_hits
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 from usarmjx.sensors.suite import suite_of
@@ -209,6 +210,7 @@ def measure_rays(case: RayCase, file: Path | None = None) -> str:
         "brute_force_rays_per_s": rays * case.steps / statistics.median(slow),
         "times_s": times,
         "brute_force_times_s": slow,
+        "caster": caster_in_use(),
         "compile_s": {"rays": first - times[0], "brute_force": slow_first - slow[0]},
         "hits": float(np.isfinite(ours).mean()),
         "different": float(
@@ -225,7 +227,7 @@ def _summary(record: dict[str, Any]) -> str:
         [
             f"{case['worlds']} worlds x {case['robots']} {case['robot']} on {record['device']}",
             f"geoms         {record['geoms_per_world']:15,} in a world",
-            f"rays          {record['rays_per_s']:15,.0f} /s",
+            f"rays          {record['rays_per_s']:15,.0f} /s, cast by {record['caster']}",
             f"brute force   {record['brute_force_rays_per_s']:15,.0f} /s",
             f"ratio         {record['rays_per_s'] / record['brute_force_rays_per_s']:15.2f}",
             f"a ray         {record['in_the_step']}",
