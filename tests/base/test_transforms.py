@@ -1,5 +1,6 @@
 """Rotations against MuJoCo's own and SciPy's, and the wire's axes against hand-made examples."""
 
+import contextlib
 import math
 
 import jax
@@ -10,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_rotation_vector, quat_from_mat, rotation_vector
 from usarmjx.base.transforms import (
     angles_from_mat,
     flip_angles,
@@ -22,6 +24,8 @@ from usarmjx.base.transforms import (
 DOUBLE_ATOL = 1e-9  # a few roundings of float64, amplified near the poles
 FLOAT32_ATOL = 1e-4  # near half a turn the sine of 0.04 magnifies float32's 1e-7 some 25 times
 FLIP = np.diag([1.0, -1.0, -1.0])
+
+HALF_TURNS = [Rotation.from_rotvec(math.pi * axis) for axis in np.vstack([np.eye(3), np.ones(3) / 3**0.5])]
 
 turns = st.floats(-math.pi + 1e-3, math.pi - 1e-3)
 pitches = st.floats(-1.55, 1.55)  # at the poles roll and yaw are one
@@ -125,3 +129,13 @@ def test_vectors_of_the_wire(wire, ours):
 def test_angles_of_the_wire(angles, carried, lands_on):
     mat = mat_from_angles(*flip_angles(angles))
     np.testing.assert_allclose(mat @ carried, lands_on, atol=DOUBLE_ATOL)
+
+
+def test_quaternions_of_matrices_are_scipys_also_at_half_turns():
+    turns = Rotation.concatenate([Rotation.random(500, random_state=3), *HALF_TURNS])
+    for backend in (contextlib.nullcontext, numpy_backend):
+        with backend():
+            found = np.asarray(quat_from_mat(turns.as_matrix().astype(np.float32)))
+        expected = turns.as_quat(scalar_first=True)
+        assert np.abs((found * expected).sum(-1)) == pytest.approx(1.0, abs=1e-6)
+        assert np.linalg.norm(found, axis=-1) == pytest.approx(1.0, abs=1e-6)

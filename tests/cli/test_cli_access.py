@@ -10,6 +10,7 @@ from tests.server.fake_radio import FakeRadio
 from tests.server.still_world import StillWorld
 from usarmjx.cli.app import app
 from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.viewing.controls import ServedControls
 
 PORTS = ("--port", "0", "--spectator-port", "0")
 MORE_PORTS = ("--wss-port", "0", "--wss2-port", "0", "--position-port", "0", "--image-port", "0")
@@ -28,7 +29,8 @@ def serve(monkeypatch):
         def rules_of(servers, *_):
             for server in servers:
                 found.append(server.settings.access)
-                found.extend(service._settings.access for service in server.services)
+                listening = [one for one in server.services if not isinstance(one, ServedControls)]
+                found.extend(service._settings.access for service in listening)
 
         monkeypatch.setattr("usarmjx.server.loop.serve", rules_of)
         return found, CliRunner().invoke(app, [*words], env=env)
@@ -40,7 +42,7 @@ def serve(monkeypatch):
     return run
 
 
-COMMANDS = {"serve": (("serve", *PORTS, *MORE_PORTS), 4), "play": (("play", "wander", "--serve", *PORTS), 2)}
+COMMANDS = {"serve": (("serve", *PORTS, *MORE_PORTS), 5), "play": (("play", "wander", "--serve", *PORTS), 2)}
 """Each command that serves, and how many servers a world of it has."""
 
 

@@ -17,6 +17,7 @@ from tests.server.fake_radio import FakeRadio
 from tests.server.peers import PATIENCE
 from tests.server.still_world import StillWorld
 from usarmjx.cli.app import app
+from usarmjx.server.ports import VIEWER_PORT
 
 WORD_LIMIT = 10.0  # s: a second on an idle machine; JAX alone takes one more to import
 ALONE = ("--no-wireless", "--no-images")
@@ -132,7 +133,7 @@ def test_every_world_has_ports_of_its_own_for_everything(order):
     assert result.exit_code == 0, result.stderr
     found = []
     for server in made.servers:
-        radio, images, page = server.services
+        radio, images, page = server.services[:3]
         air = radio._settings
         found.append(
             [
@@ -149,6 +150,11 @@ def test_every_world_has_ports_of_its_own_for_everything(order):
         )
     assert found == [[0, 5, 10, 15, 20, 22], [1, 6, 11, 16, 21, 23], [2, 7, 12, 17, 24, 25]]
     assert len({id(server.world) for server in made.servers}) == 3
+    others = [service for server in made.servers for service in server.services[3:]]
+    assert [type(service).__name__ for service in others] == [
+        "ServedControls",
+        "ViewerService",
+    ]  # one for all
     assert len({id(radio._radio) for server in made.servers for radio in server.services[:1]}) == 3
 
 
@@ -156,7 +162,8 @@ def test_one_option_moves_all_ports(order):
     made, result = order("--port-offset", "1111", "--spectator-port", "5005")
     assert result.exit_code == 0, result.stderr
     (server,) = made.servers
-    radio, images, page = server.services
+    radio, images, page, _, live_page = server.services
+    assert live_page.port == VIEWER_PORT + 1111
     assert server.settings.port == 3000 + 1111
     air = radio._settings
     assert (air.wss_port, air.wss2_port, air.position_port) == (5874 + 1111, 50000 + 1111, 7435 + 1111)
@@ -219,7 +226,8 @@ def test_the_first_word_comes_at_once_and_says_what_is_built():
 def test_serving_waits_for_no_library_that_it_does_not_need():
     """SciPy and Pallas alone would take a quarter of the time until it listens."""
     code = "import sys, usarmjx.server.loop, usarmjx.server.worlds.make, usarmjx.server.wireless.net\n"
-    code += "import usarmjx.server.pictures.image_server\n"
+    code += "import usarmjx.server.pictures.image_server, usarmjx.server.viewing.served_source\n"
+    code += "import usarmjx.server.viewing.controls, usarmjx.server.viewing.viewer_service\n"
     code += "print(sorted({name.partition('.')[0] for name in sys.modules}))\n"
     code += "print('jax.experimental.pallas' in sys.modules)"
     done = subprocess.run(
@@ -227,6 +235,6 @@ def test_serving_waits_for_no_library_that_it_does_not_need():
     )
     packages, pallas = done.stdout.splitlines()
     assert "'usarmjx'" in packages
-    for name in ("scipy", "matplotlib", "trimesh", "websockets", "optax", "warp"):
+    for name in ("scipy", "matplotlib", "trimesh", "websockets", "viser", "optax", "warp"):
         assert f"'{name}'" not in packages
     assert pallas == "False"

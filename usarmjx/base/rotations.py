@@ -19,6 +19,22 @@ def mat_from_quat(quat: Array) -> Array:
     return xp.stack(rows, -1).reshape(*quat.shape[:-1], 3, 3)
 
 
+def quat_from_mat(mat: Array) -> Array:
+    """Return unit quaternions (..., 4), w first, of rotation matrices (..., 3, 3)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = ([mat[..., i, j] for j in range(3)] for i in range(3))
+    # Four times the products of the components with each other: the row of the largest is the most exact.
+    products = (
+        *(1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        *(zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx),
+        *(xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy),
+        *(yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz),
+    )
+    rows = xp.stack(products, -1).reshape(*mat.shape[:-2], 4, 4)
+    squares = xp.stack(products[::5], -1)
+    row = xp.take_along_axis(rows, xp.argmax(squares, -1)[..., None, None], -2)[..., 0, :]
+    return row / xp.sqrt((row * row).sum(-1, keepdims=True))
+
+
 def wrap_angle(angle: Array) -> Array:
     """Return the angle in [-pi, pi) [rad] (...)."""
     return xp.mod(angle + xp.pi, 2 * xp.pi) - xp.pi

@@ -3,6 +3,7 @@
 import contextlib
 import socket
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -155,7 +156,9 @@ def add_viewer(
         ]
         return ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
 
-    servers[0].services.append(ViewerService(source, settings, bound, make_page))
+    servers[0].services.append(
+        ViewerService(source, replace(settings, port=bound.getsockname()[1]), bound, make_page)
+    )
 
 
 def viewer_settings(

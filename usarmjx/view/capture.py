@@ -6,11 +6,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.rotations import mat_from_quat, quat_from_mat
 from usarmjx.cameras.light import point_lights
 from usarmjx.cameras.mounts import Camera, cameras_of, headlight_of
 from usarmjx.cameras.paint import ARENA_LABEL, FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
@@ -139,11 +138,11 @@ class Capture:
                 for member in np.flatnonzero(np.asarray(state.active)).tolist():
                     robots[int(group.slots[member])] = _robot_frame(group, member, body, state, time)
                     overlays += _overlays(group, member, state)
-        turns = Rotation.from_matrix(np.concatenate(mat), assume_valid=True).as_quat(scalar_first=True)
+            turns = quat_from_mat(np.concatenate(mat))
         return Frame(
             time=time,
             pos=np.concatenate(pos).astype(np.float32),
-            quat=turns.astype(np.float32),
+            quat=np.asarray(turns, np.float32),
             shown=np.concatenate(shown),
             robots=robots,
             dropped_tags=np.array(world.tags.pos[: int(world.tags.count)]),
