@@ -11,7 +11,7 @@ import viser
 from usarmjx.view.controls import ControlSeat, WorldControls, WorldStatus
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.robot_controls import RobotControls
-from usarmjx.view.robot_panel import RobotState
+from usarmjx.view.robot_panel import RobotReadout
 from usarmjx.view.run_controls import RunControls, SpawnForm
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class PersonPanel:
         self._folders: dict[str, viser.GuiFolderHandle] = {}
         self._dropped: deque[tuple[float, viser.GuiFolderHandle]] = deque()
         self._run: RunControls | None = None
-        self._robot: tuple[object, RobotState, RobotControls | None] | None = None
+        self._robot: tuple[object, RobotReadout, RobotControls | None] | None = None
         self._take = client.gui.add_button(TAKE, order=order + 0.1, visible=False)
         self._take.on_click(lambda _: self._change_seat())
         nobody: tuple[str, ...] = (NO_ROBOT,)
@@ -244,7 +244,7 @@ class PersonPanel:
                 commands = RobotControls(
                     self._client, robot, frame, self._page.world, self._controls, self.may
                 )
-            state = RobotState(self._client.gui, robot, frame)
+            state = RobotReadout(self._client.gui, robot, frame)
         self._robot = key, state, commands
 
     def _toast(self, status: WorldStatus) -> None:

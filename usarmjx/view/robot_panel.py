@@ -16,7 +16,7 @@ MAX_JOINTS = 12
 LOW_BATTERY = 0.2
 
 
-class RobotState:
+class RobotReadout:
     """State and sensors of a robot; they go where the present container of the GUI is.
 
     Args:
