@@ -58,7 +58,7 @@ EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
 STEPS_AHEAD = 10
 """For so many control steps it is worked out at once where what moves by itself will be."""
-Part = tuple[Scene, list[tuple[int, np.ndarray]]]
+SomeRobots = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
 Rows = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
@@ -96,7 +96,7 @@ class SingleWorld:
                 links=None if scene.radio is None else no_links(seats),
             )
         self._homes: dict[int, np.ndarray] = {}
-        self._parts: dict[frozenset[int], Part] = {}
+        self._parts: dict[frozenset[int], SomeRobots] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
         self._looks: tuple[Scene, Looks] | None = None
         self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
@@ -257,13 +257,13 @@ class SingleWorld:
             for row, slot in enumerate(group.slots)
         }
 
-    def _part(self, slots: frozenset[int]) -> Part:
+    def _part(self, slots: frozenset[int]) -> SomeRobots:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
         if slots not in self._parts:
             self._parts[slots] = self._make_part(slots)
         return self._parts[slots]
 
-    def _make_part(self, slots: frozenset[int]) -> Part:
+    def _make_part(self, slots: frozenset[int]) -> SomeRobots:
         found: list[tuple[int, np.ndarray]] = []
         for i, group in enumerate(self.scene.groups):
             some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
