@@ -88,8 +88,9 @@ def test_worlds_with_arenas_of_their_own_are_drawn_as_they_are():
     import jax
 
     drawings = []
+    worlds = state.worlds.replace(key=jax.random.key_data(state.worlds.key))
     for world in range(2):
-        one = jax.tree.map(lambda x, i=world: np.asarray(x[i]), (state.worlds, batch.physics(state)))
+        one = jax.tree.map(lambda x, i=world: np.asarray(x[i]), (worlds, batch.physics(state)))
         drawings.append(capture.drawing(*one))
         frame = capture.frame(*one)
         assert len(frame.pos) == len(drawings[-1].bodies)
