@@ -23,15 +23,15 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.page import ViewerPage
 
-SIZE, FILM_SIZE = (960, 600), (560, 350)
-FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 8, 128
+SIZE, FILM_SIZE = (960, 600), (480, 300)
+FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 4, 128
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
 MANY = 40
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
-    "document.querySelectorAll('canvas ~ *').length"
+    "document.querySelectorAll('.mantine-Paper-root').forEach(e => e.style.display = 'none')"
 )
 PICTURES = {
     "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
@@ -145,6 +145,7 @@ def wall_picture(browser):
 def film(browser, file):
     """Ten seconds of robots at work, first from above, then over one of them."""
     world = make_world("yellow", ("P2AT", "Zerg", "Kenaf", "P2DX"))
+    advance([world], 1.0)
     studio = Studio(browser, [world], FILM_SIZE)
     frames = []
     try:
@@ -154,6 +155,7 @@ def film(browser, file):
                 studio.onlooker.toggle()
             advance([world], 1 / FILM_RATE)
             frames.append(studio.look())
+            print(number, end=" ", flush=True)
     finally:
         studio.close()
     palette = [one.quantize(FILM_COLOURS, dither=Image.Dither.NONE) for one in frames]
