@@ -252,18 +252,9 @@ def _culled(
     else:  # bundles that meet about as many geoms go together: those with few do not wait for those with many
         order = jnp.argsort(-sum(rank[:, -1] for rank in ranks))
         padded = jnp.concatenate([order, jnp.repeat(order[-1:], -count % GROUP_SIZE)])
-        sorted_bundles = jax.tree.map(
-            lambda x: x[padded].reshape(-1, GROUP_SIZE, *x.shape[1:]), (start, along, ranks)
-        )
-        found = jax.lax.map(group, sorted_bundles)
-        first = jax.tree.map(
-            lambda x: (
-                jnp.zeros_like(x[0, :1], shape=(count, x.shape[2]))
-                .at[order]
-                .set(x.reshape(-1, x.shape[2])[:count])
-            ),
-            found,
-        )
+        rows = jax.tree.map(lambda x: x[padded].reshape(-1, GROUP_SIZE, *x.shape[1:]), (start, along, ranks))
+        back = jnp.argsort(order)
+        first = GeomHits(*(x.reshape(-1, x.shape[2])[back] for x in jax.lax.map(group, rows)))
     return GeomHits(*(x.reshape(-1)[: len(origin)] for x in first)).met()
 
 
