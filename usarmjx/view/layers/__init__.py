@@ -17,7 +17,7 @@ from usarmjx.view.layers.radio import RadioLayer
 from usarmjx.view.layers.sketches import RfidLayer, TrailLayer, VictimHitLayer
 
 LAYERS: Registry[type[Layer]] = Registry("layer")
-"""All layers, in the order of their switches."""
+"""All layers; their switches stand in the order of their names."""
 
 for _layer in (
     *(SkyLayer, GridLayer, NameLayer, RingLayer, TrailLayer),
