@@ -71,17 +71,19 @@ def test_the_side_towards_the_sun_is_brighter_and_there_is_a_shadow(scene):
 
 
 def test_all_of_a_robot_is_in_its_portrait_and_fills_it():
-    """The mirror of an OmniP2AT, which hangs in the air above it, is the only thing that is nearly white."""
-    picture = portrait(ROBOTS.get("OmniP2AT"), 96, 72)
-    colored = np.ptp(picture, axis=-1) > 0.15  # its red sides and its blue scanner
-    mirror = (picture[..., 2] - picture[..., 0] > 0.05) & (picture[..., 1] > 0.5)
+    """The mirror of an OmniP2AT, on the staves of its tube, is the only bluish white above its coloured parts."""
+    picture = portrait(ROBOTS.get("OmniP2AT"), 192, 144)
+    colored = np.ptp(picture, axis=-1) > 0.15  # its orange sides and its blue scanner
+    top = np.nonzero(colored)[0].min()
+    mirror = (picture[..., 2] - picture[..., 0] > 0.03) & (picture[..., 1] > 0.5)
+    mirror &= np.arange(144)[:, None] < top
     for part in (colored, mirror):
         rows, columns = np.nonzero(part)
-        assert len(rows) >= 8
-        assert 2 < rows.min() <= rows.max() < 69
-        assert 2 < columns.min() <= columns.max() < 93
-    assert np.nonzero(mirror)[0].max() < np.nonzero(colored)[0].min(), "it is above"
-    assert np.nonzero(colored)[0].max() - np.nonzero(mirror)[0].min() > 36, "half of the height at least"
+        assert len(rows) >= 16
+        assert 4 < rows.min() <= rows.max() < 139
+        assert 4 < columns.min() <= columns.max() < 187
+    assert top - np.nonzero(mirror)[0].max() > 20, "it is far above"
+    assert np.nonzero(colored)[0].max() - np.nonzero(mirror)[0].min() > 72, "half of the height at least"
 
 
 def test_portraits_of_all_asked_for_in_one_file(tmp_path):

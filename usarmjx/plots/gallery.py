@@ -14,16 +14,23 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from usarmjx.base.files import write_beside
-from usarmjx.cameras.paint import WATER_RGB, WATER_TRANSPARENCY, labels_of
+from usarmjx.cameras.paint import (
+    FALSE_ALARM_LABEL,
+    VICTIM_LABEL,
+    WATER_RGB,
+    WATER_TRANSPARENCY,
+    labels_of,
+)
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
+from usarmjx.models.build.victims import victim_table
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import SKY, Shape
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.outlines import area, height_range, outline
 from usarmjx.plots.picture import overhead_height
 from usarmjx.plots.render import Lighting, render_picture
-from usarmjx.plots.scenery import RenderGeoms, box_geoms, render_geoms_of
+from usarmjx.plots.scenery import RenderGeoms, box_geoms, render_geoms_of, victim_geoms
 from usarmjx.plots.viewpoint import downsample, fit_camera
 
 VIEW_ANGLES = (math.radians(-62.0), math.radians(44.0))
@@ -92,6 +99,8 @@ def arena_render_geoms(arena: ArenaSpec) -> RenderGeoms:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     solids = render_geoms_of(model, data, materials_of(model, arena), labels_of(model, arena))
+    solids = solids.select(~np.isin(solids.label, (VICTIM_LABEL, FALSE_ALARM_LABEL)))
+    solids = solids.concatenate(victim_geoms(victim_table(arena.victims, arena.false_alarms), arena.floor))
     corners = np.array([(water.low, water.high) for water in arena.waters]).reshape(-1, 2, 3)
     corners[..., 2] += arena.floor
     return solids.concatenate(

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import write_beside
 from usarmjx.cameras.picture import Viewpoint
 from usarmjx.engines.c_figures import NOBODY
@@ -31,6 +32,7 @@ FRAME_FACTOR = 1.1
 """By how much what is in the picture is larger than the robot."""
 
 
+@numpy_backend()
 def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
     """Return a picture (height, width, 3) of a robot on a floor, its joints at zero, filling the frame."""
     plan = kinematic_tree_of(robot)

@@ -6,17 +6,18 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.cameras.paint import (
     GLASS_TRANSPARENCY,
     MIRROR_REFLECTANCE,
     ROBOT_LABEL,
     WATER_LABEL,
+    bone_labels,
     reflectances,
     transparencies,
 )
-from usarmjx.models.build.figures import Solids
 from usarmjx.models.build.pieces import ray_primitives_of
+from usarmjx.models.build.victim_looks import SLOTS, drawn_bones, used_slots
+from usarmjx.models.build.victims import VictimTable, orientations, segment_poses
 from usarmjx.models.spec.shapes import OPAQUE, SKY
 
 __all__ = [
@@ -27,7 +28,7 @@ __all__ = [
     "RenderGeoms",
     "box_geoms",
     "render_geoms_of",
-    "solid_geoms",
+    "victim_geoms",
 ]
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -104,18 +105,24 @@ def render_geoms_of(
     )
 
 
-def solid_geoms(solids: Solids, pos: Array, mat: Array, label: int) -> RenderGeoms:
-    """Return what is drawn of a robot or a victim, at positions (n, 3) and orientations (n, 3, 3)."""
-    count = len(solids.kind)
+def victim_geoms(table: VictimTable, floor: float) -> RenderGeoms:
+    """Return what is drawn of victims and false alarms at the start, with the floor at a height [m]."""
+    drawn, used = drawn_bones(table), used_slots(table.part)
+    place, quat = segment_poses(table, 0.0)
+    turn = np.asarray(orientations(quat))[:, None]
+    pos = (
+        np.asarray(place)[:, None] + (turn @ np.asarray(drawn.offset)[..., None])[..., 0] + (0.0, 0.0, floor)
+    )
+    count = int(used.sum())
     return RenderGeoms(
-        kind=solids.kind,
-        pos=np.asarray(pos, np.float32),
-        mat=np.asarray(mat, np.float32),
-        size=solids.size,
-        rgb=solids.rgb,
+        kind=np.tile(SLOTS, (table.num_boxes, 1))[used],
+        pos=pos[used].astype(np.float32),
+        mat=np.broadcast_to(turn, (*used.shape, 3, 3))[used].astype(np.float32),
+        size=np.asarray(drawn.size, np.float32)[used],
+        rgb=np.asarray(drawn.rgb, np.float32)[used],
         transparency=np.zeros(count, np.float32),
         reflectance=np.zeros(count, np.float32),
-        label=np.full(count, label),
+        label=np.broadcast_to(bone_labels(np.asarray(table.owner))[:, None], used.shape)[used],
     )
 
 
