@@ -343,6 +343,19 @@ def test_the_sun_throws_shadows_and_goes_with_its_switch(scene, pair):
     assert over_all.intensity == sun.intensity
 
 
+def test_the_light_stays_when_robots_come_and_go(scene, pair, monkeypatch):
+    _, source = pair
+    layer, drawing, _ = drawn(SkyLayer, source, scene)
+    monkeypatch.setattr(scene, "_queue_scene_message", None)
+    monkeypatch.setattr(scene, "configure_environment_map", None)
+    layer.begin(scene, replace(drawing, robots={}), ROOT)
+    monkeypatch.undo()
+    layer.end()
+    assert nodes(scene) == {}
+    layer.begin(scene, drawing, ROOT)
+    assert len(nodes(scene, viser.SpotLightHandle)) == 1
+
+
 def test_a_small_arena_lies_in_the_suns_light_as_a_whole(scene, pair):
     _, source = pair
     layer, drawing, _ = drawn(SkyLayer, source, scene)

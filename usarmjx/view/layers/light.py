@@ -41,6 +41,18 @@ class SkyLayer(NodeLayer):
     about = "warm sunlight with shadows, and a sky; without it all is lit evenly"
     shown_at_first = True
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._key: tuple[object, ...] = ()
+
+    def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
+        """Start with a new drawing; when only robots have come or gone the light stays."""
+        lamps = np.asarray(drawing.lamp_rgb).tobytes()
+        key = id(scene), prefix, np.asarray(drawing.extent).tobytes(), drawing.floor, lamps, self.alone
+        if self._top is None or key != self._key:
+            super().begin(scene, drawing, prefix)
+        self._key = key
+
     def draw(self, drawing: Drawing) -> None:
         """Light the arena."""
         low, high = np.asarray(drawing.extent, float).T
