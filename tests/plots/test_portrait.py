@@ -71,7 +71,7 @@ def test_the_side_towards_the_sun_is_brighter_and_there_is_a_shadow(scene):
 
 
 def test_all_of_a_robot_is_in_its_portrait_and_fills_it():
-    """The mirror of an OmniP2AT, on the staves of its tube, is the only bluish white above its coloured parts."""
+    """The mirror of an OmniP2AT, on its tube, is the only bluish white above its coloured parts."""
     picture = portrait(ROBOTS.get("OmniP2AT"), 192, 144)
     colored = np.ptp(picture, axis=-1) > 0.15  # its orange sides and its blue scanner
     top = np.nonzero(colored)[0].min()
