@@ -20,8 +20,11 @@ PATIENCE = 60.0  # s: a loaded machine draws slowly
 POLL = 0.05  # s
 SIZE = (700, 520)  # pixels of a page
 COARSE = 0.25  # of them so many are drawn each way: a processor does it
-SELDOM = "const raf = requestAnimationFrame; requestAnimationFrame = f => setTimeout(() => raf(f), 250);"
-"""Pages draw four pictures in a second at most."""
+SELDOM = (
+    "requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 250);"
+    "cancelAnimationFrame = clearTimeout;"
+)
+"""Pages draw four pictures in a second at most, also in windows behind others."""
 QUIET = (
     *("--no-first-run", "--no-default-browser-check", "--disable-extensions", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update", "--disable-default-apps"),
