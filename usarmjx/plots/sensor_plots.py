@@ -47,8 +47,8 @@ ECHO_STYLE: dict[str, Any] = {"fc": "#f2b694", "ec": ORANGE}
 NO_ECHO_STYLE: dict[str, Any] = {"fc": "none", "ec": GREY, "ls": ":", "lw": 0.8}
 """Cones of sonars with and without an echo."""
 
-Drawing = Callable[[Figure], None]
-PLOTS: Registry[tuple[Drawing, tuple[float, float]]] = Registry("plot")
+FigureDrawing = Callable[[Figure], None]
+PLOTS: Registry[tuple[FigureDrawing, tuple[float, float]]] = Registry("plot")
 """What there is to draw: a function that fills a figure, and its size [inches]."""
 
 
