@@ -5,6 +5,8 @@ geom, the nearest first, every lane tests its ray against one, until the next is
 have met. On a CPU, where tests run it, each thread is a bundle of one ray.
 """
 
+from typing import TYPE_CHECKING
+
 import warp as wp
 
 from usarmjx.sensors.rays import bundles
@@ -164,7 +166,10 @@ def local(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, v: wp.vec3) -> wp.vec3:
     )
 
 
-Keys = wp.types.vector(length=KEYS_PER_LANE, dtype=wp.uint32)
+if TYPE_CHECKING:
+    Keys = wp.vec4ui
+else:
+    Keys = wp.types.vector(length=KEYS_PER_LANE, dtype=wp.uint32)
 
 
 @wp.func
