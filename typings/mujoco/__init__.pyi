@@ -19,6 +19,8 @@ class MjOption:
     cone: int
     density: float
     disableflags: int
+    enableflags: int
+    gravity: np.ndarray
     impratio: float
     integrator: int
     iterations: int
@@ -76,6 +78,7 @@ class MjModel:
     dof_dampingpoly: np.ndarray
     dof_invweight0: np.ndarray
     dof_treeid: np.ndarray
+    body_gravcomp: np.ndarray
     geom_aabb: np.ndarray
     geom_adhesion: np.ndarray
     geom_bodyid: np.ndarray
@@ -391,7 +394,11 @@ class mjtCone(_Enum):
     mjCONE_ELLIPTIC: ClassVar[mjtCone]
     mjCONE_PYRAMIDAL: ClassVar[mjtCone]
 
+class mjtEnableBit(_Enum):
+    mjENBL_SLEEP: ClassVar[mjtEnableBit]
+
 class mjtDisableBit(_Enum):
+    mjDSBL_GRAVITY: ClassVar[mjtDisableBit]
     mjDSBL_MIDPHASE: ClassVar[mjtDisableBit]
     mjDSBL_AUTORESET: ClassVar[mjtDisableBit]
     mjDSBL_MULTICCD: ClassVar[mjtDisableBit]

@@ -5,9 +5,13 @@ needs kilobytes for each pair it looks at, one pair of kinds after the other. It
 overlap. That is one for each robot or two where the floor is a plane, and a dozen where it is made of boxes.
 """
 
+from importlib import import_module
+
 import mujoco
 import numpy as np
 
+NUM_KINDS = int(mujoco.mjtGeom.mjGEOM_MESH) + 1
+"""Kinds of geoms that touch."""
 NEAR = 0.05
 """Geoms whose boxes are this close count as near [m]."""
 AT_ONCE = 2
@@ -20,12 +24,9 @@ LEAST_SHARE = 0.25
 def convex_kinds() -> np.ndarray:
     """Return which pairs of kinds are looked at in that way, the lower one first (kinds, kinds)."""
     # Not public; the version of MJX is pinned.
-    from mujoco.mjx.third_party.mujoco_warp._src.collision_driver import (  # pyright: ignore[reportMissingModuleSource]
-        MJ_COLLISION_TABLE,
-    )
-
-    convex = np.zeros((mujoco.mjtGeom.mjNGEOMTYPES,) * 2, bool)
-    for kinds, how in MJ_COLLISION_TABLE.items():
+    table = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_driver").MJ_COLLISION_TABLE
+    convex = np.zeros((NUM_KINDS, NUM_KINDS), bool)
+    for kinds, how in table.items():
         if max(map(int, kinds)) < len(convex):
             convex[tuple(map(int, kinds))] = how.name == "CONVEX"
     return convex

@@ -29,7 +29,8 @@ def caster_in_use() -> CasterName:
     """
     if jax.default_backend() != "gpu":
         return "jax"
-    return next((name for name in PREFERRED if _there(name)), "jax")
+    here: list[CasterName] = [name for name in PREFERRED if _there(name)]
+    return here[0] if here else "jax"
 
 
 @cache
