@@ -35,7 +35,7 @@ class WornFigure:
     label: int
     slot: int = NOBODY
 
-    def posed(self, data: mujoco.MjData, first: int) -> "Target":
+    def posed(self, data: mujoco.MjData, first: int) -> "CameraTarget":
         """Return it where a world's state has it; its geoms count from `first` among what can be seen."""
         places, turns = (data.geom_xpos, data.geom_xmat) if self.of_geoms else (data.xpos, data.xmat)
         model = self.figure.model.__copy__()  # groups of geoms change while rays are cast
@@ -45,7 +45,7 @@ class WornFigure:
             mujoco.mju_mat2Quat(quat, mat)
         mujoco.mj_kinematics(model, here)
         caster = CRayCaster(model, here, [OPAQUE] * model.ngeom, {})
-        return Target(caster, here.geom_xpos.copy(), model.geom_rbound + MARGIN, first, self.slot)
+        return CameraTarget(caster, here.geom_xpos.copy(), model.geom_rbound + MARGIN, first, self.slot)
 
 
 class Bundles(NamedTuple):
@@ -85,7 +85,7 @@ class Bundles(NamedTuple):
         return ~outside & (np.sqrt(square) - radius <= reach[:, None])
 
 
-class Target:
+class CameraTarget:
     """Something that rays of cameras are cast at, as far as they come near it.
 
     Args:

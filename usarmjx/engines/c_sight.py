@@ -20,7 +20,7 @@ from usarmjx.cameras.casters import SOLID_QUERY, Beams, Met
 from usarmjx.cameras.paint import PLANE, ROBOT_LABEL, GeomAppearance
 from usarmjx.cameras.picture import Picture, Viewpoint, render_picture
 from usarmjx.cameras.shading import RenderScene
-from usarmjx.engines.c_figures import NOBODY, Bundles, Target, WornFigure
+from usarmjx.engines.c_figures import NOBODY, Bundles, CameraTarget, WornFigure
 from usarmjx.engines.c_rays import HIDDEN_GROUP, MARGIN, CRayCaster, nearest_of_block
 from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.raycast import RayQuery
@@ -65,7 +65,7 @@ class CSight:
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
     @cached_property
-    def targets(self) -> list[Target]:
+    def targets(self) -> list[CameraTarget]:
         """What rays are cast at; made when it is looked at first, in the thread that does so."""
         data, model = mujoco.MjData(self.model), self.model
         for name, values in self._places.items():
@@ -74,7 +74,7 @@ class CSight:
         caster = CRayCaster(model, data, self.looks.materials, {})
         model.geom_group[self.looks.replaced] = HIDDEN_GROUP
         radius = np.where(model.geom_rbound > 0, model.geom_rbound + MARGIN, np.inf)  # planes have no bound
-        found, first = [Target(caster, data.geom_xpos.copy(), radius, 0)], model.ngeom
+        found, first = [CameraTarget(caster, data.geom_xpos.copy(), radius, 0)], model.ngeom
         first += len(self.looks.water.owner)
         for worn in self.looks.figures:
             found.append(worn.posed(data, first))

@@ -288,7 +288,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     return best
 
 
-@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=48)
+@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
 def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geoms: wp.array[wp.vec4],
     world: wp.array[int],
@@ -337,7 +337,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     geom[cast * rays + ray] = int(best.geom)
 
 
-@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=48)
+@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
 def cast_rays(  # noqa: PLR0913 - as above
     geoms: wp.array[wp.vec4],
     world: wp.array[int],

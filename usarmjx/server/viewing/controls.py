@@ -51,8 +51,8 @@ class ServedControls:
 
     reset_about = (
         "Robots go back to where they appeared, loose objects, doors and victims to where they began; "
-        "batteries are full, traces are gone. Clients stay connected, and the time that they are told goes on. "
-        "In a world of a batch its next episode begins; the other worlds keep every bit."
+        "batteries are full, traces are gone. Clients stay connected, and the time that they are told goes "
+        "on. In a world of a batch its next episode begins; the other worlds keep every bit."
     )
 
     def __init__(self, servers: Sequence[BotServer], clock: StepClock) -> None:
