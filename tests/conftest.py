@@ -1,6 +1,7 @@
 """What all tests share: how jax compiles, which examples hypothesis tries, and why a test is skipped."""
 
 import gc
+import logging
 import os
 import shutil
 import tempfile
@@ -107,6 +108,16 @@ def asked_of_others(request: pytest.FixtureRequest) -> Iterator[Path]:
         found = file.read_text()
         file.write_text("")
         pytest.fail(f"reached for another machine:\n{found}")
+
+
+@pytest.fixture(autouse=True)
+def own_log() -> Iterator[None]:
+    """Let no test change what the next ones log: a server that is started in this process does."""
+    package = logging.getLogger("usarmjx")
+    level, handlers = package.level, list(package.handlers)
+    yield
+    package.setLevel(level)
+    package.handlers[:] = handlers
 
 
 @pytest.fixture(scope="session")

@@ -97,11 +97,12 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
-    (((server,), factor, _),) = served
-    (page,) = server.services
+    (((server,), clock, _),) = served
+    page, controls = server.services
     assert isinstance(page, SpectatorServer)
+    assert page.controls is controls
     assert isinstance(server.world, PolicyWorld)
-    assert (server.settings.host, server.settings.port, factor) == ("127.0.0.1", 3001, 2.0)
+    assert (server.settings.host, server.settings.port, clock.factor) == ("127.0.0.1", 3001, 2.0)
 
 
 def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):

@@ -66,7 +66,7 @@ def test_the_line_of_the_token_ends_as_any_other(locked, ends):
 @pytest.fixture
 def log(locked, caplog):
     """The log, in which the next refusal at the robots' port has a line."""
-    locked.server._gate._next_log = 0.0
+    locked.server._gate._lines._ends = 0.0
     return caplog
 
 

@@ -70,13 +70,28 @@ def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Ite
     if number > LAST_PORT:
         raise UsageError(f"--viewer-port leads to port {number}; the last one is {LAST_PORT}")
     try:
-        bound = bound_socket(host, number, "--viewer-port")
+        bound = _listening(host, number)
     except UsageError:
         if port is not None:
             raise
-        bound = bound_socket(host, 0, "--viewer-port")
+        bound = _listening(host, 0)
     with bound:
         yield bound
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens: two that are only bound could share a port, until one of them listens.
+
+    Raises:
+        UsageError: The port is taken.
+    """
+    bound = bound_socket(host, port, "--viewer-port")
+    try:
+        bound.listen()
+    except OSError as error:
+        bound.close()
+        raise UsageError(f"--viewer-port: cannot listen on {host}:{port}: {error.strerror}") from error
+    return bound
 
 
 def viewer_server(

@@ -53,7 +53,7 @@ class Bundles(NamedTuple):
 
     Attributes:
         start: The point [m] (3,).
-        bounds: The first ray of each bundle, and how many rays there are (bundles + 1,).
+        bounds: The first ray of each bundle, and how many rays there are (ends,).
         axis: Unit vectors along the cones (bundles, 3).
         cosine: Of the angle between a cone's axis and its side (bundles, 1).
         sine: Of that angle (bundles, 1).

@@ -23,6 +23,8 @@ from tests.server.watchers import DISTANCE, SIDE, classes, gallery, on_show, sho
 from usarmjx.cli.app import app
 from usarmjx.server.pictures import image_server
 from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.viewing.controls import ServedControls
+from usarmjx.server.viewing.viewer_service import ViewerService
 
 WIDTH, HEIGHT = 96, 72
 
@@ -440,6 +442,11 @@ def test_the_port_is_announced(world, painter, capfd):
     assert f"usarmjx: pictures on 127.0.0.1:{port}\n" in capfd.readouterr().out
 
 
+def asked_for(server):
+    """The services of a server but the live page, which all have, and its controls."""
+    return [one for one in server.services if not isinstance(one, (ViewerService, ServedControls))]
+
+
 def served(monkeypatch, *words):
     """The services and the result of a command line that is not carried out."""
     box = {"services": []}
@@ -447,7 +454,7 @@ def served(monkeypatch, *words):
         "usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace(period=0.02)]
     )
     monkeypatch.setattr(
-        "usarmjx.server.loop.serve", lambda servers, *_: box.update(services=servers[0].services)
+        "usarmjx.server.loop.serve", lambda servers, *_: box.update(services=asked_for(servers[0]))
     )
     result = CliRunner().invoke(app, ["serve", "--no-wireless", *words])
     return box["services"], result

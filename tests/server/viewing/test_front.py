@@ -57,7 +57,7 @@ def opens(port, path="/", **how):
     try:
         with connect(f"ws://{HOST}:{port}{path}", subprotocols=PROTOCOLS, max_size=None, **how) as connection:
             return bool(connection.recv(timeout=20))
-    except (InvalidHandshake, ConnectionError, EOFError):
+    except (InvalidHandshake, ConnectionClosed, ConnectionError, EOFError):
         return False
 
 
