@@ -420,11 +420,11 @@ def test_pictures_of_impossible_sizes_are_refused(batch):
 def test_no_camera_looks_into_its_own_robot(name):
     """Straight ahead there is nothing of the robot within 4 cm of the lens; mirrors are on their packages."""
     robot: RobotSpec = ROBOTS.get(name)
-    plan = kinematic_tree_of(robot)
+    drawn = kinematic_tree_of(robot).figure.solids
     for one in cameras_of(robot):
-        assert one.hidden_geoms.shape == plan.geom_type.shape
-        assert one.hidden_geoms[plan.geom_body == one.body].all()
-        assert not one.hidden_geoms.all() or len(set(plan.geom_body)) == 1
+        assert one.hidden_geoms.shape == drawn.kind.shape
+        assert one.hidden_geoms[drawn.frame == one.body].all()
+        assert not one.hidden_geoms.all() or len(set(drawn.frame)) == 1
         assert one.lens == ("omni" if one.mount.parent.startswith("OmniCam") else "pinhole")
         assert one.min_fov <= one.default_fov <= one.max_fov
     if robot is OMNI_P2DX:

@@ -195,7 +195,8 @@ def test_victims_water_doors_and_loose_objects_are_in_the_view():
     bare = gallery.arena_render_geoms(
         replace(room, victims=(), false_alarms=(), doors=(), loose=(), waters=())
     )
-    assert len(shown) == len(bare) + 11 + 1 + 1 + 1 + 1  # bones; one head, door, crate, water
+    # A victim's head, chest, pelvis, and its arms, hands, legs and feet; one more head, door, crate, water.
+    assert len(shown) == len(bare) + (7 + 5 + 2 + 2 * (2 + 3 + 2 + 3)) + 7 + 1 + 1 + 1
     assert len(bare) == 2, "floor and wall"
     assert len(gallery.arena_render_geoms(ROOM)) == len(shown) + len(ROOM.shapes) - 2, "the sky is not seen"
     eye, target = gallery._eye(ROOM, 1.5)

@@ -4,6 +4,7 @@ Programs that render pictures are compiled for the shapes of what is to be seen;
 again only when the capacity no longer suffices, which doubles each time.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,41 +16,64 @@ from usarmjx.cameras.shading import RenderScene
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, GeomBlock
 
 SPARE = 8
-"""For so many more there is always room."""
+"""For so many more there is always room when a capacity is chosen."""
+SPARE_COMPACT = 40
+"""Likewise for the compact geoms of a kind, which robots are drawn as: for one more P2AT, which has 36."""
+
+Room = dict[tuple[int, str, bool] | str, int]
+"""The capacity for geoms of a kind and material, compact or not, and the one for headlights."""
+HEADLIGHTS = "headlights"
 
 
-def capacity(count: int) -> int:
+def capacity(count: int, spare: int = SPARE) -> int:
     """Return for how many to make room: a power of two, with some to spare."""
-    return max(SPARE, 1 << (count + SPARE - 1).bit_length())
+    return 1 << (count + spare - 1).bit_length()
 
 
-def with_spare_capacity(render_scene: RenderScene) -> RenderScene:
-    """Return a render scene of NumPy arrays, padded by geoms far away and headlights that are off."""
-    ends = np.cumsum([len(block.owner) for block in render_scene.geoms.blocks])
+def with_spare_capacity(render_scene: RenderScene, room: Room | None = None) -> RenderScene:
+    """Return a render scene of NumPy arrays, padded by geoms far away and headlights that are off.
+
+    Args:
+        render_scene: What there is to see.
+        room: The capacities so far, which are kept where they suffice and otherwise changed here.
+    """
+    room = {} if room is None else room
+    geoms = render_scene.geoms
+    ends = np.cumsum([len(block.owner) for block in geoms.blocks])
+    compact = geoms.compact or (False,) * len(ends)
     blocks: list[GeomBlock] = []
     appearances: list[GeomAppearance] = []
-    for block, end in zip(render_scene.geoms.blocks, ends, strict=True):
-        count = len(block.owner)
+    sorts = zip(geoms.kinds, geoms.materials, compact, strict=True)
+    for sort, block, end in zip(sorts, geoms.blocks, ends, strict=True):
+        count, (_, _, is_compact) = len(block.owner), sort
+        pad = partial(_padded, size=_size(room, sort, count, SPARE_COMPACT if is_compact else SPARE))
         mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], render_scene.appearance)
-        padded = jax.tree.map(_padded, block)
+        padded = jax.tree.map(pad, block)
         padded.pos[count:], padded.mat[count:], padded.owner[count:] = PADDING_DISTANCE, np.eye(3), -1
         blocks.append(padded)
-        appearances.append(jax.tree.map(_padded, mine))
+        appearances.append(jax.tree.map(pad, mine))
     return render_scene.replace(
-        geoms=render_scene.geoms.replace(blocks=tuple(blocks)),
+        geoms=geoms.replace(blocks=tuple(blocks)),
         appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *appearances),
-        headlights=_padded_headlights(render_scene.headlights),
+        headlights=_padded_headlights(render_scene.headlights, room),
     )
 
 
-def _padded_headlights(headlights: Headlights) -> Headlights:
-    return jax.tree.map(_padded, headlights)
+def _size(room: Room, sort: tuple[int, str, bool] | str, count: int, spare: int = SPARE) -> int:
+    """Return the capacity for so many of a sort, after making room for them if there is too little."""
+    if sort not in room or count > room[sort]:
+        room[sort] = capacity(count, spare)
+    return room[sort]
 
 
-def _padded(values: Any) -> np.ndarray:  # noqa: ANN401 - an array
-    """Return an array with zeros (False) behind its rows, single precision."""
+def _padded_headlights(headlights: Headlights, room: Room) -> Headlights:
+    return jax.tree.map(lambda x: _padded(x, _size(room, HEADLIGHTS, len(x))), headlights)
+
+
+def _padded(values: Any, size: int) -> np.ndarray:  # noqa: ANN401 - an array
+    """Return an array with zeros (False) behind its rows, up to a size, single precision."""
     values = np.asarray(values)
     single = {"f": np.float32, "i": np.int32, "u": values.dtype, "b": bool}[values.dtype.kind]
-    out = np.zeros((capacity(len(values)), *values.shape[1:]), single)
+    out = np.zeros((size, *values.shape[1:]), single)
     out[: len(values)] = values
     return out

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.cameras.padding import with_spare_capacity
+from usarmjx.cameras.padding import Room, with_spare_capacity
 from usarmjx.cameras.picture import Picture, Viewpoint, render_picture_jit
 from usarmjx.cameras.shading import RenderScene
 
@@ -31,6 +31,7 @@ class PicturePrograms:
         self._render = render
         self._compiler = ThreadPoolExecutor(1, thread_name_prefix="compiler")
         self._programs: dict[Hashable, Future[Any]] = {}
+        self._room: Room = {}
 
     @property
     def idle(self) -> bool:
@@ -46,7 +47,7 @@ class PicturePrograms:
             render_scene: What there is to see; NumPy's arrays.
             views: From where.
         """
-        padded = with_spare_capacity(render_scene)
+        padded = with_spare_capacity(render_scene, self._room)
         if not all([self._is_ready(padded, view) for view in views]):
             return None
         return lambda: [jax.device_get(self._render(padded, *view)) for view in views]

@@ -295,6 +295,19 @@ def test_a_p2ats_own_wheels_as_pairs_in_unreal_units_are_the_p2ats(load):
     assert robot.wheel_base == pytest.approx(0.2884, abs=1e-6)
 
 
+def test_a_wheel_is_drawn_around_its_own_middle_and_of_another_size_otherwise_than_its_class(load):
+    tire = f"PartClass=class'USARBot.P2ATTire',{LOCKED},{AXES},SelfPos=(X=-0.01,Y=-0.02,Z=-0.03)"
+    text = f"[USARBot.P2AT]\nJointParts(0)={pair('Own', 0.1, 0.2, 0.05, tire)}\n"
+    text += f"JointParts(1)={pair('Large', 0.1, -0.2, 0.05, tire + ',Radius=0.2')}\n"
+    own, large = named(load(text), "P2AT").wheels
+    (right,) = (part for part in P2AT.parts if part.name == "RightFWheel")
+    assert [replace(shape, at=()) for shape in own.looks] == [replace(s, at=()) for s in right.looks]
+    for built, stock in zip(own.looks, right.looks, strict=True):
+        np.testing.assert_allclose(built.at, np.add(stock.at, own.shapes[0].at), atol=EXACT)
+    np.testing.assert_allclose(own.shapes[0].at, (0.01, 0.02, 0.03), atol=EXACT)
+    assert large.looks[0].size[0] == 0.2
+
+
 NAMES = ("LeftFWheel", "RightFWheel", "LeftRWheel", "RightRWheel")
 SIZE = "Radius=0.1,Width=0.05"
 ROVER = f"[USARBot.Rover]\nDimensions=(X=0.5,Y=0.3,Z=0.12)\nWeight=12\n{wheels(NAMES, SIZE, LOCKED)}\n"
@@ -443,6 +456,18 @@ Links=(LinkNumber=2,ParentLinkNumber=1,MinRange=-0.5,MaxRange=0.9,Location=(X=0,
         pan, tilt = before.links
         assert after.links[0] == replace(pan, max_speed=0.5)
         assert after.links[1] == replace(tilt, min_range=-0.5, max_range=0.9, location=(0.0, 0.0, 0.1))
+
+
+def test_a_link_of_another_size_is_drawn_as_its_box(load):
+    text = """
+[USARMisPkg.CameraPanTilt]
+Links=(Number=1,Size=(X=0.1,Y=0.1,Z=0.1))
+Links=(Number=2,Parent=1,Mass=1)
+"""
+    (before,), (after,) = P2AT.packages, named(load(text), "P2AT").packages
+    assert [link.looks for link in after.links] == [(), before.links[1].looks]
+    assert before.links[0].looks
+    assert before.links[1].looks
 
 
 def test_a_package_of_ones_own_is_mounted_in_metres_whatever_the_units(load):

@@ -122,6 +122,9 @@ def test_pictures_come_without_a_program_while_it_is_compiled_and_then_from_it()
     world.update_command(world.robots[1], CommandUpdate(light=False))
     world.snapshot([CameraRequest(world.robots[1], 0, 56, 40)])()
     assert programs.threads[2:] == [threading.current_thread()] * 3
+    world.remove(world.robots[2])
+    seen_by(world)
+    assert programs.threads[5:] == [threading.current_thread()]
 
 
 def test_a_program_that_cannot_be_compiled_is_done_without(caplog):

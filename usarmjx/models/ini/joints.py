@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from usarmjx.base.registry import Registry
-from usarmjx.base.transforms import GRAVITY
+from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.ini.figures import DEFAULT_SUSPENSION_TRAVEL
 from usarmjx.models.ini.pairs import JointPair, part_rotation, spin_axis, steering_axis, unit_of
 from usarmjx.models.ini.read import as_class, fail, key_text, number_of, vector_of
@@ -64,7 +64,9 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
     )
     spin_axis(pair)  # is lateral, or this says that it must be
     tyre = wheel(pair.name, at=pair.at, size=(radius, width), mass=mass, motor=motor, parent=pair.parent)
-    tyre = replace(tyre, shapes=tuple(replace(shape, at=pair.middle) for shape in tyre.shapes))
+    if model and tyre.shapes[0].size == model.shapes[0].size:
+        tyre = replace(tyre, looks=model.looks)
+    tyre = replace(tyre, shapes=_moved(tyre.shapes, pair.middle), looks=_moved(tyre.looks, pair.middle))
     parts = car_wheel(
         tyre,
         hub=mass * HUB_SHARE,
@@ -77,15 +79,21 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
     return [replace(part, axis=axis) if part.name.endswith(STEER_SUFFIX) else part for part in parts]
 
 
+def _moved(shapes: Sequence[Shape], by: Vec3) -> tuple[Shape, ...]:
+    x, y, z = by
+    return tuple(replace(shape, at=(shape.at[0] + x, shape.at[1] + y, shape.at[2] + z)) for shape in shapes)
+
+
 def _model_of(pair: JointPair, robots: Registry[RobotSpec]) -> Part | None:
-    """Return the wheel that a PartClass stands for: P2ATTire is a P2AT's."""
+    """Return the wheel that a PartClass stands for, the first on its side: P2ATTire is a P2AT's."""
     written = pair.struct.get("PartClass")
     name = as_class(pair.line, written, "PartClass") if written is not None else ""
     owner = name.lower().removesuffix("tire")
     if owner != name.lower() and owner in robots:
         wheels = [part for part in robots.get(owner).wheels if part.shapes[0].kind == "cylinder"]
         if wheels:
-            return wheels[0]
+            side = pair.chassis_position[1]
+            return next((wheel for wheel in wheels if wheel.at[1] * side > 0), wheels[0])
     given = [pair.struct.get(field) is not None for field in ("Radius", "Width")]
     if not all(given):
         tires = [f"{known}Tire" for known, robot in robots if robot.wheels]

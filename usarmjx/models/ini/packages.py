@@ -161,6 +161,7 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
         shapes=_shapes(link, before),
         joint="Revolute" if joint == "Revolute" else "Prismatic",
         motor=motor,
+        looks=before.looks if fields.get("Size") is None else (),
     )
 
 
