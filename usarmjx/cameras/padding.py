@@ -20,7 +20,7 @@ SPARE = 8
 SPARE_COMPACT = 40
 """Likewise for the compact geoms of a kind, which robots are drawn as: for one more P2AT, which has 36."""
 
-Room = dict[tuple[int, str, bool] | str, int]
+SpareRoom = dict[tuple[int, str, bool] | str, int]
 """The capacity for geoms of a kind and material, compact or not, and the one for headlights."""
 HEADLIGHTS = "headlights"
 
@@ -30,7 +30,7 @@ def capacity(count: int, spare: int = SPARE) -> int:
     return 1 << (count + spare - 1).bit_length()
 
 
-def with_spare_capacity(render_scene: RenderScene, room: Room | None = None) -> RenderScene:
+def with_spare_capacity(render_scene: RenderScene, room: SpareRoom | None = None) -> RenderScene:
     """Return a render scene of NumPy arrays, padded by geoms far away and headlights that are off.
 
     Args:
@@ -59,14 +59,14 @@ def with_spare_capacity(render_scene: RenderScene, room: Room | None = None) -> 
     )
 
 
-def _size(room: Room, sort: tuple[int, str, bool] | str, count: int, spare: int = SPARE) -> int:
+def _size(room: SpareRoom, sort: tuple[int, str, bool] | str, count: int, spare: int = SPARE) -> int:
     """Return the capacity for so many of a sort, after making room for them if there is too little."""
     if sort not in room or count > room[sort]:
         room[sort] = capacity(count, spare)
     return room[sort]
 
 
-def _padded_headlights(headlights: Headlights, room: Room) -> Headlights:
+def _padded_headlights(headlights: Headlights, room: SpareRoom) -> Headlights:
     return jax.tree.map(lambda x: _padded(x, _size(room, HEADLIGHTS, len(x))), headlights)
 
 

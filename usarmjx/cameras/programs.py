@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.cameras.padding import Room, with_spare_capacity
+from usarmjx.cameras.padding import SpareRoom, with_spare_capacity
 from usarmjx.cameras.picture import Picture, Viewpoint, render_picture_jit
 from usarmjx.cameras.shading import RenderScene
 
@@ -31,7 +31,7 @@ class PicturePrograms:
         self._render = render
         self._compiler = ThreadPoolExecutor(1, thread_name_prefix="compiler")
         self._programs: dict[Hashable, Future[Any]] = {}
-        self._room: Room = {}
+        self._room: SpareRoom = {}
 
     @property
     def idle(self) -> bool:
