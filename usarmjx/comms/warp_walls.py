@@ -4,24 +4,25 @@ What each function means is said there; the arithmetic is the same, so that exch
 changes no bit of the answer.
 """
 
-import mujoco
 import warp as wp
 
 from usarmjx.comms import clipping
-from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
+from usarmjx.models.build.pieces import COLUMN_KIND
 from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of, thread_index
+from usarmjx.sensors.rays.warp_kinds import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    TINY,
+    TRIANGLE,
+)
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-TINY = wp.constant(1e-12)
 SIDE_MARGIN = wp.constant(clipping.SIDE_MARGIN)
-PLANE = wp.constant(int(mujoco.mjtGeom.mjGEOM_PLANE))
-BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
-SPHERE = wp.constant(int(mujoco.mjtGeom.mjGEOM_SPHERE))
-CAPSULE = wp.constant(int(mujoco.mjtGeom.mjGEOM_CAPSULE))
-CYLINDER = wp.constant(int(mujoco.mjtGeom.mjGEOM_CYLINDER))
-ELLIPSOID = wp.constant(int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
-TRIANGLE = wp.constant(TRIANGLE_KIND)
 COLUMN = wp.constant(COLUMN_KIND)
 
 
