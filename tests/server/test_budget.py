@@ -287,6 +287,24 @@ def test_a_crowd_leaves_one_by_one_and_whoever_comes_waits_for_its_seats(monkeyp
     assert np.diff(left[:16]).min() >= PERIOD - ROUNDING
 
 
+def test_who_left_while_others_join_keeps_no_connection():
+    """However long the one before takes: here as long as the test wants."""
+    world = StillWorld()
+    with serving(world, realtime_factor=PACE) as (port, server):
+        server._joins.spend(1e6)
+        first = Peer(port, init("First"))
+        wait_until(lambda: server.tally.commands[Init] == 1)
+        gone = [Peer(port, init(f"Gone{i}")) for i in range(10)]
+        wait_until(lambda: server.tally.commands[Init] == 11)
+        for peer in gone:
+            peer.close()
+        wait_until(lambda: len(server.clients) == 1)
+        server._joins.spend(-1e6)
+        first.until(b"STA")
+        assert [robot.name for robot in world.robots.values()] == ["First"]
+        first.close()
+
+
 def test_who_only_errs_is_dropped_and_a_legal_command_makes_good(world, caplog):
     with serving(world, realtime_factor=PACE, max_faults=REFUSAL_FAULTS + 1) as (port, _):
         peer = Peer(port)

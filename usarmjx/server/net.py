@@ -354,6 +354,10 @@ class BotServer:
         except UsageError as error:
             client.session.note_refusal(str(error))
             return False
+        # Not in the lock's own queue: who has left meanwhile would keep its connection there until its turn.
+        while self._joining.locked():
+            await self._stepped.wait()
+            self._check_is_here(connection)
         async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
             self._check_is_here(connection)
             await self._stepped.wait()
