@@ -98,9 +98,21 @@ def test_opening_dials_both_robots_and_uses_up_the_listening():
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: R2 not listening on port 4002;"
 
 
-def test_opening_needs_the_second_robot_to_listen():
+def test_opening_needs_a_robot_to_listen():
     party = registered()
-    party.ask("LISTEN R1 4001;LISTEN R2 4003;")
+    party.ask("LISTEN R1 4003;LISTEN R2 4003;")
+    assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: R2 not listening on port 4002;"
+
+
+def test_the_robot_that_listens_may_be_named_first():
+    """Manual 3.2.4.3: RobotName "is listening for connections at Port", HostRobot sets the link up."""
+    party = registered()
+    party.ask("LISTEN R1 4001;")
+    endpoints = party.open("OPEN R1 4001 R2 4002;")
+    assert endpoints == EndpointPair(Endpoint("R2", HERE, 4002), Endpoint("R1", HERE, 4001))
+    assert party.answer(False) == "Fail: Could not establish connection;"
+    assert party.open("OPEN R1 4001 R2 4002;") is not None, "R1 goes on listening"
+    assert party.answer(True) == "OK;"
     assert party.ask("OPEN R1 4001 R2 4002;") == "Fail: R2 not listening on port 4002;"
 
 

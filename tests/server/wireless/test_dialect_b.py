@@ -74,7 +74,7 @@ def test_init_comes_first_and_once():
         ("INIT {Robot R3} {Port x}", "Ports.List.Must.Be.Integer"),
         ("INIT {Robot R3} {Port 1,,2}", "Ports.List.Must.Be.Integer"),
         ("INIT {Robot R3} {Port 1,70000}", "Ports.List.Must.Be.Integer"),
-        ("INIT {Robot R3} {Port 0}", "Ports.List.Must.Be.Integer"),
+        ("INIT {Robot R3} {Port -1}", "Ports.List.Must.Be.Integer"),
         ("INIT {Robot } {Port 1}", "Robot.Name.Must.Not.Be.Empty"),
         ("INIT {Port 1}", "Robot.Name.Must.Not.Be.Empty"),
         ("INIT", "Robot.Name.Must.Not.Be.Empty"),
@@ -90,13 +90,15 @@ def test_init_can_fail_and_be_tried_again(line, reason):
     assert ask(session, "INIT {Robot R2} {Port 1}") == "INITREPLY {Status OK}"
 
 
-def test_a_robot_that_only_calls_needs_no_port():
+@pytest.mark.parametrize("ports", ["", " {Port 0}"], ids=["none", "0"])
+def test_a_robot_that_only_calls_needs_no_port(ports):
+    """It says none, or 0, which the stand-alone server takes."""
     party = Party()
-    other = party.joined("R2")
-    assert ask(party.session(), "INIT {Robot R1}") == "INITREPLY {Status OK}"
-    assert (
-        ask(other, "DNS {Robot R1}") == "DNSREPLY {Robot R1} {Port -1} {Error RobotDoesNotListenOnThisPort}"
-    )
+    other, caller = party.joined("R2"), party.session()
+    assert ask(caller, f"INIT {{Robot R1}}{ports}") == "INITREPLY {Status OK}"
+    for asked in ("DNS {Robot R1}", "DNS {Robot R1} {Port 0}"):
+        assert ask(other, asked) == "DNSREPLY {Robot R1} {Port -1} {Error RobotDoesNotListenOnThisPort}"
+    assert ask(caller, "DNS {Robot R2}") == "DNSREPLY {Robot R2} {Port 40000}"
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,11 @@ class Listen:
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """OPEN RobotName Port HostRobot HostPort: link two robots; the last two must have been in a LISTEN."""
+    """OPEN RobotName Port HostRobot HostPort: link two robots, of which one must have been in a LISTEN.
+
+    The in-engine server and its tools looked for the last two in the table, the manual (3.2.4.3) says that
+    the first two listen: either will do.
+    """
 
     name: str
     port: int
@@ -187,17 +191,16 @@ class ComServer:
         """Return where to connect; tell `opened` how it went.
 
         Raises:
-            Refusal: The host does not listen there or is out of reach, or the other robot is unknown.
+            Refusal: Neither robot listens there, they do not reach each other, or one is unknown.
         """
-        if ask.host_port not in self._listening.get(ask.host, ()):
-            raise Refusal(f"{ask.host} not listening on port {ask.host_port}")
+        ask = self._listener_last(ask)
         if not self._owns(caller, ask.name) and not self._owns(caller, ask.host):
             raise Refusal(THIRD_PARTY)
         if not reaches(self._radio, ask.name, ask.host):
             raise Refusal(f"Cannot connect to {ask.host}")
         if ask.name not in self._registrations or self._is_full(ask):
             raise Refusal(NO_CONNECTION)
-        if not self._owns(caller, ask.name) and ask.port not in self._listening.get(ask.name, ()):
+        if not self._owns(caller, ask.name) and not self._listens(ask.name, ask.port):
             raise Refusal(f"{ask.name} not listening on port {ask.port}")
         endpoints = EndpointPair(
             Endpoint(ask.name, self._registrations[ask.name].address, ask.port),
@@ -244,6 +247,21 @@ class ComServer:
     def _owns(self, caller: str, name: str) -> bool:
         registration = self._registrations.get(name)
         return registration is not None and caller in (registration.address, registration.owner)
+
+    def _listens(self, name: str, port: int) -> bool:
+        return port in self._listening.get(name, ())
+
+    def _listener_last(self, ask: Open) -> Open:
+        """Return an OPEN with the robot that listens behind the other.
+
+        Raises:
+            Refusal: Neither listens.
+        """
+        if self._listens(ask.host, ask.host_port):
+            return ask
+        if self._listens(ask.name, ask.port):
+            return Open(ask.host, ask.host_port, ask.name, ask.port)
+        raise Refusal(f"{ask.host} not listening on port {ask.host_port}")
 
     def _has_left(self, name: str) -> bool:
         return name in self._seen and not self._radio.has_robot(name)

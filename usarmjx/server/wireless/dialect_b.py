@@ -118,8 +118,9 @@ class DialectBSession:
         return format_message(answer).encode("latin-1", "replace") + b"\r\n"
 
     def _init(self, values: dict[str, str]) -> Message:
-        listed = values.get("Port", "")
-        ports = tuple(_port(text, "Ports.List.Must.Be.Integer") for text in listed.split(",") if listed)
+        listed, reason = values.get("Port", ""), "Ports.List.Must.Be.Integer"
+        told = [_port(text, reason, least=0) for text in listed.split(",") if listed]
+        ports = tuple(port for port in told if port)  # who says 0 only calls others
         name = _name(values)
         if self._board.has(name):
             raise _Error("Robot.Alread.Exists")
