@@ -15,7 +15,7 @@ from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.still import Headlight
 from usarmjx.models.spec.robot import CHASSIS, Mount, RobotSpec
-from usarmjx.sensors.settings import CameraSettings, resolve_settings
+from usarmjx.sensors.settings import CameraSettings, resolve_camera
 
 OMNI_PACKAGES = ("OmniCamera", "OmniCamPillar")
 """Mission packages that carry a mirror: a camera on one of their links looks into it (manual 10.15.2)."""
@@ -71,16 +71,10 @@ def cameras_of(robot: RobotSpec) -> tuple[Camera, ...]:
 
 def _camera(robot: RobotSpec, mount: Mount) -> Camera:
     where = f"{robot.name}: {mount.kind} {mount.name}"
-    settings, plan = resolve_settings(CameraSettings, mount.options, where), kinematic_tree_of(robot)
+    settings, plan = resolve_camera(mount, where), kinematic_tree_of(robot)
     parts = plan.parts
     if mount.parent not in parts:
         raise SpecError(f"{where}: no part {mount.parent!r}; parts: {', '.join(parts)}")
-    low, high = settings.camera_min_fov, settings.camera_max_fov
-    if not 0 < low <= settings.camera_def_fov <= high < np.pi:
-        raise SpecError(
-            f"{where}: fields of view are {low:g} to {high:g}, at first {settings.camera_def_fov:g} rad; "
-            "expected 0 < CameraMinFov <= CameraDefFov <= CameraMaxFov < pi"
-        )
     roll, pitch, yaw = flip_angles(mount.direction)
     body, at = parts.index(mount.parent), np.array(flip_vector(mount.at), np.float32)
     return Camera(
@@ -89,8 +83,8 @@ def _camera(robot: RobotSpec, mount: Mount) -> Camera:
         pos=at,
         mat=mat_from_angles(np.array(roll), np.array(pitch), np.array(yaw)).astype(np.float32),
         default_fov=settings.camera_def_fov,
-        min_fov=low,
-        max_fov=high,
+        min_fov=settings.camera_min_fov,
+        max_fov=settings.camera_max_fov,
         lens="omni" if settings.omni or mount.parent.rsplit("_Link", 1)[0] in OMNI_PACKAGES else "pinhole",
         eye_offsets=_eyes(where, settings),
         hidden_geoms=covering_geoms(plan, body, at),

@@ -22,7 +22,7 @@ def carried_weight(robot: RobotSpec) -> float:
 
 
 def _weight(mount: Mount, kind: type[object]) -> float:
-    settings = resolve_settings(kind, mount.options, f"{mount.kind} {mount.name}")
+    settings = resolve_settings(kind, mount.all_options, f"{mount.kind} {mount.name}")
     return getattr(settings, "weight", SensorSettings.weight)
 
 

@@ -1,10 +1,13 @@
 """Settings of cameras; `field_name` and `resolve_settings` are those of `models.spec.settings`."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
+from usarmjx.base.errors import SpecError
+from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import field_name, resolve_settings
 
-__all__ = ["CameraSettings", "field_name", "resolve_settings"]
+__all__ = ["CameraSettings", "field_name", "resolve_camera", "resolve_settings"]
 
 
 @dataclass(frozen=True)
@@ -28,3 +31,24 @@ class CameraSettings:
     is_stereo: bool = False
     stereo_spacing: tuple[tuple[str, float], ...] = (("Y", 0.05),)
     omni: bool = False
+
+
+def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
+    """Return the settings of a camera; its first field of view is brought within limits unless it is its own.
+
+    So equal CameraMinFov and CameraMaxFov make a camera of that field of view (manual 10.14.2).
+
+    Raises:
+        UsageError: See `models.spec.settings.checked`.
+        SpecError: Likewise; or fields of view in the wrong order or not between 0 and pi.
+    """
+    settings = resolve_settings(CameraSettings, mount.all_options, owner)
+    low, high = settings.camera_min_fov, settings.camera_max_fov
+    if "camera_def_fov" not in {field_name(key) for key, _ in mount.options}:
+        settings = replace(settings, camera_def_fov=max(low, min(high, settings.camera_def_fov)))
+    if not 0 < low <= settings.camera_def_fov <= high < math.pi:
+        raise SpecError(
+            f"{owner}: fields of view are {low:g} to {high:g}, at first {settings.camera_def_fov:g} rad; "
+            "expected 0 < CameraMinFov <= CameraDefFov <= CameraMaxFov < pi"
+        )
+    return settings

@@ -25,7 +25,7 @@ from usarmjx.sensors import co2, gps, human_motion, motion, ranging, rfid, scann
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_for_teams
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
-from usarmjx.sensors.settings import CameraSettings, resolve_settings
+from usarmjx.sensors.settings import resolve_camera, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 SENSOR_MODULES = (co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim)
@@ -378,7 +378,7 @@ def suite_of(robot: RobotSpec) -> Suite:
     """
     plan = kinematic_tree_of(robot)
     for mount in robot.cameras:
-        resolve_settings(CameraSettings, mount.options, f"{mount.kind} {mount.name}")
+        resolve_camera(mount, f"{mount.kind} {mount.name}")
     groups: dict[str, list[int]] = {}
     for i, mount in enumerate(robot.sensors):
         grouped = SENSORS.get(mount.kind).grouped
@@ -388,7 +388,7 @@ def suite_of(robot: RobotSpec) -> Suite:
         mounts = tuple(robot.sensors[i] for i in members)
         kind = SENSORS.get(mounts[0].kind)
         settings: tuple[Any, ...] = tuple(
-            resolve_settings(kind.settings_class, m.options, f"{m.kind} {m.name}") for m in mounts
+            resolve_settings(kind.settings_class, m.all_options, f"{m.kind} {m.name}") for m in mounts
         )
         sensor = kind(plan=plan, mounts=mounts, settings=settings)
         sensor.check()

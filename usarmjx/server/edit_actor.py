@@ -15,7 +15,7 @@ from usarmjx.models.ini.figures import SETTERS
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.models.spec.settings import checked, field_name, field_names, manual_keys, resolve_settings
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sensors.settings import CameraSettings
+from usarmjx.sensors.settings import CameraSettings, resolve_camera
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -287,7 +287,10 @@ def _value(text: str) -> object:
 
 def _settings_text(mount: Mount) -> str:
     kind = _settings_class(mount)
-    settings = resolve_settings(kind, mount.options, f"{mount.kind} {mount.name}")
+    if kind is CameraSettings:
+        settings = _settings_of(mount)
+    else:
+        settings = resolve_settings(kind, mount.all_options, f"{mount.kind} {mount.name}")
     pairs = ((key, getattr(settings, field)) for field, key in _editable(kind).items())
     return " ".join(
         f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}" for key, value in pairs
@@ -321,4 +324,4 @@ def _settle_cameras(world: ServedWorld, robot: Robot, before: RobotSpec) -> None
 
 
 def _settings_of(mount: Mount) -> CameraSettings:
-    return resolve_settings(CameraSettings, mount.options, mount.name)
+    return resolve_camera(mount, mount.name)

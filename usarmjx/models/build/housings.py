@@ -15,8 +15,8 @@ HOUSING_RGBA = (0.95, 0.75, 0.1, 1.0)
 
 
 def is_shown(mount: Mount) -> bool:
-    """Whether a mount's own options show it; by default sensors are hidden (manual 10)."""
-    said = [value for key, value in mount.options if field_name(key) == "hidden_sensor"]
+    """Whether a mount's settings show it; by default sensors are hidden (manual 10)."""
+    said = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
     return bool(said) and said[-1] is False
 
 

@@ -55,6 +55,6 @@ def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
     effecters = []
     for mount in robot.effecters:
         kind = EFFECTERS.get(mount.kind)
-        settings = resolve_settings(kind.settings_class, mount.options, f"{mount.kind} {mount.name}")
+        settings = resolve_settings(kind.settings_class, mount.all_options, f"{mount.kind} {mount.name}")
         effecters.append(kind(mount=mount, settings=settings))
     return tuple(effecters)

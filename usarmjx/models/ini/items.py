@@ -195,7 +195,7 @@ def resolve_parent(mount: Mount, line: Line, names: Sequence[str], notes: Warnin
 def with_defaults(
     robot: RobotSpec, defaults: Mapping[str, Options], kept: dict[tuple[str, str], list[str]]
 ) -> RobotSpec:
-    """Return a robot whose items have the defaults of their classes, where their own options are silent.
+    """Return a robot whose items have what sections say of their classes, unless their own options differ.
 
     Args:
         robot: The robot.
@@ -209,8 +209,8 @@ def with_defaults(
         for key, _ in given:
             if field_name(key) in own:
                 kept.setdefault((mount.kind, key), []).append(f"{robot.name} {mount.name}")
-        added = tuple((key, value) for key, value in given if field_name(key) not in own)
-        return replace(mount, options=(*added, *mount.options)) if added else mount
+        given = tuple((key, value) for key, value in given if field_name(key) not in own)
+        return replace(mount, defaults=merged(mount.defaults, given)) if given else mount
 
     fields = {name: tuple(filled(mount) for mount in getattr(robot, name)) for name in ITEM_LISTS.values()}
     return replace(robot, **fields)

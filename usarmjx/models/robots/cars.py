@@ -118,7 +118,7 @@ SNOWSTORM = build_car(
     ),
     sensors=(
         # The range of an outdoor LMS (data sheet); the fan is the sensor's own.
-        Mount(kind="RangeScanner3D", name="Scanner1", at=SNOWSTORM_SCANNER, options=options(MaxRange=80.0)),
+        Mount(kind="RangeScanner3D", name="Scanner1", at=SNOWSTORM_SCANNER, defaults=options(MaxRange=80.0)),
         Mount(kind="GPS", name="GPS", at=(-0.8, 0.0, SNOWSTORM_ROOF)),
     ),
     cameras=tuple(

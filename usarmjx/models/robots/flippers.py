@@ -260,7 +260,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
         parts=parts,
         drive=drive_tracks(parts, KENAF_BELT),
         sensors=(
-            Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, options=HOKUYO),
+            Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, defaults=HOKUYO),
             *POSE_SENSORS,
             *(
                 Mount(kind="Encoder", name=name, parent=part, direction=ENCODER_AXIS)

@@ -182,13 +182,13 @@ def camera(name: str = "Camera", at: Vec3 = (0.0820, 0.0002, 0.0613), **where: o
     """
     fov = options(CameraDefFov=0.8727, CameraMinFov=0.3491, CameraMaxFov=2.0944)  # manual 9.3's CONF
     place = {"parent": "CameraPanTilt_Link2", **where}
-    return Mount(kind="Camera", name=name, at=at, options=fov, **place)  # type: ignore[arg-type]
+    return Mount(kind="Camera", name=name, at=at, defaults=fov, **place)  # type: ignore[arg-type]
 
 
 def sick_lms200(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
     """Return a SICK LMS200: 181 beams over half a turn, 20 m (captured CONF)."""
     fan = options(MaxRange=20.0, MinRange=0.1, Resolution=math.pi / 180, ScanFov=math.pi)
-    return Mount(kind="RangeScanner", name=name, at=at, parent=parent, options=fan)
+    return Mount(kind="RangeScanner", name=name, at=at, parent=parent, defaults=fan)
 
 
 def sick_housing(at: Vec3) -> Shape:

@@ -134,7 +134,7 @@ ERS_MUZZLE = (0.081, 0.0, 0.0146)  # camera on the nodding part: the height from
 
 def _ers_infrared(name: str, reach: tuple[float, float]) -> Mount:
     near, far = options(MinRange=reach[0]), options(MaxRange=reach[1])
-    return Mount(kind="IR", name=name, parent="HeadNod", at=ERS_MUZZLE, options=(*near, *far))
+    return Mount(kind="IR", name=name, parent="HeadNod", at=ERS_MUZZLE, defaults=(*near, *far))
 
 
 ERS = RobotSpec(

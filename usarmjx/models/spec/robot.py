@@ -146,7 +146,9 @@ class Mount:
         at: Position on its parent.
         direction: Roll, pitch, yaw on its parent.
         parent: `HARD`, a part's name, or `<Package>_Link<number>`.
-        options: Settings that differ from the sensor type's defaults, by the manual's ini keys.
+        options: Settings that are this mount's own, by the manual's ini keys.
+        defaults: Settings of its class where they differ from the type's: captured figures, or what a
+            section of an ini file says of the class instead. Options override them.
     """
 
     kind: str
@@ -155,6 +157,12 @@ class Mount:
     direction: Vec3 = ZERO
     parent: str = CHASSIS
     options: Options = ()
+    defaults: Options = ()
+
+    @property
+    def all_options(self) -> Options:
+        """Defaults and options; of a key that stands twice the last counts."""
+        return (*self.defaults, *self.options)
 
 
 @dataclass(frozen=True, kw_only=True)
