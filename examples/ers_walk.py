@@ -15,7 +15,10 @@ import sys
 import time
 from dataclasses import dataclass, field
 
-from usarsim_client import Message, UsarsimClient
+try:
+    from usarmjx.client import ServerMessage, UsarsimClient
+except ImportError:  # without usarmjx: its usarsim_client.py lies beside this file
+    from usarsim_client import ServerMessage, UsarsimClient
 
 PERIOD = 0.45  # s for a step of each leg
 STANCE = 0.6  # share of it that a paw is on the ground: diagonal pairs take turns, with some overlap
@@ -112,7 +115,7 @@ class Walk:
         error = math.remainder(self.path[0][3] - self.path[-1][3], 2 * math.pi)
         return max(-0.5, min(0.5, STEER * error))
 
-    def take(self, now: float, truth: Message) -> None:
+    def take(self, now: float, truth: ServerMessage) -> None:
         """Note a GroundTruth message."""
         roll, pitch, _ = (math.remainder(angle, 2 * math.pi) for angle in truth.vector("Orientation"))
         self.lean = max(self.lean, abs(roll), abs(pitch))

@@ -15,9 +15,8 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from usarsim_client import Message, UsarsimClient
-
 import usarmjx
+from usarmjx.client import ServerMessage, UsarsimClient
 from usarmjx.models.roads.geodesy import to_local_xy
 from usarmjx.models.roads.network import FOOT, RouteNetwork
 from usarmjx.models.roads.rndf import read_rndf
@@ -211,7 +210,7 @@ class LaneFollower:
         self.robot.send("DRIVE", Speed=0.0, FrontSteer=0.0)
         return self.log
 
-    def take(self, message: Message) -> bool:
+    def take(self, message: ServerMessage) -> bool:
         """Note what a message says; return whether it ends a report."""
         kind = message.value("Type")
         if message.kind == "STA":

@@ -17,9 +17,9 @@ import sys
 from typing import Any
 
 import numpy as np
-from usarsim_client import Message, UsarsimClient
 
 from usarmjx.base.errors import UsageError
+from usarmjx.client import ServerMessage, UsarsimClient
 from usarmjx.train.policies.export import NumpyPolicy
 
 FAR = 10.0  # m: a goal farther away is seen at this distance
@@ -112,7 +112,7 @@ class PolicyDriver:
         self.needs_ranges = policy.groups[group]["obs_size"] > 4
         self.now, self.began, self.acted = 0.0, 0.0, -math.inf
 
-    def take(self, message: Message) -> None:
+    def take(self, message: ServerMessage) -> None:
         """Remember a reading, and the time: every report begins with a STA that tells it."""
         self.now = message.time() or self.now
         kind = message.value("Type") if message.kind == "SEN" else ""

@@ -11,7 +11,10 @@ import argparse
 import math
 import sys
 
-from usarsim_client import UsarsimClient
+try:
+    from usarmjx.client import UsarsimClient
+except ImportError:  # without usarmjx: its usarsim_client.py lies beside this file
+    from usarsim_client import UsarsimClient
 
 RAISED = {"RightShoulderPitch": 2.6, "RightElbow": 0.5}  # rad: the arm up and a little before the head
 SIDE = "RightShoulderRoll"  # turns the raised arm outward

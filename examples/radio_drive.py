@@ -16,7 +16,10 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from usarsim_client import Link, RadioError, UsarsimClient, WirelessA
+try:
+    from usarmjx.client import RadioError, RadioLink, UsarsimClient, WirelessA
+except ImportError:  # in a clone that is not installed
+    from usarsim_client import RadioError, RadioLink, UsarsimClient, WirelessA
 
 # Centres of the arena's cells, 1.2 m apart. There are three walls between the two ends.
 PATHS = {
@@ -88,7 +91,7 @@ class Chat:
 
     radio: WirelessA
     names: tuple[str, str]
-    links: list[Link] = field(default_factory=list)
+    links: list[RadioLink] = field(default_factory=list)
     sent: int = 0
     received: int = 0
     next_try: float = -math.inf

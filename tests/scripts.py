@@ -1,17 +1,19 @@
 """The examples as modules: they are scripts, and not part of the package."""
 
+import importlib
 import importlib.util
 import sys
 from pathlib import Path
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+IN_PACKAGE = {"usarsim_client": "usarmjx.client", "wander": "usarmjx.client.wander"}
 
 
 def load(name):
-    """Import an example by path, once; the others find the client library in `sys.modules`."""
+    """Import an example by path, once; the client library and its controller are the package's."""
+    if name in IN_PACKAGE:
+        return importlib.import_module(IN_PACKAGE[name])
     if name not in sys.modules:
-        if name != "usarsim_client":
-            load("usarsim_client")
         spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module

@@ -114,12 +114,6 @@ def test_run_without_poses_is_no_run():
         demo.report_of(ROOM, {"track": [], "real_seconds": 1.0, "messages": {}})
 
 
-def test_missing_examples_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(demo, "CONTROLLER", tmp_path / "wander.py")
-    with pytest.raises(demo.DemoError, match=r"wander\.py is missing"):
-        demo.run_demo(tmp_path)
-
-
 def test_failing_controller_is_reported_and_the_server_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

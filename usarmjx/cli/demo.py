@@ -14,7 +14,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the picture and the log.")] = Path("out"),
     seconds: Annotated[float, typer.Option(min=1.0, help="Simulated seconds to wander.")] = 20.0,
 ) -> None:
-    """Run the main job: serve a batch, let the example client drive a P2AT, draw what it did."""
+    """Run the main job: serve a batch, let a client drive a P2AT, draw what it did."""
     with ErrorExit():
         announce("starting a server, and a robot to drive in it ...")
         from usarmjx.cli.demo_run import run_demo

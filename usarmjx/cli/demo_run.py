@@ -1,4 +1,4 @@
-"""The main job on real input: serve a batch, let the example client drive a P2AT, draw what it did."""
+"""The main job on real input: serve a batch, let a client drive a P2AT, draw what it did."""
 
 import json
 import re
@@ -25,7 +25,7 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.plots.picture import run_picture, tracked_poses
 
 ROOT = Path(__file__).resolve().parents[2]
-CONTROLLER = ROOT / "examples" / "wander.py"
+CONTROLLER = ROOT / "usarmjx" / "client" / "wander.py"
 WORLDS = 4
 START_LIMIT = 120.0
 """How long the server may take to start [s]: the first time it compiles."""
@@ -206,7 +206,7 @@ def _port_of(process: subprocess.Popen[str], errors: Path) -> int:
 
 
 def run_controller(port: int, seconds: float, log: Path, console: Console) -> None:
-    """Run the example controller against a server and show how far it is.
+    """Run the controller against a server and show how far it is.
 
     Args:
         port: The server's port on this machine.
@@ -277,8 +277,6 @@ def run_demo(out: Path, seconds: float = 20.0) -> int:
     Raises:
         DemoError: The chain could not run; the message says why.
     """
-    if not CONTROLLER.exists():
-        raise DemoError(f"{CONTROLLER} is missing: the demonstration needs a checkout with examples/")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     console = Console()

@@ -1,6 +1,6 @@
 """A picture of what a robot did: the arena's plan, its path, and where its sensors believed it was.
 
-A log is what `examples/wander.py` writes. Its numbers are in USARSim's axes (y right, z down, yaw
+A log is what `usarmjx/client/wander.py` writes. Its numbers are in USARSim's axes (y right, z down, yaw
 clockwise); the picture is in ours, as the arena's description (y left, z up).
 """
 

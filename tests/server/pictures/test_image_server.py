@@ -325,9 +325,9 @@ def test_multi_view_is_one_picture_that_clients_split(world, monkeypatch):
 
 
 def test_the_bundled_client(painted):
-    """examples/usarsim_client.py."""
+    """usarmjx/client."""
     client = load("usarsim_client")
-    with client.ImageClient(port=painted.service.port, timeout=PATIENCE) as images:
+    with client.CameraClient(port=painted.service.port, timeout=PATIENCE) as images:
         for _ in range(3):
             image = images.picture()
             assert (image.width, image.height, len(image.rgb)) == (WIDTH, HEIGHT, 3 * WIDTH * HEIGHT)

@@ -1,0 +1,202 @@
+"""The radio (manual 3.2.4), by the standard library and the file `usarsim_client.py` beside this one.
+
+A robot's messages to other robots go through the wireless server, which lets through what a radio would. It
+has two dialects; in both, a robot waits at a door for others to call.
+"""
+
+from __future__ import annotations  # for older Pythons than usarmjx needs
+
+import select
+import socket
+
+try:
+    from usarmjx.client.usarsim_client import (
+        AUTH,
+        ClientSocket,
+        ServerMessage,
+        connect,
+        format_line,
+        parse_line,
+    )
+except ImportError:  # without usarmjx: copies of both files lie in one folder
+    from usarsim_client import AUTH, ClientSocket, ServerMessage, connect, format_line, parse_line
+
+
+class RadioError(ConnectionError):
+    """The wireless server cannot do what was asked; the text is its reason."""
+
+
+class RadioLink(ClientSocket):
+    """A connection to another robot: bytes either way, until the signal or the other robot is lost.
+
+    Args:
+        connection: The socket.
+        framed: Whether what is sent has to be wrapped into SEND (dialect A); what comes is bare anyway.
+    """
+
+    def __init__(self, connection: socket.socket, framed: bool) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket, self._framed = connection, framed
+
+    def send(self, data: bytes) -> None:
+        """Send bytes. They are lost without a word when there is no signal; then the link closes."""
+        self._socket.sendall(b"SEND %d %b;" % (len(data), data) if self._framed else data)
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return what has come, b"" if the link is closed, or None if nothing comes in time [s]."""
+        if not select.select([self._socket], [], [], timeout)[0]:
+            return None
+        try:
+            return self._socket.recv(65536)
+        except ConnectionError:
+            return b""
+
+    def peer_port(self) -> int:
+        """Return the wireless server's port of this link, which dialect B tells callers by."""
+        return self._socket.getpeername()[1]
+
+
+class RadioDoor(ClientSocket):
+    """A port at which a robot waits for links."""
+
+    def __init__(self, framed: bool, port: int = 0, host: str = "127.0.0.1") -> None:
+        self._socket, self._framed = socket.create_server((host, port)), framed
+        self.port = self._socket.getsockname()[1]
+
+    def accept(self, timeout: float) -> RadioLink:
+        """Return the next link; raises TimeoutError when none comes in time [s]."""
+        self._socket.settimeout(timeout)
+        connection, _ = self._socket.accept()
+        connection.settimeout(None)
+        return RadioLink(connection, self._framed)
+
+
+class _Control(ClientSocket):
+    """A control connection: questions, and answers that end in `end`; `auth` says the token."""
+
+    end, auth = b"", AUTH
+
+    def __init__(self, host: str, port: int, timeout: float, token: str | None) -> None:
+        self.host, self.timeout = host, timeout
+        self._socket = connect(host, port, timeout, token, self.auth)
+        self.address = self._socket.getsockname()[0]
+        self._bytes = b""
+
+    def ask(self, text: str) -> str:
+        """Send a question and return the answer, both without their ends."""
+        self._socket.sendall(text.encode("latin-1") + self.end)
+        while self.end not in self._bytes:
+            data = self._socket.recv(4096)
+            if not data:
+                raise ConnectionError("the wireless server has closed the connection")
+            self._bytes += data
+        answer, _, self._bytes = self._bytes.partition(self.end)
+        return answer.decode("latin-1")
+
+
+class WirelessA(_Control):
+    """The manual's wireless server (manual 3.2.4.3).
+
+        with WirelessA() as radio:          with WirelessA() as radio:
+            radio.register("R1")                radio.register("R2")
+            door = radio.listen("R1", 4001)     link = radio.connect("R2", "R1", 4001)
+            link = door.accept(10.0)            link.send(b"hello")
+            link.receive(10.0)
+
+    Every method raises RadioError when the server says no, without a signal for instance.
+    """
+
+    end, auth = b";", "AUTH %s;"
+
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 5874, timeout: float = 10.0, token: str | None = None
+    ) -> None:
+        super().__init__(host, port, timeout, token)
+
+    def order(self, text: str) -> str:
+        """Send a message; return what follows the OK."""
+        answer = self.ask(text)
+        if not answer.startswith("OK"):
+            raise RadioError(answer.removeprefix("Fail: "))
+        return answer[2:].lstrip(":")
+
+    def register(self, robot: str) -> None:
+        """Say that the controller of a robot is here."""
+        self.order(f"REGISTER {robot} {self.address}")
+
+    def listen(self, robot: str, port: int = 0) -> RadioDoor:
+        """Open a door for one link to a robot."""
+        door = RadioDoor(True, port, self.address)
+        self.listen_again(robot, door)
+        return door
+
+    def listen_again(self, robot: str, door: RadioDoor) -> None:
+        """Let another link come to a door: the last one has used up its LISTEN."""
+        self.order(f"LISTEN {robot} {door.port}")
+
+    def connect(self, robot: str, other: str, port: int) -> RadioLink:
+        """RadioLink a robot to another one that listens on a port."""
+        with RadioDoor(True, host=self.address) as door:
+            self.order(f"OPEN {robot} {door.port} {other} {port}")
+            return door.accept(self.timeout)
+
+    def strength(self, one: str, other: str) -> float:
+        """Return the power received between two robots [dBm]."""
+        return float(self.order(f"GETSS {one} {other}"))
+
+
+class WirelessB(_Control):
+    """The later stand-alone wireless server: one control connection per robot, which keeps it registered.
+
+        with WirelessB("R1") as radio:      with WirelessB("R2") as radio:
+            link = radio.door.accept(10.0)      link = radio.connect("R1")
+            radio.caller(link)  # R2            link.send(b"hello")
+
+    Attributes:
+        door: Where others call.
+    """
+
+    end = b"\r\n"
+
+    def __init__(
+        self,
+        robot: str,
+        host: str = "127.0.0.1",
+        port: int = 50000,
+        timeout: float = 10.0,
+        token: str | None = None,
+    ) -> None:
+        super().__init__(host, port, timeout, token)
+        self.door = RadioDoor(False, host=self.address)
+        try:
+            self.order("INIT", Robot=robot, Port=self.door.port)
+        except OSError:
+            self.close()
+            raise
+
+    def order(self, kind: str, **segments: object) -> ServerMessage:
+        """Send a message; return the answer."""
+        answer = parse_line(self.ask(format_line(kind, segments)))
+        error = answer.value("Reason") if answer.kind == "ERROR" else answer.value("Error")
+        if error:
+            raise RadioError(error)
+        return answer
+
+    def connect(self, other: str, port: int = 0) -> RadioLink:
+        """Call another robot; raises ConnectionRefusedError when there is no signal."""
+        answer = self.order("DNS", Robot=other, **({"Port": port} if port else {}))
+        number = int(answer.value("Port"))
+        return RadioLink(socket.create_connection((self.host, number), self.timeout), False)
+
+    def caller(self, link: RadioLink) -> str:
+        """Return which robot has made a link that came to the door."""
+        return self.order("REVERSEDNS", Port=link.peer_port()).value("Robot")
+
+    def strength(self, other: str) -> float:
+        """Return the power received from another robot [dBm]."""
+        return float(self.order("GETSS", Robot=other).value("Strength"))
+
+    def close(self) -> None:
+        """Leave the wireless server: nobody can call any more."""
+        super().close()
+        self.door.close()
