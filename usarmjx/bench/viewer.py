@@ -3,7 +3,8 @@
 import contextlib
 import os
 import statistics
-import threading
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -12,11 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import msgspec.msgpack
 import viser
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.serving.figures import Missing, attempt
@@ -63,42 +60,36 @@ class ViewerCase:
 
 
 class Browser:
-    """Somebody who looks: takes in what is sent, and draws nothing.
+    """Somebody who looks, in a process of their own: what it costs them is not counted.
 
     Args:
         port: The page's, on this machine.
-
-    Attributes:
-        size: How much has come [bytes].
     """
 
     def __init__(self, port: int) -> None:
-        self.size = 0
-        self._connection: ClientConnection = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None
-        )
-        threading.Thread(target=self._read, daemon=True).start()
+        words = [sys.executable, "-m", "usarmjx.bench.onlooker", str(port), f"viser-v{viser.__version__}"]
+        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._say_hello()
+
+    @property
+    def size(self) -> int:
+        """How much has come [bytes]."""
+        return int(self._ask("size"))
 
     def close(self) -> None:
         """Look no more."""
-        self._connection.close()
+        self._process.communicate()
 
     def _say_hello(self) -> None:
-        self._connection.send(_camera_message())
+        self._ask("hello")
 
-    def _read(self) -> None:
-        with contextlib.suppress(ConnectionClosed):
-            for message in self._connection:
-                self.size += len(message)
-
-
-def _camera_message() -> bytes:
-    """Return what a browser says first: then it counts as one that looks."""
-    place = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
-    lens = {"fov": 0.9, "near": 0.1, "far": 100.0, "image_height": 800, "image_width": 1280}
-    up = {"up_direction": (0.0, 0.0, 1.0)}
-    return msgspec.msgpack.encode({"type": "ViewerCameraMessage", **place, **lens, **up})
+    def _ask(self, word: str) -> str:
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(f"{word}\n")
+        process.stdin.flush()
+        return process.stdout.readline() or "0"
 
 
 @contextlib.contextmanager
@@ -124,7 +115,7 @@ def measure_viewer(case: ViewerCase, file: Path | None = None) -> str:
         "cores": os.cpu_count(),
         "meaning": {
             "update_cpu_ms": "of the thread that steps the world: the world is looked at, what moved is sent",
-            "process_cpu_ms": "of the whole process for an update, with one browser",
+            "process_cpu_ms": "of the server's whole process for an update, with one browser",
             "bytes_per_s": "to one browser, at 20 updates a second",
         },
         "updates": {f"{robots} robots": _measure_updates(case, robots) for robots in case.robots},
@@ -146,7 +137,7 @@ def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:
                 _step(world)
                 page.refresh()
             time.sleep(SETTLING)
-            browser.size = 0
+            before = browser.size
             for _ in range(case.updates):
                 _step(world)
                 began, thread_began = time.process_time(), time.thread_time()
@@ -154,7 +145,7 @@ def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:
                 thread_times.append(time.thread_time() - thread_began)
                 time.sleep(UPDATE_PERIOD / 2)  # viser's thread sends meanwhile
                 process_time += time.process_time() - began
-            size = browser.size
+            size = browser.size - before
     finally:
         page.close()
     return {

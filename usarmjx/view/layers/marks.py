@@ -11,6 +11,8 @@ from usarmjx.view.layers.nodes import InstanceNode, NodeLayer
 
 NAME_GAP = 0.15
 """Names stand so far above robots [m]."""
+NAME_TOLERANCE = 0.01
+"""A name that would move by less stays: each is a message of its own, and nobody sees it [m]."""
 RING_GAP, RING_SHARE = 0.08, 1.2
 """Rings are so much wider than robots: a share of them, and something on top [m]."""
 RING_WIDTH, RING_HEIGHT = 0.14, 0.05
@@ -54,6 +56,8 @@ class NameLayer(NodeLayer):
     def draw(self, drawing: Drawing) -> None:
         """Write the names; they are hidden until their robots are there."""
         self._labels: dict[int, viser.LabelHandle] = {}
+        self._above: dict[int, np.ndarray] = {}
+        """Where names of robots that are there stand."""
         for slot, robot in drawing.robots.items():
             self._labels[slot] = self.scene.add_label(
                 f"{self.root}/{slot}",
@@ -66,11 +70,15 @@ class NameLayer(NodeLayer):
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Move each to its robot."""
         for slot, label in self._labels.items():
-            robot = frame.robots.get(slot)
-            label.visible = robot is not None
-            if robot is not None:
-                above = drawing.robots[slot].dimensions[2] / 2 + NAME_GAP
-                label.position = np.add(robot.pos, (0.0, 0.0, above))
+            robot, before = frame.robots.get(slot), self._above.get(slot)
+            if (robot is None) != (before is None):
+                label.visible = robot is not None
+            if robot is None:
+                self._above.pop(slot, None)
+                continue
+            above = np.add(robot.pos, (0.0, 0.0, drawing.robots[slot].dimensions[2] / 2 + NAME_GAP))
+            if before is None or np.abs(above - before).max() > NAME_TOLERANCE:
+                label.position = self._above[slot] = above
 
 
 class RingLayer(NodeLayer):
