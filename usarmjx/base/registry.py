@@ -54,9 +54,23 @@ class Registry(Generic[T]):
             raise UnknownNameError(f"unknown {self.kind} {name!r}; known: {known}")
         return self._entries[key][1]
 
+    def find(self, name: str) -> T | None:
+        """Return the entry of that name or alias, case ignored, or None."""
+        return self.get(name) if name in self else None
+
     def names(self) -> list[str]:
         """Return the registered names, sorted without case, in the spelling they were added with."""
         return sorted((name for name, _ in self._entries.values()), key=str.lower)
+
+    def discard(self, name: str) -> None:
+        """Take out the entry of that name, case ignored, if there is one."""
+        self._entries.pop(name.lower(), None)
+
+    def copy(self) -> "Registry[T]":
+        """Return a table of the same entries and aliases."""
+        other: Registry[T] = Registry(self.kind)
+        other._entries, other._aliases = dict(self._entries), dict(self._aliases)
+        return other
 
     def __contains__(self, name: str) -> bool:
         """Return whether a name or alias is registered, case ignored."""

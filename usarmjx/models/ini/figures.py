@@ -107,7 +107,7 @@ def set_centre(robot: RobotSpec, at: Vec3) -> RobotSpec:
     x, y, z = (edge / 4 for edge in robot.dimensions)
     ballast = Shape(kind="box", size=(x, y, z), at=at, mass=mass, surface="fixture", rgba=(0, 0, 0, 0))
     light = tuple(replace(shape, mass=0.0) for shape in robot.chassis)
-    return replace(robot, chassis=(*light, ballast), cog=at)
+    return replace(robot, chassis=(*light, ballast))
 
 
 SETTERS: dict[str, tuple[float, Callable[[RobotSpec, float], RobotSpec]]] = {

@@ -59,7 +59,7 @@ Definitions = Mapping[str, tuple[LinkLine, ...]]
 """The links of each package class, by its name in lower case."""
 
 
-def read_packages(files: Sequence[IniFile], uu_per_metre: float, notes: WarningLog) -> Definitions:
+def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
     """Return the packages that `[USARMisPkg.X]` sections define; a later file's Links replace all before.
 
     Raises:
@@ -72,9 +72,7 @@ def read_packages(files: Sequence[IniFile], uu_per_metre: float, notes: WarningL
                 continue
             section = file.section(name)
             by_uu = section.last("bMountByUU")
-            units = Units(
-                by_uu is not None and as_bool(by_uu, by_uu.value, "bMountByUU"), uu_per_metre=uu_per_metre
-            )
+            units = Units(by_uu is not None and as_bool(by_uu, by_uu.value, "bMountByUU"), file.uu_per_metre)
             for line in section.lines:
                 if line.key.lower() not in ("links", "bmountbyuu"):
                     notes.add(line, f"unknown key {line.key}; a package has Links and bMountByUU")

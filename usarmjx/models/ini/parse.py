@@ -35,6 +35,8 @@ _HEADER = re.compile(r"\[([^\[\]]*)\]")
 _KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s*([0-9]{1,9})\s*\])?")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _REMOVES = ("-", "!")
+UU_PER_METRE = 250.0
+"""Unreal units in a metre (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5."""
 MOST_BYTES = 4_000_000
 """Of an ini file."""
 MOST_LINES = 50_000
@@ -84,10 +86,12 @@ class IniFile:
     Attributes:
         path: Where it came from, for messages.
         sections: In order, a repeated one as often as it stands there.
+        uu_per_metre: Length of a metre in its Unreal units.
     """
 
     path: str
     sections: tuple[Section, ...]
+    uu_per_metre: float = UU_PER_METRE
 
     def section(self, name: str) -> Section:
         """Return all lines under that name in order, case ignored; no lines if there is no such section."""

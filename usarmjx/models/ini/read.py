@@ -7,14 +7,13 @@ from typing import NoReturn
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.ini.parse import IniValue, Line, Reference, Struct
+from usarmjx.models.ini.parse import UU_PER_METRE, IniValue, Line, Reference, Struct
 from usarmjx.models.ini.values import quote_short
 
 LARGEST = 1e12
 """Of numbers, so that their cubes can be worked with."""
-UU_PER_METRE = 250.0
 UU_PER_RADIAN = 32768 / math.pi
-"""Unreal units (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5 to the metre."""
+"""Unreal's angles in a radian (manual 6.2)."""
 
 
 @dataclass(frozen=True)

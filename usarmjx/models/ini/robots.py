@@ -5,7 +5,7 @@ Cameras, MisPkgs, JointParts, Wheels) of one file replaces what the class had or
 Unreal's arrays do; AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.models.ini.classes import read_classes
 from usarmjx.models.ini.items import Settings, WarningLog, examples, with_defaults
 from usarmjx.models.ini.packages import known_packages, read_packages, redefine
-from usarmjx.models.ini.parse import read_ini
+from usarmjx.models.ini.parse import IniFile, read_ini
 from usarmjx.models.ini.read import UU_PER_METRE, as_class, fail
 from usarmjx.models.ini.sort import sort_sections
 from usarmjx.models.ini.spec import BuildContext, RobotSection, build_robot
@@ -67,13 +67,29 @@ def load_robots(
             message names file and line, what was wrong and what is allowed.
         UsageError: A scale that is not above 0.
     """
+    return build_robots(read_files(paths, uu_per_metre), robots, settings)
+
+
+def read_files(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -> tuple[IniFile, ...]:
+    """Read ini files whose Unreal units have that scale.
+
+    Raises:
+        SpecError: A file that does not read; names file and line.
+        UsageError: A scale that is not above 0.
+    """
     if not uu_per_metre > 0:
         raise UsageError(f"Unreal units per metre are {uu_per_metre:g}, expected a number above 0")
-    files = [read_ini(Path(path)) for path in paths]
+    return tuple(replace(read_ini(Path(path)), uu_per_metre=uu_per_metre) for path in paths)
+
+
+def build_robots(
+    files: Sequence[IniFile], robots: Registry[RobotSpec], settings: Settings | None = None
+) -> LoadedRobots:
+    """Return what ini files say of the robot classes that there are; see `load_robots`."""
     notes = WarningLog()
-    definitions = read_packages(files, uu_per_metre, notes)
+    definitions = read_packages(files, notes)
     classes = read_classes(files, robots.names(), settings, notes)
-    found = sort_sections(files, robots, settings, uu_per_metre, notes, classes)
+    found = sort_sections(files, robots, settings, notes, classes)
     sources = BuildContext(
         robots=robots,
         definitions=definitions,

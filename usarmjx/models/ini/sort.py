@@ -44,7 +44,6 @@ def sort_sections(
     files: Sequence[IniFile],
     robots: Registry[RobotSpec],
     settings: Settings | None,
-    uu_per_metre: float,
     notes: WarningLog,
     classes: ItemClasses,
 ) -> SortedSections:
@@ -64,7 +63,7 @@ def sort_sections(
             if name in map(str.lower, SECTIONS_ELSEWHERE):
                 continue
             if name.startswith(ROBOT_PREFIX):
-                _take_section(found, section, robots, settings, Units(uu_per_metre=uu_per_metre), notes)
+                _take_section(found, section, robots, settings, Units(uu_per_metre=file.uu_per_metre), notes)
             else:
                 notes.add(section.lines[0], f"section [{section.name}] is not about robots: ignored")
     return found
@@ -124,6 +123,7 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
     orders = found.robots.setdefault(
         name.lower(), RobotSection(name=name, first=section.lines[0], units=units)
     )
+    orders.units = replace(orders.units, uu_per_metre=units.uu_per_metre)
     if (by_uu := section.last("bMountByUU")) is not None:
         orders.units = replace(orders.units, by_uu=as_bool(by_uu, by_uu.value, "bMountByUU"))
     for key in LISTS:
