@@ -11,7 +11,6 @@ SOURCES = sorted((dev.ROOT / "usarmjx").rglob("*.py"))
 TESTS = sorted((dev.ROOT / "tests").rglob("*.py"))
 MOST_LINES = 400
 SEVERAL_MEANINGS = {
-    "EngineOption": "a command's option, whose help says what the best engine is best for",
     "Values": "what a library of environments has by agents' names: PettingZoo anything, JaxMARL arrays",
 }
 """Names that may mean different things in different modules, and why."""

@@ -37,8 +37,7 @@ def serve(monkeypatch):
 
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", build)
     monkeypatch.setattr("usarmjx.server.wireless.net.RadioChannel", lambda *_: FakeRadio(()))
-    monkeypatch.setattr("usarmjx.cli.play._source", lambda *_: None)
-    monkeypatch.setattr("usarmjx.cli.play._policy_worlds", lambda *_: [StillWorld()])
+    monkeypatch.setattr("usarmjx.cli.play._policy_worlds", lambda *_: ([StillWorld()], []))
     return run
 
 

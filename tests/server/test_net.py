@@ -300,7 +300,7 @@ def processes(tmp_path_factory):
     """Two servers of their own, started together: (process, port) by the signal that will end each."""
     cache = str(tmp_path_factory.mktemp("cache"))
     command = [sys.executable, "-m", "usarmjx", "serve", "--port", "0", "--engine", "c"]
-    command += ["--no-wireless", "--no-images", "--no-viewer"]
+    command += ["--no-wireless", "--no-images", "--no-view"]
     running = {
         number: subprocess.Popen(
             command,

@@ -1,6 +1,11 @@
 """The command line. Imports happen inside the commands, so that `--help` answers at once."""
 
+import importlib.metadata
+import sys
+from typing import Annotated, Any
+
 import typer
+from typer.core import TyperGroup
 
 from usarmjx.cli import (
     arena,
@@ -8,6 +13,7 @@ from usarmjx.cli import (
     chaos,
     console,
     demo,
+    evaluation,
     listing,
     play,
     portraits,
@@ -17,17 +23,52 @@ from usarmjx.cli import (
     serve,
     train,
 )
+from usarmjx.cli.spelling import respelt
+from usarmjx.cli.waiting import say
+
+HELP = {"help_option_names": ["-h", "--help"]}
+
+
+class RootCommand(TyperGroup):
+    """All of the command line; old spellings of options become the present ones here."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
+        """Parse what was typed."""
+        return super().parse_args(ctx, respelt(args, say))
+
 
 app = typer.Typer(
+    cls=RootCommand,
     help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings=HELP,
     pretty_exceptions_enable=False,
 )
+
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        version = importlib.metadata.version("usarmjx")
+        typer.echo(f"usarmjx {version} (Python {'.'.join(map(str, sys.version_info[:3]))})")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", "-V", callback=_tell_version, is_eager=True, help="Tell the version."),
+    ] = False,
+) -> None:
+    """USARSim rebuilt as a GPU-batched simulator of multi-robot swarms."""
+    del version
+
+
 app.add_typer(bench.app, name="bench")
 app.add_typer(arena.app, name="arena")
 app.add_typer(train.app)
-app.add_typer(play.app)
+app.command("eval")(evaluation.evaluate_policy)
+app.command()(play.play)
 app.command("list")(listing.list_everything)
 app.command()(portraits.portraits)
 app.command()(serve.serve)

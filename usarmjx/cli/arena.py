@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="List, draw, check and generate arenas.", no_args_is_help=True)
 
 PngOption = Annotated[Path | None, typer.Option(help="Write the floor plan to this PNG file.")]
-ViewOption = Annotated[
+PerspectiveOption = Annotated[
     Path | None, typer.Option("--perspective", help="Write a picture from a corner above to this PNG file.")
 ]
 LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, from 0 to 1.")]
@@ -36,7 +36,7 @@ def list_arenas() -> None:
 def draw(
     arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
     png: PngOption = None,
-    perspective: ViewOption = None,
+    perspective: PerspectiveOption = None,
 ) -> None:
     """Draw an arena's floor plan, or the arena from a corner above, or both."""
     with ErrorExit():
@@ -54,7 +54,7 @@ def check(
     arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
     robot: Annotated[str, typer.Option(help="Robot class that shall start and drive there.")] = "P2AT",
     png: PngOption = None,
-    perspective: ViewOption = None,
+    perspective: PerspectiveOption = None,
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
     with ErrorExit():
@@ -87,7 +87,7 @@ def generate(
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
     victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
     png: PngOption = None,
-    perspective: ViewOption = None,
+    perspective: PerspectiveOption = None,
     yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
     xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
 ) -> None:

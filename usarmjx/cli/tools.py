@@ -8,6 +8,7 @@ import typer
 
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.files import disk_fault
+from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 
 
 class ErrorExit:
@@ -32,11 +33,25 @@ class ErrorExit:
 
 
 SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
-EngineOption = Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for the purpose here.")]
-ArenaOption = Annotated[str, typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.")]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        help="warp, jax, c, or auto: the best for the purpose here.", autocompletion=complete_engines
+    ),
+]
+ArenaOption = Annotated[
+    str,
+    typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.", autocompletion=complete_arenas),
+]
+ArenaArgument = Annotated[str, typer.Argument(help="Arena name, or a file.", autocompletion=complete_arenas)]
+RobotOption = Annotated[str, typer.Option(help="Robot class.", autocompletion=complete_robots)]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
+]
+WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
+RadioIniOption = Annotated[
+    Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
 ]
 PortOffsetOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Added to this port and all others, for a second server.")

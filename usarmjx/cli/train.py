@@ -13,7 +13,7 @@ import typer
 
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, SeedOption
-from usarmjx.cli.viewer_options import ShowLiveOption, ViewerPortOption, viewer_server, viewer_socket
+from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce
 from usarmjx.server.signals import PARENT_PIPE
 
@@ -55,7 +55,7 @@ def train(
         ),
     ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
-    view: ShowLiveOption = False,
+    view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
     record: RecordOption = None,
     record_every: Annotated[

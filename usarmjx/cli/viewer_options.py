@@ -23,11 +23,8 @@ if TYPE_CHECKING:
     from usarmjx.server.viewing.viewer_service import ViewerSettings
     from usarmjx.view.page import ViewerPage
 
-ViewerOption = Annotated[
-    bool, typer.Option("--viewer/--no-viewer", help="Show the worlds in three dimensions, in a browser.")
-]
-ShowLiveOption = Annotated[
-    bool, typer.Option("--view", help="Show what happens in three dimensions, in a browser.")
+ViewOption = Annotated[
+    bool, typer.Option("--view/--no-view", help="Show what happens in three dimensions, in a browser.")
 ]
 ViewerControlOption = Annotated[
     bool,

@@ -1,0 +1,56 @@
+"""Names that a shell completes. They are written down here, as registries take a second or two to import.
+
+A test compares them with the registries.
+"""
+
+ARENA_NAMES = (
+    *("arda", "factory", "field", "orange", "outdoor", "pool", "red", "soccer", "yellow"),
+    *("DM-ARDA", "DM-Factory", "DM-Field", "DM-Outdoor", "DM-Pool", "DM-Soccer"),
+    *("DM-USAR_orange", "DM-USAR_red", "DM-USAR_yellow"),
+)
+ROBOT_NAMES = (
+    *("AirRobot", "ATRVJr", "ComStation", "Cooper", "ERS", "Hummer", "kenaf", "Kurt2D", "Kurt3D", "Lisa"),
+    *("OmniP2AT", "OmniP2DX", "P2AT", "P2DX", "Passarola", "QRIO", "Rugbot", "Sedan", "SnowStorm", "Soryu"),
+    *("StereoP2AT", "Submarine", "Talon", "Tarantula", "TeleMax", "UnitLoader", "Zerg"),
+)
+TASK_NAMES = (
+    *("convoy", "drive-to-goal", "explore", "hover-inspect", "relay-chain", "soccer", "stairs"),
+    *("victim-search", "wander"),
+)
+POLICY_NAMES = ("drive-to-goal", "explore", "victim-search")
+ENGINE_NAMES = ("auto", "c", "jax", "warp")
+KIND_NAMES = ("building", "collapsed", "maze", "ramps", "rubble", "steps")
+
+
+def complete_arenas(incomplete: str) -> list[str]:
+    """Return the arenas whose names begin so."""
+    return _beginning(ARENA_NAMES, incomplete)
+
+
+def complete_robots(incomplete: str) -> list[str]:
+    """Return the robot classes whose names begin so."""
+    return _beginning(ROBOT_NAMES, incomplete)
+
+
+def complete_tasks(incomplete: str) -> list[str]:
+    """Return the tasks whose names begin so."""
+    return _beginning(TASK_NAMES, incomplete)
+
+
+def complete_policies(incomplete: str) -> list[str]:
+    """Return the packaged policies whose names begin so."""
+    return _beginning(POLICY_NAMES, incomplete)
+
+
+def complete_engines(incomplete: str) -> list[str]:
+    """Return the engines whose names begin so."""
+    return _beginning(ENGINE_NAMES, incomplete)
+
+
+def complete_kinds(incomplete: str) -> list[str]:
+    """Return the kinds of generated arenas whose names begin so."""
+    return _beginning(KIND_NAMES, incomplete)
+
+
+def _beginning(names: tuple[str, ...], incomplete: str) -> list[str]:
+    return [name for name in names if name.lower().startswith(incomplete.lower())]

@@ -1,0 +1,88 @@
+"""The options that name a policy, for commands that try one or show it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import typer
+
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
+from usarmjx.cli.tools import SeedOption
+
+if TYPE_CHECKING:
+    from usarmjx.train.envs.env import Env
+    from usarmjx.train.envs.policy import Policy
+    from usarmjx.train.policies.sources import PolicySource
+
+PolicyEngineOption = Annotated[
+    str, typer.Option(help="warp, jax, c, or auto: the best for this here.", autocompletion=complete_engines)
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyOptions:
+    """A policy, and what it is for; each field is an option."""
+
+    panel: ClassVar[str] = "Policy"
+
+    policy: Annotated[
+        str | None,
+        typer.Argument(
+            help="Folder of a run, a file of `usarmjx export`, or the task of a packaged policy.",
+            autocompletion=complete_policies,
+        ),
+    ] = None
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of a trained policy the one written by hand for a task.",
+            autocompletion=complete_tasks,
+        ),
+    ] = None
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of the task, if it is not the one that the policy is for; alone: its packaged policy.",
+            autocompletion=complete_tasks,
+        ),
+    ] = None
+    checkpoint: Annotated[str, typer.Option(help="Of a run: best, last, or the number of an iteration.")] = (
+        "best"
+    )
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", "-c", help="A field of the task as key=value; may be repeated."),
+    ] = None
+    seed: SeedOption = 0
+
+    def source(self) -> "PolicySource":
+        """Return the policy.
+
+        Raises:
+            UsageError: None is named, or two are, or there is none of that name.
+        """
+        from usarmjx.train.policies.sources import baseline as by_hand
+        from usarmjx.train.policies.sources import find_source
+
+        if self.baseline is not None and self.policy is None:
+            return by_hand(self.baseline, self.task)
+        named = self.policy or self.task
+        if named is None or self.baseline is not None:
+            raise UsageError("name either a run, file or packaged policy, or a --baseline")
+        found = find_source(named, self.checkpoint)
+        same = self.task is None or self.task.lower() == found.task.lower()
+        # Another task has other fields than those that were set in training.
+        return found if same else replace(found, task=str(self.task), overrides={})
+
+    def env(self, source: "PolicySource", worlds: int, engine: str) -> "tuple[Env, Policy]":
+        """Return so many worlds of the policy's task, and the policy; tell what could not be set."""
+        env, driver, notes = source.env(self.settings or (), worlds=worlds, engine=engine, seed=self.seed)
+        for note in notes:
+            typer.echo(f"usarmjx: note: {note}", err=True)
+        return env, driver
+
+    @property
+    def set_by_hand(self) -> Sequence[str]:
+        """The fields that were set, as typed."""
+        return [*(self.settings or ())]
