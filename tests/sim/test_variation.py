@@ -18,7 +18,7 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.reset import init_world
+from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import RosterEntry, build_scene
 
 CONVERGED = Physics(iterations=30, ls_iterations=20)
@@ -270,6 +270,18 @@ def test_a_number_depends_on_world_episode_quantity_and_slot_alone():
     (some,) = drawn(replace(ALL, classes=("Zerg",)), 5, ("P2AT", "Zerg"))
     np.testing.assert_array_equal(some.mass, [1.0, everything.mass[1]])
     np.testing.assert_array_equal(some.latency, [0, everything.latency[1]])
+
+
+def test_ranges_that_are_data_are_drawn_from_as_if_the_scene_had_them():
+    narrow = DomainRandomization(friction=(0.3, 0.4), latency=(2, 3), radio_cutoff=(-60.0, -60.0))
+    scene = build_scene(FLAT, [LEAN, LEAN], radio=RadioSettings(), vary=replace(narrow, friction=(0.1, 9.0)))
+    key = jax.random.fold_in(jax.random.key(0), 5)
+    own = {"friction": jnp.array([0.3, 0.4]), "radio_cutoff": jnp.array([-60.0, -60.0])}
+    blank = init_world(scene, key, jnp.int32(5))[0].replace(ranges=own, episode=jnp.int32(-1))
+    world, _ = jax.jit(lambda world: reset(scene, world))(blank)
+    (expected,) = drawn(narrow, 5)
+    for a, b in zip(jax.tree.leaves(world.varied), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_batch_draws_what_its_worlds_draw():

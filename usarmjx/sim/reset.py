@@ -77,7 +77,10 @@ def reset(
     )
     if scene.varied_bodies is not None:
         drawn = sample_values(
-            scene.varied_bodies.vary, scene.varied_bodies.varies, episode_key(world, Stream.RANDOMIZATION)
+            scene.varied_bodies.vary,
+            scene.varied_bodies.varies,
+            episode_key(world, Stream.RANDOMIZATION),
+            world.ranges,
         )
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)

@@ -112,6 +112,8 @@ class World(struct.PyTreeNode, kw_only=True):
         links: The radio links as last evaluated; None without a radio.
         mail: The robots' boxes; None without mail.
         varied: What this world and its robots have otherwise than others; None: nothing.
+        ranges: The ranges that this draws from, where they differ between worlds: lowest and highest of
+            some quantities of `DomainRandomization` (2,); None: all have the scene's.
     """
 
     key: Array
@@ -125,6 +127,7 @@ class World(struct.PyTreeNode, kw_only=True):
     links: Links | None = None
     mail: Inboxes | None = None
     varied: RandomizedValues | None = None
+    ranges: dict[str, Array] | None = None
 
     def with_group(self, index: int, group: GroupState) -> "World":
         """Return the world with the state of one group of robots replaced; batched worlds alike."""

@@ -183,6 +183,15 @@ def test_a_world_is_the_same_alone_as_in_a_batch(begun):
     assert int(one.batch.worlds.episode[0]) == 1
 
 
+def test_worlds_that_are_told_their_keys_begin_as_those_of_their_numbers(env):
+    key = jax.random.key(env.seed)
+    keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(jnp.array([2, 0, 2]))
+    usual, told = env.reset(), env.reset_each(keys)
+    for a, b in zip(jax.tree.leaves(worldly(told).memory), jax.tree.leaves(usual.memory), strict=True):
+        np.testing.assert_array_equal(a, np.asarray(b)[[2, 0, 2]])
+    np.testing.assert_array_equal(told.obs[0], np.asarray(usual.obs[0])[[2, 0, 2]])
+
+
 def test_seeds_give_other_episodes_and_the_same_seed_the_same(env):
     one, again, other = env.reset(4), env.reset(4), env.reset(5)
     same(worldly(one), worldly(again), slice(None))

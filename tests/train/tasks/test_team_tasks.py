@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
+from usarmjx.models.build.variation import RandomizedValues
 from usarmjx.train.baselines.frontier import frontier_action
 from usarmjx.train.baselines.relay import relay_policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.maps import FREE, MARK, WALL
-from usarmjx.train.scenes.buildings import Buildings, arena_grid_of, reachable_of, sort_starts
+from usarmjx.train.scenes.buildings import Buildings, _fingerprint, arena_grid_of, reachable_of, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
 from usarmjx.train.tasks.team_parts import coverage, to_robot_frame
@@ -293,6 +294,35 @@ class Fake:
     def __init__(self, robots, talk="all"):
         self.scene, self.episode_steps = type("Scene", (), {"num_robots": robots}), 200
         self.task = type("Task", (), {"talk": talk})
+
+
+def test_a_relay_sees_powers_above_the_cutoff_of_its_own_world():
+    task = RelayChain(arena=room(STARTS), count=1)
+    scene, world, physics = begin(task)
+    view = view_of(scene, world, physics, [(0.6, 0.9, 0.0), (1.6, 0.9, 0.0)], linked=chain(2, (0, 1)))
+    heard = view.links.replace(power=jnp.full((2, 2), task.radio.cutoff + 5.0))
+    memory = task.start(view, jax.random.key(0))
+
+    def margins(varied):
+        own = view.world.replace(links=heard, varied=varied)
+        return np.asarray(task.observations(view.replace(world=own), memory))[:, -1]
+
+    np.testing.assert_allclose(margins(None), 5.0 / 20.0, rtol=1e-6)
+    deaf = RandomizedValues(radio_cutoff=jnp.float32(task.radio.cutoff + 3.0))
+    np.testing.assert_allclose(margins(deaf), 2.0 / 20.0, rtol=1e-6)
+
+
+def test_thousands_of_arenas_are_told_apart():
+    """In single precision one sum for each of 3000 arenas would be the same for some two of them."""
+    draw = np.random.default_rng(0)
+    prints = np.stack(
+        [_fingerprint(draw.uniform(-6.0, 6.0, (20, 3)).astype(np.float32), np) for _ in range(3000)]
+    )
+    one = np.sort(prints[:, 0])
+    assert np.diff(one).min() < 1e-4
+    order = np.argsort(prints[:, 0])
+    near = [np.abs(np.roll(prints[order], -k, 0) - prints[order]).max(-1).min() for k in range(1, 4)]
+    assert min(near) > 1e-2
 
 
 def test_a_relay_stops_where_the_one_before_it_is_hard_to_hear():

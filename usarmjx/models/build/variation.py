@@ -5,10 +5,10 @@ physics reach the engine as fields of its model that differ between worlds (`eng
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from flax import struct
@@ -156,7 +156,9 @@ class RandomizedValues(struct.PyTreeNode, kw_only=True):
     radio_atten_fac: Array | None = None
 
 
-def sample_values(vary: DomainRandomization, varies: np.ndarray, key: Array) -> RandomizedValues:
+def sample_values(
+    vary: DomainRandomization, varies: np.ndarray, key: Array, ranges: Mapping[str, Array] | None = None
+) -> RandomizedValues:
     """Return the numbers of a world for an episode.
 
     A number depends on the key, the quantity and the robot's slot alone: neither on the other quantities nor
@@ -166,12 +168,13 @@ def sample_values(vary: DomainRandomization, varies: np.ndarray, key: Array) -> 
         vary: The ranges.
         varies: Which robots vary, by slot (robots,).
         key: The world's and the episode's.
+        ranges: The world's own ranges of some of these quantities, lowest and highest (2,).
     """
-    drawn = {}
+    drawn, given = {}, ranges or {}
     for place, (name, rule) in enumerate(QUANTITY_RULES.items()):
-        span = vary.range_of(name)
-        if span is None:
+        if vary.range_of(name) is None:
             continue
+        span = given.get(name, vary.range_of(name))
         own = random.fold_in(key, place)
         if not rule.robots:
             drawn[name] = _number(rule, span, own)
@@ -181,10 +184,10 @@ def sample_values(vary: DomainRandomization, varies: np.ndarray, key: Array) -> 
     return RandomizedValues(**drawn)
 
 
-def _number(rule: QuantityRule, span: Range, key: Array) -> Array:
-    low, high = span
+def _number(rule: QuantityRule, span: Any, key: Array) -> Array:  # noqa: ANN401 - two numbers, traced or not
+    low, high = span[0], span[1]
     if rule.whole:
-        return random.randint(key, int(low), int(high) + 1)
+        return random.randint(key, low, high + 1)
     return random.uniform(key, (), low, high)
 
 

@@ -158,7 +158,32 @@ class Env:
             raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
         level_now = jnp.float32(level)
         key = jax.random.key(self.seed if seed is None else seed)
-        blank = self._blank(key, level_now, self._arenas(level_now))
+        return self._begin(self._blank(key, level_now, self._arenas(level_now)))
+
+    def reset_each(
+        self,
+        keys: jax.Array,
+        arenas: ArenaState | None = None,
+        ranges: dict[str, jax.Array] | None = None,
+    ) -> EnvState:
+        """Return all worlds at the start of their first episode, each with what is its own.
+
+        A world's first episode is then the same whatever other worlds there are; later ones meet any of the
+        arenas.
+
+        Args:
+            keys: Of all random numbers, one for each world (worlds,).
+            arenas: Theirs, of the shapes of the scene's (worlds, ...); None: the scene's, in turn.
+            ranges: What the worlds draw from, by names of quantities that the task varies (worlds, 2).
+        """
+        level = jnp.float32(1.0)
+        arenas = self._arenas(level) if arenas is None else arenas
+        blank = self._blank(jax.random.key(0), level, arenas)
+        worlds = blank.batch.worlds.replace(key=keys, ranges=ranges)
+        return self._begin(blank.replace(batch=blank.batch.replace(worlds=worlds)))
+
+    def _begin(self, blank: EnvState) -> EnvState:
+        """Begin the first episodes."""
         blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
         state = self._restart(blank, blank.done)
         return state.replace(done=state.bad, final_obs=state.obs, final_privileged=state.privileged)

@@ -19,8 +19,8 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.maps import MapGrid, grid_of, reachable_squares
 
-FINGERPRINT_FREQUENCY = 12.9898
-"""Of the angles that tell arenas apart."""
+FINGERPRINT_FREQUENCIES = np.array([12.9898, 5.3719, 8.1637, 3.7331])
+"""Of the angles that tell arenas apart; one number each would not do among thousands of arenas."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class ArenaGrid(NamedTuple):
     Attributes:
         grid: Where they are; the same for all arenas.
         reachable: Which a robot gets to (arenas, i, j).
-        fingerprints: What tells the arenas apart (arenas,).
+        fingerprints: What tells the arenas apart (arenas, numbers).
     """
 
     grid: MapGrid
@@ -104,16 +104,16 @@ def arena_grid_of(where: ArenaSpec | ArenaSet, cell: float, robot: str) -> Arena
     arenas = where.arenas if isinstance(where, ArenaSet) else (where,)
     grid, size = grid_of(tuple(arenas), cell), footprint_of(ROBOTS.get(robot))
     tables = np.stack([reachable_squares(arena, grid, size) for arena in arenas])
-    probes = [_fingerprint(pos, np) for pos in where.states.pos] if isinstance(where, ArenaSet) else [0.0]
+    probes = [_fingerprint(pos, np) for pos in where.states.pos] if isinstance(where, ArenaSet) else [[0.0]]
     return ArenaGrid(grid=grid, reachable=tables, fingerprints=np.array(probes, np.float32))
 
 
 def _fingerprint(pos: Array, xp: ModuleType) -> Array:
-    """Return a number that differs between two arenas whose solids differ (): a sum of sines."""
+    """Return numbers that differ between two arenas whose solids differ (numbers,): sums of sines."""
     flat = np.arange(pos.size).reshape(pos.shape)
     inside = pos[..., 2:] > -100.0  # parked ones say nothing
-    weights = np.cos(FINGERPRINT_FREQUENCY * flat).astype(np.float32)
-    return (xp.where(inside, pos, 0.0) * weights).sum()
+    weights = np.cos(FINGERPRINT_FREQUENCIES[:, None, None] * flat).astype(np.float32)
+    return (xp.where(inside, pos, 0.0) * weights).sum((1, 2))
 
 
 def reachable_of(view: TaskView, arena_grid: ArenaGrid) -> jax.Array:
@@ -125,4 +125,4 @@ def reachable_of(view: TaskView, arena_grid: ArenaGrid) -> jax.Array:
     if view.world.arena_state is None:
         return tables[0]
     own = _fingerprint(view.world.arena_state.pos, jnp)
-    return tables[jnp.argmin(jnp.abs(own - arena_grid.fingerprints))]
+    return tables[jnp.argmin(jnp.abs(own - arena_grid.fingerprints).max(-1))]

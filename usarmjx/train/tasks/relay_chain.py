@@ -10,6 +10,7 @@ from flax import struct
 
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.radio import world_radio
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
@@ -151,7 +152,8 @@ class RelayChain(TeamTask):
         age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
         others = other_slots(robots)
         rows = jnp.arange(robots)[:, None]
-        cutoff = 0.0 if self.radio is None else self.radio.cutoff
+        # A robot's radio knows its own cutoff, also where that differs between worlds.
+        cutoff = 0.0 if self.radio is None else world_radio(view.scene, view.world).cutoff
         margin = jnp.clip((view.links.power[rows, others] - cutoff) / SIGNAL_SCALE, -1.0, 1.0)
         return jnp.concatenate([super().observations(view, memory), home, age, margin], -1)
 
