@@ -27,7 +27,8 @@ CURVE = ((0.0, 0.0), (2.0, 1.0), (4.0, 5.0))
 
 
 def sonar(name: str, **keys: object) -> Mount:
-    return Mount(kind="Sonar", name=name, at=AHEAD, options=options(**keys))
+    """One that is deaf to the floor, unless told otherwise."""
+    return Mount(kind="Sonar", name=name, at=AHEAD, options=options(**{"MaxIncidence": 1.309} | keys))
 
 
 def scanner(name: str, **keys: object) -> Mount:
@@ -50,7 +51,7 @@ BENCH = replace(
         sonar("Clean", Noise=0.0),
         sonar("Noisy", Noise=0.3, MinRange=1.0, MaxRange=3.0),
         sonar("Curved", Noise=0.0, OutputCurve=CURVE),
-        sonar("Keen", Noise=0.0, MaxIncidence=1.58),
+        Mount(kind="Sonar", name="Keen", at=AHEAD, options=options(Noise=0.0)),
         scanner("Clean", ScanInterval=0.5),
         scanner("Tilted", bYaw=False, bPitch=True, ScanInterval=0.02),
         scanner("Manual", ScanInterval=0.0),
@@ -81,6 +82,10 @@ BENCH = replace(
             at=(0.1, 0.2, -0.3),
             direction=(0.1, 0.2, 0.3),
             options=options(ScanInterval=0.0),
+        ),
+        *(
+            Mount(kind="INS", name=name, options=options(ScanInterval=0.0, PolarStep=True, **noise))
+            for name, noise in (("Polar", {"Sigma": 0.3, "Mean": 0.05}), ("QuietPolar", {"Sigma": 0.0}))
         ),
     ),
 )

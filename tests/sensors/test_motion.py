@@ -154,11 +154,13 @@ def hilly_path(steps: int):
     return time, at, np.stack([roll, pitch, yaw], -1)
 
 
+@pytest.mark.parametrize("name", ["Loud", "Polar"])
 @pytest.mark.oracle
-def test_ins_takes_the_manuals_seven_steps(bench):
+def test_ins_takes_the_manuals_seven_steps(bench, name):
+    """With PolarStep to the letter, else with the displacement in the robot's axes in the last three."""
     mean, sigma = 0.05, 0.3
     time, at, angles = hilly_path(60)
-    place = bench.suite.find("INS", "Loud")
+    place = bench.suite.find("INS", name)
     inputs = bench.inputs(0.0, at[0], angles[0])
     memory = bench.start(inputs)
     true, where = Rotation.from_euler("ZYX", angles[0][::-1]), at[0]
@@ -175,22 +177,26 @@ def test_ins_takes_the_manuals_seven_steps(bench):
             rate = rate + rate * (mean + sigma * turn_noise)  # 2
             estimate = estimate * Rotation.from_rotvec(rate * 0.1)  # 3
             moved = at[i] - where
-            distance = math.copysign(np.linalg.norm(moved), moved @ now.as_matrix()[:, 0])  # 4
-            distance = distance + distance * (mean + sigma * path_noise)  # 5
-            yaw, pitch, _ = estimate.as_euler("ZYX")
-            steps = math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), -math.sin(pitch)
-            position += distance * np.array(steps)  # 6, 7
+            if name == "Polar":
+                distance = math.copysign(np.linalg.norm(moved), moved @ now.as_matrix()[:, 0])  # 4
+                distance = distance + distance * (mean + sigma * path_noise)  # 5
+                yaw, pitch, _ = estimate.as_euler("ZYX")
+                steps = math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), -math.sin(pitch)
+                position += distance * np.array(steps)  # 6, 7
+            else:
+                position += estimate.apply(now.inv().apply(moved) * (1 + mean + sigma * path_noise))
         true, where = now, at[i]
-        ours = bench.value(readings, "INS", "Loud")
+        ours = bench.value(readings, "INS", name)
         np.testing.assert_allclose(ours[:3], position, atol=INERTIAL_ATOL)
         apart = (estimate.inv() * Rotation.from_euler("ZYX", ours[:2:-1])).magnitude()
         assert apart < INERTIAL_ATOL
     assert np.linalg.norm(position - at[-1]) > 0.05  # the noise did something
 
 
-def test_ins_without_noise_follows_the_truth(bench):
-    """On a circle each step's distance is laid off along the heading after the turn instead of along the
-    chord, so the estimate is the truth turned by half a step: an error of 2 sin(step / 4) of the way."""
+def test_ins_of_the_manuals_step_is_turned_by_half_a_step_on_a_circle(bench):
+    """Each step's distance is laid off along the heading after the turn instead of along the chord, so the
+    estimate is the truth turned by half a step: an error of 2 sin(step / 4) of the way. Without PolarStep
+    there is none."""
     radius, turn, steps = 2.0, 0.05, 40
     memory = None
     start = np.array([radius, 0.0, 0.26])
@@ -200,14 +206,32 @@ def test_ins_without_noise_follows_the_truth(bench):
         inputs = bench.inputs(0.1 * i, at, (0, 0, angle + math.pi / 2))
         memory = bench.start(inputs) if memory is None else memory
         memory, readings = bench.read(inputs, memory, seed=i)
-        ours = bench.value(readings, "INS", "Quiet")
-        error = np.linalg.norm(ours[:3] - at)
         way = np.linalg.norm(np.array(at) - start)
-        assert error == pytest.approx(2 * math.sin(turn / 4) * way, abs=INERTIAL_ATOL)
-        apart = (ours[5] - (angle + math.pi / 2) + math.pi) % (2 * math.pi) - math.pi
-        assert abs(apart) < INERTIAL_ATOL
-        assert np.abs(ours[3:5]).max() < INERTIAL_ATOL
+        for name, share in (("QuietPolar", 2 * math.sin(turn / 4)), ("Quiet", 0.0)):
+            ours = bench.value(readings, "INS", name)
+            error = np.linalg.norm(ours[:3] - at)
+            assert error == pytest.approx(share * way, abs=INERTIAL_ATOL)
+            apart = (ours[5] - (angle + math.pi / 2) + math.pi) % (2 * math.pi) - math.pi
+            assert abs(apart) < INERTIAL_ATOL
+            assert np.abs(ours[3:5]).max() < INERTIAL_ATOL
     assert way > 3
+
+
+@pytest.mark.parametrize("name", ["Quiet", "QuietPolar"])
+@pytest.mark.parametrize("way", [(0, 0, 1), (0, 1, 0), (1, 1, 0), (0.3, -0.4, -1)])
+def test_ins_sees_climbs_and_sideways_motion_unless_it_takes_the_manuals_step(bench, name, way):
+    """A level robot that looks along y is moved along `way` without turning. A polar step puts all of the
+    path along the nose, so that a climb is an error of its length."""
+    angles, memory, path = (0.0, 0.0, math.pi / 2), None, np.array(way, float)
+    for i in range(6):
+        at = np.array([1.0, 2.0, 0.3]) + 0.5 * i * path
+        inputs = bench.inputs(0.2 * i, at, angles)
+        memory = bench.start(inputs) if memory is None else memory
+        memory, readings = bench.read(inputs, memory, seed=i)
+    told = bench.value(readings, "INS", name)[:3] - (1.0, 2.0, 0.3)
+    along_the_nose = np.array([0.0, np.sign(path[1]) * np.linalg.norm(path), 0.0])
+    expected = 2.5 * (path if name == "Quiet" else along_the_nose)
+    np.testing.assert_allclose(told, expected, atol=INERTIAL_ATOL)
 
 
 def test_ins_follows_straight_drives_both_ways_exactly(bench):

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
+from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
 from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.ranging import ScannerSettings, beam_directions, fan_directions
+from usarmjx.sensors.ranging import ScannerSettings, SonarSettings, beam_directions, fan_directions
+from usarmjx.sensors.suite import suite_of
+from usarmjx.sim.configure import configure
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance
 RANGE_RTOL = 1e-5  # float32 beams that meet a wall 20 m away, flatly
@@ -59,6 +62,7 @@ def test_beam_lines_fill_the_cone_and_no_more():
 
 
 def test_sonars_of_a_level_robot_in_the_open_hear_nothing(bench):
+    """As in captured sessions, which read up to 5 m; a P2AT's are deaf to what they meet flatly."""
     inputs = bench.inputs()
     _, readings = bench.read(inputs, bench.start(inputs))
     rings = [f"{ring}{i}" for ring in "FR" for i in range(1, 9)]
@@ -66,15 +70,37 @@ def test_sonars_of_a_level_robot_in_the_open_hear_nothing(bench):
     assert values == [5.0] * 16  # MaxRange exactly, though these are noisy
 
 
-def test_the_floor_is_silent_because_of_its_angle_only(bench):
-    """A sonar without the limit on incidence hears it, where the cone's lowest line meets it."""
-    reading = bench.once("Sonar", "Keen")
-    assert reading == pytest.approx(HEIGHT / math.sin(BEAM / 2), abs=RANGE_ATOL)
-    # Nose down by 20 degrees the steepest line meets the floor at 30 degrees: 60 from its normal.
+def test_a_sonar_by_itself_hears_the_floor_where_its_cone_meets_it(bench):
+    """Manual 10.2.1 knows no angle at which a surface is silent; the lowest line is the shortest."""
+    floor = HEIGHT / math.sin(BEAM / 2)
+    assert floor == pytest.approx(1.497, abs=1e-3)
+    assert bench.once("Sonar", "Keen") == pytest.approx(floor, abs=RANGE_ATOL)
+
+
+@pytest.mark.parametrize(("name", "heard"), [("Keen", True), ("Clean", False)])
+def test_a_wall_met_at_a_grazing_angle_echoes_unless_max_incidence_forbids_it(bench, make_arena, name, heard):
+    """The beam's line nearest to the wall meets it at 80 degrees from its normal; MaxIncidence is 75."""
+    yaw = math.radians(80) + BEAM / 2
+    at = (2.0 - 0.4 - SONAR_X * math.cos(yaw), 0.0, 2.0)  # so high that no line ends on the floor within 5 m
+    reading = bench.once("Sonar", name, at=at, angles=(0.0, 0.0, yaw), geoms=make_arena(boxes=[wall(2.0)]))
+    expected = 0.4 / math.cos(math.radians(80))
+    assert reading == pytest.approx(expected if heard else 5.0, abs=1e-3)
+
+
+def test_with_a_max_incidence_the_floor_is_silent_because_of_its_angle_only(bench):
+    """Nose down by 20 degrees the steepest line meets the floor at 30 degrees: 60 from its normal."""
     down = math.radians(20)
     at = (0.0, 0.0, HEIGHT + SONAR_X * math.sin(down))
-    reading = bench.once("Sonar", "Clean", at=at, angles=(0.0, down, 0.0))
-    assert reading == pytest.approx(HEIGHT / math.sin(down + BEAM / 2), abs=RANGE_ATOL)
+    for name in ("Clean", "Keen"):
+        reading = bench.once("Sonar", name, at=at, angles=(0.0, down, 0.0))
+        assert reading == pytest.approx(HEIGHT / math.sin(down + BEAM / 2), abs=RANGE_ATOL)
+
+
+def test_only_a_sonar_with_a_max_incidence_asks_for_angles(bench, make_bench):
+    """They cost a normal for each ray: nobody pays who does not need them."""
+    plain = make_bench(replace(P2AT, name="Plain", sensors=(Mount(kind="Sonar", name="F1"),)))
+    assert not plain.suite.sensors[0].needs_incidence
+    assert bench.suite.sensors[bench.suite.index("Sonar")].needs_incidence
 
 
 def test_every_sonar_of_the_rings_looks_where_it_is_mounted(bench, make_arena):
@@ -189,3 +215,18 @@ def test_a_scanner_has_exactly_one_plane(bench, make_bench, both):
     mount = Mount(kind="RangeScanner", name="Flat", options=options(bYaw=both, bPitch=both))
     with pytest.raises(SpecError, match="exactly one of bYaw and bPitch"):
         make_bench(replace(P2AT, name="Wrong", sensors=(mount,))).start(bench.inputs())
+
+
+def test_the_rings_of_built_in_robots_are_deaf_to_the_floor_unless_a_section_says_otherwise(
+    monkeypatch, tmp_path
+):
+    def limits():
+        suite = suite_of(ROBOTS.get("P2AT"))
+        return {one.max_incidence for one in suite.sensors[suite.index("Sonar")].settings}
+
+    monkeypatch.setattr(ROBOTS, "_entries", dict(ROBOTS._entries))
+    assert SonarSettings().max_incidence == math.pi / 2
+    assert limits() == {1.309}
+    (tmp_path / "a.ini").write_text("[USARBot.SonarSensor]\nMaxIncidence=1.5708\n")
+    configure([tmp_path / "a.ini"])
+    assert limits() == {1.5708}

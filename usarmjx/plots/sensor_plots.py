@@ -129,7 +129,9 @@ def _laser(figure: Figure) -> None:
 def _sonar(figure: Figure) -> None:
     seen = range_study(ARENAS.get("yellow"), ROBOT_POSITION, ROBOT_YAW)
     axes = figure.add_subplot()
-    _plan(axes, "The sonars of a P2AT, and what they read [m], Noise=0.05; dotted: no echo within 5 m")
+    _plan(
+        axes, "The sonars of a P2AT, and what they read [m], Noise=0.05, MaxIncidence=1.309; dotted: no echo"
+    )
     axes.set(xlim=SONAR_VIEW[0], ylim=SONAR_VIEW[1])
     draw_sonars(axes, seen)
 
@@ -180,7 +182,7 @@ INS_RUNS, INS_SHOWN = 64, 5
 INS_CASES: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("Sigma=0.1, the default", {"Sigma": 0.1}, ORANGE),
     ("Sigma=0, Drifting, Precision=1000", {"Sigma": 0.0, "Drifting": True}, GREEN),
-    ("Sigma=0", {"Sigma": 0.0}, GREY),
+    ("Sigma=0, PolarStep=True", {"Sigma": 0.0, "PolarStep": True}, GREY),
 )
 
 

@@ -139,7 +139,6 @@ class Sensor(ABC):
     Attributes:
         kind: Type as on the wire.
         grouped: Whether all of the type share one message (bUseGroup).
-        needs_incidence: Whether it looks at the angle under which its rays meet surfaces.
         transparent: Materials that its rays go through.
         bundle_size: So many rays after each other go about the same way; see `raycast.nearest_hits`.
         needs_surroundings: Whether it asks for the surroundings.
@@ -154,7 +153,6 @@ class Sensor(ABC):
 
     kind: ClassVar[str]
     grouped: ClassVar[bool] = False
-    needs_incidence: ClassVar[bool] = False
     transparent: ClassVar[frozenset[str]] = frozenset({SKY})
     bundle_size: ClassVar[int] = DEFAULT_BUNDLE_SIZE
     needs_surroundings: ClassVar[bool] = False
@@ -233,6 +231,11 @@ class Sensor(ABC):
     def max_distance(self) -> float:
         """How far away what its rays meet matters to it [m]."""
         return math.inf
+
+    @property
+    def needs_incidence(self) -> bool:
+        """Whether it looks at the angle under which its rays meet surfaces."""
+        return False
 
     @property
     def on_command(self) -> bool:

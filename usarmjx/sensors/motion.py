@@ -14,7 +14,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.base.rotations import mat_from_rotation_vector, rotation_vector, wrap_angle
+from usarmjx.base.rotations import mat_from_rotation_vector, matvec, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
@@ -130,6 +130,8 @@ class InsSettings(SensorSettings):
         sigma: Standard deviation of the relative noise.
         drifting: Whether the estimate also drifts away.
         precision: The higher, the slower the drift.
+        polar_step: Whether a step is laid off along the heading, whichever way it went, as the manual words
+            it: a climb or a sideways motion is lost then. Ours.
     """
 
     weight: float = 0.1
@@ -138,6 +140,7 @@ class InsSettings(SensorSettings):
     sigma: Annotated[float, NOT_NEGATIVE] = 0.1
     drifting: Annotated[bool, ManualKey("Drifting")] = False
     precision: Annotated[float, POSITIVE] = 1000.0
+    polar_step: Annotated[bool, ManualKey("PolarStep")] = False
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):
@@ -186,10 +189,11 @@ class Ins(Sensor):
 
     @for_teams
     def read(self, inputs: SensorInput, memory: InsMemory, key: Array) -> tuple[InsMemory, Array]:
-        """The manual's seven steps.
+        """The manual's seven steps, of which the last three take the motion as it was in the robot's axes.
 
-        The distance carries the sign of the motion along the heading; the manual's has none, so that its
-        robot would count as driving forward when it backs up.
+        On a straight drive that is the manual's own step. The distance of `polar_step` carries the sign of
+        the motion along the heading; the manual's has none, so that its robot would count as driving
+        forward when it backs up.
         """
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
@@ -201,13 +205,13 @@ class Ins(Sensor):
         rate = relative_normal(turn_key, rate, settings.mean, settings.sigma)  # 2
         drift = memory.drift_rate * elapsed
         estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[..., 3:])  # 3
-        path = pos - memory.true_pos
-        distance = xp.linalg.norm(path, axis=-1) * xp.sign((path * mat[..., 0]).sum(-1))  # 4
-        distance = relative_normal(path_key, distance, settings.mean, settings.sigma)  # 5
+        path = matvec(mat.mT, pos - memory.true_pos)
+        if settings.polar_step:
+            distance = xp.linalg.norm(path, axis=-1) * xp.sign(path[..., 0])  # 4
+            path = distance[..., None] * np.array([1.0, 0.0, 0.0], np.float32)
+        factor = relative_normal(path_key, xp.ones(path.shape[:-1]), settings.mean, settings.sigma)  # 5
+        position = memory.pos + matvec(estimate, factor[..., None] * path) + drift[..., :3]  # 6, 7
         angles = angles_from_mat(estimate, xp)
-        pitch, yaw = angles[..., 1], angles[..., 2]
-        heading = xp.stack([xp.cos(pitch) * xp.cos(yaw), xp.cos(pitch) * xp.sin(yaw), -xp.sin(pitch)], -1)
-        position = memory.pos + distance[..., None] * heading + drift[..., :3]  # 6, 7
         now = xp.broadcast_to(inputs.time, memory.time.shape)
         memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=now)
         return memory, xp.concatenate([position, angles], -1)

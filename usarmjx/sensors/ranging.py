@@ -75,14 +75,15 @@ class SonarSettings(RangeSettings):
 
     Attributes:
         beam_angle: Full angle of the beam cone [rad].
-        max_incidence: A surface met at more than this angle from its normal mirrors the sound away, so
-            that a level robot does not hear the floor. Ours; the manual is silent [rad].
+        max_incidence: A surface met at more than this angle from its normal mirrors the sound away; at
+            a quarter turn or more none does, and a level robot hears the floor where its cone meets it. Ours;
+            the manual is silent [rad].
     """
 
     with_time_stamp: bool = True
     noise: float = 0.05
     beam_angle: Annotated[float, HALF_TURN] = 0.3491
-    max_incidence: Annotated[float, HALF_TURN] = math.radians(75)
+    max_incidence: Annotated[float, HALF_TURN] = math.pi / 2
 
 
 # The lines of a beam: its axis, four half way out on the diagonals, four on the cone itself, as
@@ -109,9 +110,13 @@ class Sonar(Sensor):
 
     kind = "Sonar"
     grouped = True
-    needs_incidence = True
     bundle_size = 2 * len(BEAM_PATTERN)
     settings_class = SonarSettings
+
+    @property
+    def needs_incidence(self) -> bool:
+        """Whether any of them is deaf to surfaces that mirror the sound away."""
+        return bool((self._min_cosines > -1).any())
 
     @property
     def max_distance(self) -> float:
@@ -130,16 +135,18 @@ class Sonar(Sensor):
 
     @cached_property
     def _min_cosines(self) -> np.ndarray:
-        """Cosine of the widest angle from the normal under which each hears a surface (mounts, 1)."""
-        return np.array([[math.cos(settings.max_incidence)] for settings in self.settings], np.float32)
+        """Cosine of the widest angle from the normal at which each hears a surface; -1: any (mounts, 1)."""
+        widest = np.array([[one.max_incidence] for one in self.settings], np.float32)
+        return np.where(widest < np.float32(math.pi / 2), np.cos(widest), np.float32(-1))
 
     @for_teams
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         hits, beams = inputs.hits, len(self.mounts)
-        heard = hits.cosine.reshape(*hits.cosine.shape[:-1], beams, -1) >= self._min_cosines
-        distance = xp.where(heard, hits.distance.reshape(heard.shape), xp.inf).min(-1)
-        return memory, range_readings(distance[..., None], self.settings, key)[..., 0]
+        distance = hits.distance.reshape(*hits.distance.shape[:-1], beams, -1)
+        if self.needs_incidence:
+            distance = xp.where(hits.cosine.reshape(distance.shape) >= self._min_cosines, distance, xp.inf)
+        return memory, range_readings(distance.min(-1, keepdims=True), self.settings, key)[..., 0]
 
 
 @dataclass(frozen=True)

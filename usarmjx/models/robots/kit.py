@@ -22,6 +22,9 @@ from usarmjx.models.spec.shapes import ZERO, Rgba, Shape
 
 RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
 BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
+ON_THE_FLOOR = options(MaxIncidence=1.309)
+"""Of sonars that look level over the ground: it is silent, as in captured sessions of a P2AT, which read up
+to 5 m where their cones meet the floor at 1.5 m."""
 AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
 """Turns a cylinder's axis (z) to the side (y)."""
 

@@ -6,6 +6,7 @@ from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
     BLACK,
     ENCODER_AXIS,
+    ON_THE_FLOOR,
     POSE_SENSORS,
     camera,
     firm_motor,
@@ -59,7 +60,7 @@ SCANNER_MASS = 4.5  # data sheet of the LMS200
 
 SENSES = (
     # Where the manual's sonar and seven IR sensors look is chosen: ahead, and a fan over the front half.
-    Mount(kind="Sonar", name="F1", at=(LENGTH / 2, 0.0, 0.04)),
+    Mount(kind="Sonar", name="F1", at=(LENGTH / 2, 0.0, 0.04), defaults=ON_THE_FLOOR),
     *(
         Mount(
             kind="IR",

@@ -11,6 +11,7 @@ from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
     BLACK,
     ENCODER_AXIS,
+    ON_THE_FLOOR,
     POSE_SENSORS,
     camera,
     pan_tilt,
@@ -32,7 +33,7 @@ P2DX_RING_X = (0.115, 0.155, 0.19, 0.21, 0.21, 0.19, 0.155, 0.115)
 
 def _front_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
     return tuple(
-        Mount(kind="Sonar", name=f"F{i}", at=(x, y, 0.0), direction=(0.0, 0.0, yaw))
+        Mount(kind="Sonar", name=f"F{i}", at=(x, y, 0.0), direction=(0.0, 0.0, yaw), defaults=ON_THE_FLOOR)
         for i, (x, y, yaw) in enumerate(zip(xs, RING_Y, RING_YAW, strict=True), start=1)
     )
 
@@ -45,6 +46,7 @@ def _rear_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
             name=f"R{i}",
             at=(-x, -y, 0.0),
             direction=(0.0, 0.0, yaw + math.pi if yaw <= 0 else yaw - math.pi),
+            defaults=ON_THE_FLOOR,
         )
         for i, (x, y, yaw) in enumerate(zip(xs, RING_Y, RING_YAW, strict=True), start=1)
     )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
     BLACK,
+    ON_THE_FLOOR,
     POSE_SENSORS,
     camera,
     firm_motor,
@@ -85,7 +86,13 @@ ATRV_SONARS = (
 )
 
 ATRV_RING = tuple(
-    Mount(kind="Sonar", name=f"S{i}", at=(x / 1000, y / 1000, 0.0), direction=(0.0, 0.0, math.radians(yaw)))
+    Mount(
+        kind="Sonar",
+        name=f"S{i}",
+        at=(x / 1000, y / 1000, 0.0),
+        direction=(0.0, 0.0, math.radians(yaw)),
+        defaults=ON_THE_FLOOR,
+    )
     for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
 )
 

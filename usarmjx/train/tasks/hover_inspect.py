@@ -49,7 +49,7 @@ SENSORS = (
         ),
     ),
 )
-"""Its pose, and 12 beams around it. An INS measures motion along the heading only: no good in the air."""
+"""Its pose, and 12 beams around it."""
 
 
 class InspectMemory(struct.PyTreeNode, kw_only=True):
