@@ -258,5 +258,8 @@ def test_a_sensor_that_is_not_hidden_is_seen_where_it_sits_and_never_touched(kin
 
 def test_what_it_looks_like_changes_no_message(bench):
     for kind in ("RangeScanner", "GPS"):
-        told = [geometry(robot, kind, "S") for robot in (shown(kind), shown(kind, HiddenSensor=False))]
+        told = [
+            geometry(kinematic_tree_of(robot), kind, "S")
+            for robot in (shown(kind), shown(kind, HiddenSensor=False))
+        ]
         assert told[0] == told[1]

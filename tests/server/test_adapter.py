@@ -43,8 +43,8 @@ TRUTH = (
 )
 ENCODER = r"SEN {Type Encoder} {Name ECLeft Tick -?\d+} {Name ECRight Tick -?\d+}"
 MISSTA = (
-    rf"MISSTA {{Time {F2}}} {{Name CameraPanTilt}} {{Link 1}} {{Value {F4}}} {{Torque -20\.00}} "
-    rf"{{Link 2}} {{Value {F4}}} {{Torque -20\.00}}"
+    rf"MISSTA {{Time {F2}}} {{Name CameraPanTilt}} {{Link 1}} {{Value {F4}}} {{Torque {F2}}} "
+    rf"{{Link 2}} {{Value {F4}}} {{Torque {F2}}}"
 )
 TAGS = r"SEN \{Type RFID\} \{Name RFID\}( \{ID \d+\} \{Location -?\d+\.\d\d,-?\d+\.\d\d,-?\d+\.\d\d\})+"
 """A tag lies 2 m from the yellow arena's start."""
@@ -592,7 +592,7 @@ POSE4 = rf"Location {F4},{F4},{F4} Orientation {F4},{F4},{F4}"
         (
             "GETGEO {Type Robot}",
             r"GEO {Type GroundVehicle} {Name P2AT} {Dimensions 0\.5238,0\.4968,0\.2913} "
-            r"{COG 0\.0000,0\.0000,0\.0000} {WheelRadius 0\.1300} "
+            r"{COG 0\.0048,-?0\.0000,0\.1032} {WheelRadius 0\.1300} "  # the built one's; captured: 0,0,0
             r"{WheelSeparation 0\.4712} {WheelBase 0\.2884}",
         ),
         ("getgeo {Type Robot} {Name Anything}", r"GEO {Type GroundVehicle} {Name P2AT} .*"),

@@ -3,6 +3,8 @@
 import re
 from dataclasses import replace
 
+import mujoco
+import numpy as np
 import pytest
 
 from tests.handy import known
@@ -25,7 +27,7 @@ TWO = replace(TALON, name="TwoPackages", packages=(*TALON.packages, *P2AT.packag
 def world():
     with known(TWO):
         world = DynamicWorld(ARENAS.get("field"), Physics(), 1, max_robots=2)
-        for name in ("Hummer", "TeleMax", TWO.name):
+        for name in ("Hummer", "TeleMax", "kenaf", TWO.name):
             world.prepare(ROBOTS.get(name))
         yield world
 
@@ -114,3 +116,59 @@ def test_a_link_under_torque_keeps_its_max_speed_and_its_robot_in_place(house):
     house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value 0} {Order 3}")
     house.run(50)
     assert angle(house, client, "CameraPanTilt_Link1") == pytest.approx(there, abs=CLOSE)
+
+
+def efforts(lines, package):
+    """What the last MISSTA of a package says of each link: value [rad] and torque [N m]."""
+    (line,) = [line for line in lines if line.startswith("MISSTA") and f"{{Name {package}}}" in line][-1:]
+    links = re.findall(r"{Link \d} {Value ([-\d.]+)} {Torque ([-\d.]+)}", line)
+    return np.array(links, float).T
+
+
+def exerted(house, client, joints):
+    """C MuJoCo's actuator forces at joints of a robot, where the world stands now [N m]."""
+    world, physics = house.world.one_world()
+    model, data = house.world.scene.model, mujoco.MjData(house.world.scene.model)
+    data.qpos[:], data.qvel[:], data.act[:] = physics.qpos, physics.qvel, physics.act
+    group, member = house.world.scene.group_of(client.robot.slot)
+    index = house.world.scene.groups[group].indices[member]
+    data.ctrl[list(index.hold_actuator_ids)] = world.groups[group].hold[member]
+    mujoco.mj_forward(model, data)
+    dofs = [index.dofadr[client.robot.plan.joint_index(name)] for name in joints]
+    return data.qfrc_actuator[dofs]
+
+
+def test_missta_tells_what_each_joint_exerts(house):
+    """An arm that is held out against its weight, and a joint that is told a torque."""
+    client = house.connect("INIT {ClassName TwoPackages} {Name Both}")
+    house.say(client, "MISPKG {Name TalonArm} {Link 1} {Value 0.7}")
+    house.run(100)
+    heard(client)
+    house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value -2} {Order 2}")
+    for wait in (1, 9, 100):  # at once, on its way, and at its top speed
+        house.run(wait)
+        client.report()
+        lines = heard(client)
+        for package in ("TalonArm", "CameraPanTilt"):
+            links = [f"{package}_Link{number + 1}" for number in range(efforts(lines, package).shape[1])]
+            oracle = exerted(house, client, links)
+            np.testing.assert_allclose(efforts(lines, package)[1], oracle, atol=0.006)  # two decimals
+    assert np.abs(efforts(lines, "TalonArm")[1]).max() > 1.0, "it weighs something"
+
+
+def test_a_camera_moved_by_joints_of_its_own_names_is_a_mission_package_too(house):
+    """Kenaf's: MULTIDRIVE (manual 12.23.1) and MISPKG move it, MISSTA, GEO and CONF tell of it."""
+    client = house.connect("INIT {ClassName kenaf} {Name K}")
+    house.say(client, "MULTIDRIVE {kenafCameraPan -1.0} {kenafCameraTilt 0.5}")
+    house.run(150)
+    assert efforts(heard(client), "CameraPanTilt")[0] == pytest.approx([-1.0, 0.5], abs=CLOSE)
+    house.say(client, "MISPKG {Name CameraPanTilt} {Link 1} {Value 0.5} {Link 2} {Value -0.2}")
+    house.run(150)
+    assert efforts(heard(client), "CameraPanTilt")[0] == pytest.approx([0.5, -0.2], abs=CLOSE)
+    assert angle(house, client, "kenafCameraPan") == pytest.approx(0.5, abs=CLOSE)
+    (geometry,) = house.say(client, "GETGEO {Type Camera} {Name Camera}")
+    assert geometry.endswith("Mount kenafCameraTilt}")
+    (limits,) = house.say(client, "GETCONF {Type MisPkg}")
+    assert re.search(
+        r"{Link 1} .*{MinRange 1.00} {MaxRange 0.00} {Link 2} .*{MinRange -1.00} {MaxRange 1.50}", limits
+    )

@@ -14,22 +14,29 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from tests.arenas import FLAT
+from tests.handy import known
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.server.bot_server import BotServerSettings
 from usarmjx.server.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
 from usarmjx.server.net import BotServer
+from usarmjx.server.reporter import Reporter
 from usarmjx.server.signals import StopSignals
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
+
+INS_FROM_NOWHERE = Mount(kind="INS", name="Adrift", options=options(Mean=1e30, Sigma=1e30))
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +146,37 @@ def test_who_leaves_during_init_leaves_no_robot(port, world, bystander):
         end(Peer(port, "INIT {ClassName USARBot.P2AT} {Start S2}"))
     bystander.sta_times(3)
     assert [robot.name for robot in world.robots.values()] == ["Bystander"]
+
+
+def test_a_sensor_that_cannot_be_told_is_left_out(world, caplog):
+    """An ini file that says INS Mean=1e30 makes readings of it that are no numbers."""
+    wild = replace(P2AT, name="Wild", sensors=(INS_FROM_NOWHERE, *P2AT.sensors))
+    with known(wild), serving(world) as (port, server):
+        peer = Peer(port, "INIT {ClassName USARBot.Wild} {Name W}")
+        peer.sta_times(1)
+        lines = [peer.line().split(b" {")[:3] for _ in range(40)]
+        kinds = {part for line in lines for part in line if part.startswith(b"Type ")}
+        assert {b"Type Sonar}", b"Type GroundTruth}", b"Type INS}"} <= kinds, "the other INS is told"
+        peer.sta_times(3)
+        assert not any(b"Name Adrift" in part for line in lines for part in line)
+        assert server.faults == 1
+        peer.close()
+    assert "Wild's INS Adrift is not told: nan cannot be reported" in caplog.text
+
+
+def test_who_cannot_be_reported_to_is_dropped_and_others_are_not(port, bystander, monkeypatch):
+    real = Reporter.report
+
+    def report(self, robot):
+        if robot.name == "Doomed":
+            raise RuntimeError("no report")
+        real(self, robot)
+
+    monkeypatch.setattr(Reporter, "report", report)
+    doomed = Peer(port, "INIT {ClassName USARBot.P2AT} {Name Doomed} {Start S1}")
+    while doomed.line():
+        pass
+    bystander.sta_times(3)
 
 
 def test_a_disconnected_robot_is_gone_and_its_seat_is_free(port, world, bystander):

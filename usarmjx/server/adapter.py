@@ -1,7 +1,6 @@
 """The bridge between a client's dialogue and a robot in a served world; knows no socket."""
 
 import logging
-import math
 import time
 from collections.abc import Callable
 
@@ -12,14 +11,7 @@ from usarmjx.models.spec.robot import STEER_SUFFIX, RobotSpec
 from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.arrivals import appear
 from usarmjx.server.fault_log import INTERVAL, FaultLog, summary
-from usarmjx.server.messages.sensors import (
-    configuration,
-    geometry,
-    link_joint,
-    package_report,
-    robot_report,
-    sensor_report,
-)
+from usarmjx.server.messages.sensors import configuration, geometry, link_joint
 from usarmjx.server.messages.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
@@ -27,6 +19,7 @@ from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, clip, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
+from usarmjx.server.reporter import Reporter, battery_left
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.traces import RobotTrace
@@ -58,6 +51,7 @@ class Client:
     def __init__(self, world: ServedWorld, peer: str, fault_log: FaultLog | None = None) -> None:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name))
         self.robot: Robot | None = None
+        self._reporter = Reporter(world, self.session)
         self._trace_state: RobotTrace | None = None
         self._fault_log = fault_log or FaultLog(log)
         self._next_log, self._logged = 0.0, 0
@@ -142,16 +136,13 @@ class Client:
     @property
     def battery_empty(self) -> bool:
         """Whether the robot has used up its battery: then only STA goes on (KRobot.uc)."""
-        return self._battery(self._present) <= 0
+        return battery_left(self._world, self._present) <= 0
 
     @property
     def _present(self) -> Robot:
         if self.robot is None:
             raise UsageError("the client has no robot")
         return self.robot
-
-    def _battery(self, robot: Robot) -> int:
-        return max(0, math.ceil(self._world.battery(robot) - 1e-6))
 
     # Commands
 
@@ -182,7 +173,7 @@ class Client:
     def _steer(self, values: dict[str, float], command: wire.DriveRobot | wire.DriveWheels) -> None:
         """Set keys of DRIVE; those that the robot's drive does not have are logged and left out."""
         robot = self._present
-        full = robot.spec.drive.full_scale
+        full = robot.spec.drive.full_scale | robot.spec.drive.other_keys
         unknown = [key for key in values if key not in full]
         if unknown:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
@@ -349,7 +340,7 @@ class Client:
 
     def _geometry(self, command: wire.GetGeo) -> None:
         if not self.battery_empty:
-            for message in geometry(self._present.spec, command.type, command.name):
+            for message in geometry(self._present.plan, command.type, command.name):
                 self.session.send(message)
 
     def _configuration(self, command: wire.GetConf) -> None:
@@ -366,20 +357,6 @@ class Client:
         return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
 
     def report(self) -> None:
-        """Send STA, the sensors with fresh readings, and MISSTA, in the original's order (KRobot.uc)."""
-        robot, time = self._present, self._world.time
-        robot.next_report += robot.spec.msg_timer
-        joints = self._world.state(robot).joint_pos
-        battery = self._battery(robot)
-        self.session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
-        if battery <= 0:
-            robot.pending.clear()
-            return
-        for index, sensor in enumerate(robot.suite.sensors):
-            if index in robot.pending:
-                reading, origin = robot.pending.pop(index), self._world.arena.gps
-                message = sensor_report(sensor, reading, time, origin, self._world.tag_texts)
-                if message is not None:
-                    self.session.send(message)
-        for message in package_report(robot.plan, joints, time):
-            self.session.send(message)
+        """Tell the client what its robot reports, and the log what could not be told."""
+        self._reporter.report(self._present)
+        self.log_faults()

@@ -235,9 +235,13 @@ class BotServer:
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
             action()
-        except PeerError as error:
-            self._fault_log.warning("%s: dropped: %s", self._connections[client].peer, error)
-            self._connections[client].writer.transport.abort()
+        except Exception as error:  # whatever it is: the others' reports are to come
+            connection = self._connections.get(client)
+            self._fault_log.warning("%s: dropped: %s", connection.peer if connection else "guest", error)
+            if not isinstance(error, PeerError):
+                log.debug("because of", exc_info=error)
+            if connection is not None:
+                connection.writer.transport.abort()
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = "{}:{}".format(*peer_address(writer))

@@ -137,13 +137,15 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
     Args:
         robot: The robot class.
         command: What it was told so far; arrays may have leading axes.
-        values: Numbers for some of `robot.drive.keys` [rad/s, m/s or rad]; clipped to what it can do.
+        values: Numbers for some of `robot.drive.keys`, or of its `other_keys` [rad/s, m/s or rad]; clipped to
+            what it can do.
 
     Raises:
         UnknownNameError: A key that this drive does not have; lists those it has.
     """
-    check_drive_keys(robot, values)
     drive, setpoint = robot.drive, command.setpoint
+    values = drive.in_own_keys(values, setpoint)
+    check_drive_keys(robot, values)
     for key, value in values.items():
         place = drive.keys.index(key)
         here = np.arange(len(drive.keys)) == place

@@ -250,7 +250,26 @@ BLIMP_COMMANDS = [
     ({"ThrustPropeller": 1.0, "XZAngle": 0.5}, (math.cos(0.5), math.sin(0.5), 0.0)),
     ({"TailPropeller": -0.3}, (0.0, 0.0, 0.3)),  # manual 12.21.3: 0.3 rad/s to the right
     ({"TailPropeller": 1.0}, (0.0, 0.0, -1.0)),
+    # The keys of all that flies (manual 9.4), one command setting some of them after another.
+    ({"AltitudeVelocity": 1.0, "LinearVelocity": -1.0, "LateralVelocity": 0.0}, (-1.0, 1.0, 0.0)),
+    ({"RotationalVelocity": 0.3}, (0.0, 0.0, 0.3)),
+    ({"AltitudeVelocity": -1.0}, (0.0, -1.0, 0.0)),
 ]
+
+
+def test_passarola_keeps_what_an_aerial_command_leaves_out():
+    rig = Rig("Passarola")
+    told = [
+        ({"LinearVelocity": 1.0}, (0.0, 1.0, 0.0)),
+        ({"AltitudeVelocity": 1.0, "RotationalVelocity": 0.5}, (math.pi / 4, math.sqrt(2.0), -0.5)),
+        ({"LinearVelocity": -1.0}, (-math.pi / 4, -math.sqrt(2.0), -0.5)),
+        ({"LateralVelocity": 3.0}, (-math.pi / 4, -math.sqrt(2.0), -0.5)),  # it cannot
+        ({"AltitudeVelocity": 9.0, "LinearVelocity": 0.0}, (math.pi / 2, 2.0, -0.5)),  # held to 2 m/s
+        ({"AltitudeVelocity": 0.0, "RotationalVelocity": 0.0}, (math.pi / 2, 0.0, 0.0)),
+    ]
+    for command, setpoint in told:
+        rig.tell(**command)
+        assert rig.commands[0].setpoint.tolist() == pytest.approx(setpoint, abs=1e-6), command
 
 
 def test_passarola_gets_the_speeds_that_it_is_asked_for_and_stops():

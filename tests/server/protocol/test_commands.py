@@ -220,8 +220,8 @@ UNDERSTOOD = [
     ),
     pytest.param(
         "DRIVE {Left 1} {Right 2} {LEFT 3} {Left }",
-        skid(3.0, 2.0),
-        id="the later of two counts, an empty one does not",
+        skid(1.0, 2.0),
+        id="the first of two counts",
     ),
     pytest.param(
         "DRIVE {Speed 1} {Left 2}",
@@ -404,6 +404,23 @@ def test_ignored_with_a_reason(line, reason):
 def test_numbers_that_are_not_finite_are_refused(line, number):
     with pytest.raises(PeerError, match="not a finite number"):
         parse_command(parse_message(line.replace("@", number)))
+
+
+@pytest.mark.parametrize(
+    ("line", "command"),
+    [
+        ("INIT {ClassName P2AT} {classname P2DX} {Name A} {Name B}", Init("P2AT", "A")),
+        ("DRIVE {Left 1} {LEFT 2} {Right 3} {Right x}", DriveRobot((("Left", 1.0), ("Right", 3.0)))),
+        ("DRIVE {Left} {Left 2} {Right 3}", DriveRobot((("Right", 3.0),))),
+        ("DRIVE {Light True} {Light False}", DriveRobot(light=True)),
+        ("DRIVE {Name A} {Name B} {Value 1} {Value 2}", DriveJoint("A", 0, 1.0)),
+        ("MULTIDRIVE {A 1} {B 2} {a 3}", MultiDrive((("A", 1.0), ("B", 2.0)))),
+        ("SET {Type Odometry} {Type INS} {Name O} {Opcode RESET}", Set("Odometry", "O", "RESET")),
+    ],
+)
+def test_of_a_key_that_is_repeated_the_first_counts(line, command):
+    """As in the original, whose GetArgVal returns the first argument of a name, whatever its value."""
+    assert parse_command(parse_message(line)) == command
 
 
 @pytest.mark.parametrize("key", DRIVE_KEYS)

@@ -61,7 +61,7 @@ CAPTURED = [
         id="captured STA of a robot with flippers, other values",
     ),
     pytest.param(
-        r.missta(102.09, "CameraPanTilt", [(0, 9.0, 9.0), (1, 0.0, 20.0), (2, -0.16, 300.0)]),
+        r.missta(102.09, "CameraPanTilt", [(0, 9.0, 9.0), (1, 0.0, -20.0), (2, -0.16, -300.0)]),
         "MISSTA {Time 102.09} {Name CameraPanTilt} {Link 1} {Value 0.0000} {Torque -20.00}"
         " {Link 2} {Value -0.1600} {Torque -300.00}",
         id="captured MISSTA, without its link 0",
@@ -260,7 +260,7 @@ MANUAL = [
         id="manual 9.3 STA",
     ),
     pytest.param(
-        r.missta(102.09, "CameraPanTilt", [(1, 0.0, 20.0), (2, -0.16, 20.0)]),
+        r.missta(102.09, "CameraPanTilt", [(1, 0.0, -20.0), (2, -0.16, -20.0)]),
         "MISSTA {Time 102.09} {Name CameraPanTilt} {Link 1} {Value 0.0000} {Torque -20.0000}"
         " {Link 2} {Value -0.1600} {Torque -20.0000}",
         {"-20.0000": "-20.00"},

@@ -16,6 +16,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.build.compose import Physics, add_robot, new_spec
 from usarmjx.models.build.figures import Figure, Solids, build_figure, flipped
 from usarmjx.models.build.layout import RobotIndex, index_robot
@@ -92,6 +93,7 @@ class KinematicTree:
         geom_rgb: Their colours (geoms, 3).
         actuated: Which joints have a motor, as places in the order of joints (actuators,).
         mass: Mass of the built model [kg].
+        centre_of_mass: Where it is on the chassis with all joints at 0 [m].
         clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
     """
 
@@ -111,6 +113,7 @@ class KinematicTree:
     geom_rgb: np.ndarray
     actuated: np.ndarray
     mass: float
+    centre_of_mass: Vec3
     clearance: float
 
     @cached_property
@@ -203,6 +206,8 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
     for mat, b in zip(turns, body, strict=True):
         mujoco.mju_quat2Mat(mat, model.body_quat[b])
     joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
+    masses = model.body_mass[body]
+    x, y, z = (masses @ data.xipos[body] / masses.sum()).tolist()
     return KinematicTree(
         robot=robot,
         parts=(CHASSIS, *joint_names(robot)),
@@ -220,6 +225,7 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
         geom_rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),
+        centre_of_mass=(x, y, z),
         clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
     )
 

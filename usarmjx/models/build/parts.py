@@ -17,8 +17,8 @@ LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 
 
 def part_name(package: MissionPackage, link: Link) -> str:
-    """Return the wire's name of a mission package part (captured: `CameraPanTilt_Link2`)."""
-    return f"{package.name}_Link{link.number}"
+    """Return a mission package part's name: its own, or the wire's (captured: `CameraPanTilt_Link2`)."""
+    return link.part or f"{package.name}_Link{link.number}"
 
 
 def link_frames(package: MissionPackage) -> dict[int, tuple[np.ndarray, np.ndarray]]:

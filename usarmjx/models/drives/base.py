@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import xp
 from usarmjx.models.drives.state import RobotState
 
@@ -53,6 +53,21 @@ class Drive(ABC):
     def full_scale(self) -> dict[str, float]:
         """The keys of DRIVE and what 100 means for each when Normalized (rad/s, m/s or rad)."""
         return {}
+
+    @property
+    def other_keys(self) -> dict[str, float]:
+        """Keys that DRIVE takes beside its own and `in_own_keys` puts in terms of those, as `full_scale`."""
+        return {}
+
+    def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
+        """Return what is set (...,) by the drive's own keys, where some of it was told by `other_keys`.
+
+        Args:
+            values: Numbers by keys (...,).
+            setpoint: What each of the own keys was last set to (..., keys).
+        """
+        del setpoint
+        return values
 
     @property
     def joint_controls(self) -> tuple[JointControl, ...]:

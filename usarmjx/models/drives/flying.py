@@ -1,11 +1,12 @@
 """Drives of flying robots: four rotors, and a blimp with vectored thrust (manual 9.4, 12.20, 12.21.3)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY, Vec3
@@ -169,9 +170,9 @@ class Blimp(Drive):
 
     ThrustPropeller is the speed to be had along the bar's direction in the body's x-z plane, XZAngle that
     direction, positive upward; TailPropeller is the turning rate, positive to the left (manual 12.21.3's
-    example turns right with -0.3). Manual 12.21.1 gives the same top speed forward and upward, though the
-    hull has many times the drag upward: so the thrust is governed to hold the speed. Both forces act
-    through the centre of gravity.
+    example turns right with -0.3). It takes the keys of other flying robots too. Manual 12.21.1 gives the
+    same top speed forward and upward, though the hull has many times the drag upward: so the thrust is
+    governed to hold the speed. Both forces act through the centre of gravity.
 
     Attributes:
         hull: What the air acts on.
@@ -209,6 +210,29 @@ class Blimp(Drive):
             "ThrustPropeller": self.max_thrust_speed,
             "TailPropeller": self.max_turn,
         }
+
+    @property
+    def other_keys(self) -> dict[str, float]:
+        """The keys of what flies (manual 9.4); it cannot move sideways, so that 0 is the only speed there."""
+        speed = self.max_thrust_speed
+        names = ("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "RotationalVelocity")
+        return dict(zip(names, (speed, speed, 0.0, self.max_turn), strict=True))
+
+    def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
+        """Return speeds up and ahead as the bar's angle and the speed along it, and turns with their sign."""
+        told = {key: xp.asarray(value, xp.float32) for key, value in values.items()}
+        own: dict[str, ArrayLike] = {key: value for key, value in told.items() if key not in self.other_keys}
+        if "RotationalVelocity" in told:
+            own["TailPropeller"] = -told["RotationalVelocity"]
+        if "AltitudeVelocity" in told or "LinearVelocity" in told:
+            angle, speed = setpoint[..., 0], setpoint[..., 1]
+            up = told.get("AltitudeVelocity", speed * xp.sin(angle))
+            ahead = told.get("LinearVelocity", speed * xp.cos(angle))
+            sign = xp.where(ahead < 0.0, -1.0, 1.0)
+            total = xp.hypot(up, ahead)
+            own["XZAngle"] = xp.where(total > 1e-6, xp.arctan2(sign * up, sign * ahead), angle)
+            own["ThrustPropeller"] = sign * total
+        return own
 
     @property
     def top_speed(self) -> float:

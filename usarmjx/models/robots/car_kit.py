@@ -197,7 +197,6 @@ def build_car(
         wheel_radius=car.tyre[0],
         wheel_separation=car.track,
         wheel_base=car.wheel_base,
-        cog=(car.wheel_base * (car.front_weight_share - 0.5), 0.0, car.origin - car.cog_height),
         sources=(
             *sources,
             ("steering", "chosen"),

@@ -31,7 +31,7 @@ from usarmjx.models.robots.track_kit import (
     pair_looks,
     track_pair,
 )
-from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
+from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, options
 from usarmjx.models.spec.shapes import Shape
 
 RIGHT = (0.0, 1.0, 0.0)
@@ -168,33 +168,48 @@ KENAF_SCANNER = (0.20, 0.0, KENAF_DECK - 0.04)
 KENAF_MAST = (-0.20, 0.0, KENAF_DECK - 0.40)  # top of the pole that carries the bird's-eye camera
 KENAF_HEAD_MOTOR = Motor(max_speed=1.0, torque=3.0, stiffness=40.0, damping=1.4, armature=0.02)
 
-KENAF_CAMERA = (
-    # MULTIDRIVE moves it (manual 12.23.1), so its joints are the robot's own. Pan to the left and tilt up are
-    # positive, as on every camera here; the manual's example leaves the side open.
-    Part(
-        name="kenafCameraPan",
-        at=KENAF_HEAD,
-        axis=UP,
-        motor=KENAF_HEAD_MOTOR,
-        shapes=(Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK),),
-        looks=(drum(0.03, 0.02, (0.0, 0.0, 0.005)), drum(0.02, 0.025, (0.0, 0.0, -0.03), STEEL)),
-    ),
-    Part(
-        name="kenafCameraTilt",
-        parent="kenafCameraPan",
-        at=(0.0, 0.0, -0.06),
-        axis=RIGHT,
-        motor=KENAF_HEAD_MOTOR,
-        limits=(-1.0, 1.5),
-        shapes=(Shape(kind="box", size=(0.05, 0.04, 0.03), mass=0.3, surface="fixture", rgba=BLACK),),
-        looks=(
-            block((0.042, 0.036, 0.026), rgba=DARK),
-            drum(0.018, 0.042, rgba=STEEL, rotation=ACROSS),
-            *lens((0.045, 0.0, 0.0), 0.018),
-            *(drum(0.006, 0.004, (0.043, y, -0.015), LAMP, ALONG) for y in (-0.025, 0.025)),
+KENAF_HEAD_FORCE = 20.0  # as captured of other camera heads, in the original's own units
+KENAF_CAMERA = MissionPackage(
+    # Its joints have names of their own, by which MULTIDRIVE moves them (manual 12.23.1). Pan to the left and
+    # tilt up are positive, as on every camera here; the manual's example leaves the side open.
+    name="CameraPanTilt",
+    links=(
+        Link(
+            number=1,
+            part="kenafCameraPan",
+            parent=-1,
+            location=KENAF_HEAD,
+            orientation=(math.pi, 0.0, 0.0),  # its axis points up
+            min_range=1.0,
+            max_range=0.0,
+            max_speed=KENAF_HEAD_MOTOR.max_speed,
+            max_torque=KENAF_HEAD_FORCE,
+            motor=KENAF_HEAD_MOTOR,
+            shapes=(Shape(kind="sphere", size=(0.03,), mass=0.2, surface="fixture", rgba=BLACK),),
+            looks=(drum(0.03, 0.02, (0.0, 0.0, 0.005)), drum(0.02, 0.025, (0.0, 0.0, -0.03), STEEL)),
+        ),
+        Link(
+            number=2,
+            part="kenafCameraTilt",
+            parent=1,
+            location=(0.0, 0.0, 0.06),
+            orientation=(math.pi / 2, 0.0, 0.0),  # its axis points to the right
+            min_range=-1.0,
+            max_range=1.5,
+            max_speed=KENAF_HEAD_MOTOR.max_speed,
+            max_torque=KENAF_HEAD_FORCE,
+            motor=KENAF_HEAD_MOTOR,
+            shapes=(Shape(kind="box", size=(0.05, 0.04, 0.03), mass=0.3, surface="fixture", rgba=BLACK),),
+            looks=(
+                block((0.042, 0.036, 0.026), rgba=DARK),
+                drum(0.018, 0.042, rgba=STEEL, rotation=ACROSS),
+                *lens((0.045, 0.0, 0.0), 0.018),
+                *(drum(0.006, 0.004, (0.043, y, -0.015), LAMP, ALONG) for y in (-0.025, 0.025)),
+            ),
         ),
     ),
 )
+KENAF_HEAD_MASS = sum(shape.mass for link in KENAF_CAMERA.links for shape in link.shapes)
 
 
 _KENAF_BODY = (
@@ -229,7 +244,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
     """Return the Kenaf with so many wheels in each of its two body tracks (manual 12.10.2)."""
     row = {"separation": KENAF_SEPARATION, "front": KENAF_PIVOT, "rear": -KENAF_PIVOT, "height": 0.0}
     rows = track_pair(KENAF_BELT, wheels, **row)
-    parts = (*rows, *KENAF_FLIPPERS.parts(KENAF_NARROW), *KENAF_CAMERA)
+    parts = (*rows, *KENAF_FLIPPERS.parts(KENAF_NARROW))
     body = -KENAF_DECK / 2
     return RobotSpec(
         name="kenaf",  # manual 12.23.1 spells it so
@@ -243,7 +258,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
                 kind="box",
                 size=(0.20, 0.15, 0.05),
                 at=(0.0, 0.0, -0.03),
-                mass=KENAF_MASS - mass_of(parts),
+                mass=KENAF_MASS - mass_of(parts) - KENAF_HEAD_MASS,
                 surface="fixture",
                 rgba=GREEN,
             ),
@@ -259,6 +274,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
         looks=(*pair_looks(KENAF_BELT, **row), *_KENAF_BODY),
         parts=parts,
         drive=drive_tracks(parts, KENAF_BELT),
+        packages=(KENAF_CAMERA,),
         sensors=(
             Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, defaults=HOKUYO),
             *POSE_SENSORS,

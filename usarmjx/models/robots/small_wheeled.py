@@ -141,9 +141,8 @@ ATRVJR = RobotSpec(
     wheel_radius=ATRV_WHEEL,
     wheel_separation=ATRV_TRACK,
     wheel_base=ATRV_BASE,
-    cog=(0.0, 0.0, -0.1),  # manual 9.3's GEO
     sources=(
-        ("dimensions, wheels, COG", "manual 9.3"),
+        ("dimensions, wheels", "manual 9.3"),
         ("mass, payload, top speed, sonars", "manual 12.4"),
         ("origin height", "manual 5.3.6"),
         ("layout, where the mass is, Odometry, INS, GroundTruth", "chosen"),

@@ -111,7 +111,8 @@ class Link:
     Location and orientation are the link frame's in its parent's frame; the joint turns about (or
     slides along) the link frame's z axis. `min_range` above `max_range` means no limits. `max_torque` is
     what CONF reports, in the original's units; `motor` says what the joint can do, and None makes it a
-    servo for parts of some 0.5 kg with the reported limits. `looks` are as a `Part`'s.
+    servo for parts of some 0.5 kg with the reported limits. `looks` are as a `Part`'s. `part` is the name of
+    its part and joint if it is not `<Package>_Link<number>`.
     """
 
     number: int
@@ -126,6 +127,7 @@ class Link:
     joint: Literal["Revolute", "Prismatic"] = "Revolute"
     motor: Motor | None = None
     looks: tuple[Shape, ...] = ()
+    part: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +188,6 @@ class RobotSpec:
         wheel_radius: Radius of the driven wheels; 0 without wheels.
         wheel_separation: Lateral distance of the wheels (what odometry divides by).
         wheel_base: Distance of the axles.
-        cog: Centre of gravity as GETGEO reports it.
         max_torque: What CONF reports, in Unreal units.
         battery_life: [s].
         msg_timer: Time between two reports [s].
@@ -211,7 +212,6 @@ class RobotSpec:
     wheel_radius: float = 0.0
     wheel_separation: float = 0.0
     wheel_base: float = 0.0
-    cog: Vec3 = ZERO
     max_torque: float = 60.0
     battery_life: float = 1200.0
     msg_timer: float = 0.2

@@ -190,8 +190,15 @@ def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
     return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
 
 
-def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
-    """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any."""
+def geometry(plan: KinematicTree, kind: str, name: str) -> list[Message]:
+    """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any.
+
+    Args:
+        plan: The robot's class.
+        kind: Type asked for.
+        name: Name asked for, "" for all of the type.
+    """
+    robot = plan.robot
     if kind.lower() == "robot":
         return [
             geo_robot(
@@ -199,7 +206,7 @@ def geometry(robot: RobotSpec, kind: str, name: str) -> list[Message]:
                     kind=robot.drive.vehicle,
                     name=robot.name,
                     dimensions=robot.dimensions,
-                    cog=robot.cog,
+                    cog=flip_wire_vector(plan.centre_of_mass),
                     wheel_radius=robot.wheel_radius,
                     wheel_separation=robot.wheel_separation,
                     wheel_base=robot.wheel_base,
@@ -341,14 +348,22 @@ def robot_report(
     )
 
 
-def package_report(plan: KinematicTree, joints: Array, time: float) -> list[Message]:
-    """Return the MISSTA messages of a robot's mission packages."""
-    angles, messages = dict(zip(plan.parts[1:], joints.tolist(), strict=True)), []
-    for package in plan.robot.packages:
-        values = [angles[part_name(package, link)] for link in package.links]
-        links = [(k.number, v, k.max_torque) for k, v in zip(package.links, values, strict=True)]
-        messages.append(reports.missta(time, package.name, links))
-    return messages
+def package_report(plan: KinematicTree, joints: Array, efforts: Array, time: float) -> list[Message]:
+    """Return the MISSTA messages of a robot's mission packages.
+
+    Args:
+        plan: The robot's class.
+        joints: Its joint positions [rad or m] (joints,).
+        efforts: What acts on its joints [N m or N] (joints,).
+        time: Simulated time [s].
+    """
+    states = dict(zip(plan.parts[1:], zip(joints.tolist(), efforts.tolist(), strict=True), strict=True))
+    return [
+        reports.missta(
+            time, package.name, [(link.number, *states[part_name(package, link)]) for link in package.links]
+        )
+        for package in plan.robot.packages
+    ]
 
 
 def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:

@@ -32,7 +32,16 @@ from usarmjx.server.protocol.commands import (
     Trace,
     WheelCommand,
 )
-from usarmjx.server.protocol.grammar import Message, Vector, clip, to_bool, to_float, to_int, to_vector
+from usarmjx.server.protocol.grammar import (
+    Message,
+    Segment,
+    Vector,
+    clip,
+    to_bool,
+    to_float,
+    to_int,
+    to_vector,
+)
 
 _CLASS_PREFIX = "usarbot."
 _SPELLINGS = {key.lower(): key for key in DRIVE_KEYS}
@@ -87,14 +96,23 @@ def _drive(message: Message) -> Command | Ignored:
     switches = (normalized, to_bool(light) if light else None, flip)
     if any(message.all("WheelNumber")):
         return _drive_wheels(message, switches)
-    values: dict[str, float] = {}
-    for key, value in message.segments:
-        if value and key.lower() in _SPELLINGS:
-            values[_SPELLINGS[key.lower()]] = to_float(value)
+    values = {
+        _SPELLINGS[key]: to_float(value)
+        for key, (_, value) in _firsts(message).items()
+        if value and key in _SPELLINGS
+    }
     if message.get("Name") and not values:
         return _drive_joint(message)
     command = DriveRobot(tuple(values.items()), *switches)
     return _NOTHING_TO_DO if command == DriveRobot(normalized=normalized) else command
+
+
+def _firsts(message: Message) -> dict[str, Segment]:
+    """Return the first segment of each key, by its lower case: the original found no other (GetArgVal)."""
+    firsts: dict[str, Segment] = {}
+    for key, value in message.segments:
+        firsts.setdefault(key.lower(), (key, value))
+    return firsts
 
 
 def _drive_wheels(message: Message, switches: tuple[bool, bool | None, bool]) -> Command | Ignored:
@@ -125,7 +143,7 @@ def _number(text: str) -> float | None:
 
 
 def _multi_drive(message: Message) -> Command | Ignored:
-    joints = tuple((name, to_float(value)) for name, value in message.segments if value)
+    joints = tuple((name, to_float(value)) for name, value in _firsts(message).values() if value)
     return MultiDrive(joints) if joints else Ignored("MULTIDRIVE without anything to do")
 
 

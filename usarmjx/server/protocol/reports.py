@@ -131,17 +131,17 @@ def missta(time: float, package: str, links: Iterable[tuple[int, float, float]])
     Args:
         time: Simulated time [s].
         package: Its name.
-        links: Number, angle [rad] or distance [m], and configured maximum torque of each. Numbers
-            below 1 are not reported, and Torque is minus that maximum, not a measurement: both as
-            in the original (KRobot.uc, timer).
+        links: Number, angle [rad] or distance [m], and what acts on the joint [N m or N] of each, where
+            the original had minus the configured maximum (KRobot.uc, timer). Numbers below 1 are not
+            reported, as there.
     """
     segments: list[Segment] = [("Time", two_decimals(time)), ("Name", package)]
-    for link, value, max_torque in links:
+    for link, value, effort in links:
         if link > 0:
             segments += [
                 ("Link", str(link)),
                 ("Value", four_decimals(value)),
-                ("Torque", two_decimals(-max_torque)),
+                ("Torque", two_decimals(effort)),
             ]
     return Message("MISSTA", tuple(segments))
 

@@ -1,0 +1,73 @@
+"""What a client is told each time its robot reports (KRobot.uc, timer)."""
+
+import math
+
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import PeerError
+from usarmjx.server.messages.sensors import package_report, robot_report, sensor_report
+from usarmjx.server.protocol.session import RobotSession
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.effort import joint_efforts
+
+
+def battery_left(world: ServedWorld, robot: Robot) -> int:
+    """Return for how many seconds the battery lasts, as STA says it."""
+    return max(0, math.ceil(world.battery(robot) - 1e-6))
+
+
+class Reporter:
+    """Makes a client's reports.
+
+    Args:
+        world: The served world.
+        session: The client's dialogue.
+    """
+
+    def __init__(self, world: ServedWorld, session: RobotSession) -> None:
+        self._world, self._session = world, session
+        self._untold: set[int] = set()
+
+    def report(self, robot: Robot) -> None:
+        """Send STA, the sensors with fresh readings, and MISSTA, in the original's order."""
+        world, time = self._world, self._world.time
+        robot.next_report += robot.spec.msg_timer
+        joints, battery = world.state(robot).joint_pos, battery_left(world, robot)
+        self._session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
+        if battery <= 0:
+            robot.pending.clear()
+            return
+        for index in range(len(robot.suite.sensors)):
+            if index in robot.pending:
+                self._tell(robot, index, robot.pending.pop(index))
+        if robot.spec.packages:
+            for message in package_report(robot.plan, joints, self._efforts(robot), time):
+                self._session.send(message)
+
+    def _tell(self, robot: Robot, index: int, reading: np.ndarray) -> None:
+        """Send a sensor's reading; one that makes no message is left out, and the log says so once."""
+        sensor, world = robot.suite.sensors[index], self._world
+        try:
+            message = sensor_report(sensor, reading, world.time, world.arena.gps, world.tag_texts)
+            if message is not None:
+                self._session.send(message)
+        except PeerError:
+            raise
+        except Exception as error:  # sensors may be anybody's
+            if index not in self._untold:
+                self._untold.add(index)
+                name = sensor.mounts[0].name
+                self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not told: {error}")
+
+    def _efforts(self, robot: Robot) -> Array:
+        """Return what acts on each of the robot's joints [N m or N] (joints,)."""
+        (group, member), (world, physics) = self._world.scene.group_of(robot.slot), self._world.one_world()
+        act, hold = (
+            physics.act[self._world.scene.groups[group].actadr[member]],
+            world.groups[group].hold[member],
+        )
+        with numpy_backend():
+            return joint_efforts(robot.plan, self._world.state(robot), act, hold)
