@@ -249,7 +249,9 @@ def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple
 
 @app.command()
 def export(
-    run: Annotated[Path, typer.Argument(help="Folder of the run; or a recording, .mcap.")],
+    run: Annotated[
+        Path, typer.Argument(help="Folder of the run, or task of a packaged policy; or a recording, .mcap.")
+    ],
     out: Annotated[
         Path, typer.Argument(help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4.")
     ],
@@ -258,7 +260,7 @@ def export(
     world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
 ) -> None:
-    """Write the policy of a run to a file that NumPy alone can run; or a recording as tables or as a film."""
+    """Write a policy to a file that NumPy alone can run; or a recording as tables or as a film."""
     with ErrorExit():
         announce(f"reading {run} ...")
         if run.is_file():

@@ -4,10 +4,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env as BraxEnv
-from brax.envs.base import State
 
+from usarmjx.base.extras import extra
 from usarmjx.train.adapters.agents import MAX_SEED, check_one_group
+
+with extra("train"):
+    from brax.envs.base import Env as BraxEnv
+    from brax.envs.base import State
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState

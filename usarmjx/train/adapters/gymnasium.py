@@ -4,13 +4,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import extra
 from usarmjx.train.adapters.agents import check_one_group, compiled_step, draw_seed
+
+with extra("rl"):
+    from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState

@@ -5,11 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-from jaxmarl.environments.multi_agent_env import MultiAgentEnv
-from jaxmarl.environments.spaces import Box
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import extra
 from usarmjx.train.adapters.agents import MAX_SEED, agents_of, by_agent, check_one_world, stack_actions
+
+with extra("rl"):
+    from jaxmarl.environments.multi_agent_env import MultiAgentEnv
+    from jaxmarl.environments.spaces import Box
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState

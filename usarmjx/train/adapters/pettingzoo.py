@@ -4,10 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from gymnasium import spaces
-from pettingzoo import ParallelEnv
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import extra
 from usarmjx.train.adapters.agents import (
     agents_of,
     by_agent,
@@ -16,6 +15,10 @@ from usarmjx.train.adapters.agents import (
     draw_seed,
     stack_actions,
 )
+
+with extra("rl"):
+    from gymnasium import spaces
+    from pettingzoo import ParallelEnv
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState

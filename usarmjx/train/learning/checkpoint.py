@@ -20,16 +20,19 @@ from typing import Any, TypeGuard
 import jax
 import jax.numpy as jnp
 import numpy as np
-import orbax.checkpoint as ocp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError, UsarmjxError, WriteError
+from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, disk_fault, write_beside, writing
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.record import RunRecord, load_record
 from usarmjx.train.learning.train_state import TrainState, make_networks, make_train_state, policy_params
 from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import ProcessGroup, Tree
+
+with extra("train"):
+    import orbax.checkpoint as ocp
 
 FOLDER = "checkpoints"
 FORMAT = 2

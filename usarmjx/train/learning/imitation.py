@@ -5,14 +5,18 @@ the states are those that the policy gets into. Meanwhile the critic learns what
 bring.
 """
 
+from typing import TYPE_CHECKING
+
 import jax
 import jax.numpy as jnp
-from brax.training.distribution import NormalTanhDistribution
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Carry, Policy
+
+if TYPE_CHECKING:
+    from brax.training.distribution import NormalTanhDistribution
 
 TEACHER_STD = 0.3
 """Deviation of actions before they are squashed that PPO is to begin with."""
@@ -42,7 +46,7 @@ def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:
     return jax.tree.map(one, initial, carry)
 
 
-def imitation_loss(kind: NormalTanhDistribution, logits: jax.Array, teacher_action: jax.Array) -> jax.Array:
+def imitation_loss(kind: "NormalTanhDistribution", logits: jax.Array, teacher_action: jax.Array) -> jax.Array:
     """Return how far the likeliest actions are from the teacher's, and their deviation from `TEACHER_STD`.
 
     Args:

@@ -13,7 +13,6 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.files import AppendedFile, write_beside
-from usarmjx.train.learning.board import Board
 
 PER_EPISODE = ("return", "score", "length")
 
@@ -75,6 +74,8 @@ class Log:
     def __init__(
         self, folder: Path, iterations: int, after: int = 0, bar: bool = True, console: Console | None = None
     ) -> None:
+        from usarmjx.train.learning.board import Board  # who only reads needs no TensorBoard
+
         file = folder / "metrics.jsonl"
         kept = [record for record in read_lines(file) if record["iteration"] <= after]
         with write_beside(file) as fresh:

@@ -3,18 +3,21 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from brax.training.distribution import NormalTanhDistribution
 from flax import struct
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.statistics import normalise
+
+if TYPE_CHECKING:
+    from brax.training.distribution import NormalTanhDistribution
 
 Params: TypeAlias = Any
 """A tree of weights, as flax nests them."""
@@ -140,8 +143,10 @@ class LearnedPolicy:
         outputs = 2 * self.groups[group].action_size
         return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
 
-    def distribution(self, group: int) -> NormalTanhDistribution:
+    def distribution(self, group: int) -> "NormalTanhDistribution":
         """Return the family of distributions that a group's actions are drawn from."""
+        with extra("train"):
+            from brax.training.distribution import NormalTanhDistribution
         return NormalTanhDistribution(self.groups[group].action_size, min_std=MIN_STD)
 
     def init(self, key: jax.Array) -> tuple[Params, ...]:
@@ -198,9 +203,9 @@ class LearnedPolicy:
         if key is None and not deterministic:
             raise UsageError("actions are drawn with a key: give one, or ask for deterministic ones")
         logits, carry = self.distribution_params(params, obs, carry)
-        kinds = [self.distribution(g) for g in range(len(self.groups))]
         if key is None or deterministic:
-            return tuple(kind.mode(one) for kind, one in zip(kinds, logits, strict=True)), carry
+            return tuple(map(likeliest_action, logits)), carry
+        kinds = [self.distribution(g) for g in range(len(self.groups))]
         keys = fold_each(key, jnp.arange(len(obs[0])))
         raw = sample_actions(self, logits, keys)
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry
@@ -215,6 +220,11 @@ class LearnedPolicy:
             return carry, actions
 
         return Policy(initial_carry=self.initial_carry, act=act)
+
+
+def likeliest_action(logits: jax.Array) -> jax.Array:
+    """Return the mode of `LearnedPolicy.distribution` (..., action_size), of its parameters."""
+    return jnp.tanh(jnp.split(logits, 2, axis=-1)[0])
 
 
 def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:

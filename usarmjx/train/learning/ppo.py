@@ -10,9 +10,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import struct
 
+from usarmjx.base.extras import extra
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.gae import advantages
 from usarmjx.train.learning.imitation import imitation_loss
@@ -28,6 +28,9 @@ from usarmjx.train.learning.train_state import (
 )
 from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
 from usarmjx.train.processes.group import PROCESS_AXIS
+
+with extra("train"):
+    import optax
 
 MAX_LOG_RATIO = 20.0
 MAX_LEARNING_RATE, MIN_LEARNING_RATE = 1e-2, 1e-5

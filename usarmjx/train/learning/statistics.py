@@ -4,8 +4,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.training.acme import running_statistics
 from flax import struct
+
+from usarmjx.base.extras import extra
 
 MAX_NORMALISED = 10.0
 """Normalised observations are cut to +- this many deviations."""
@@ -35,12 +36,16 @@ class Statistics(struct.PyTreeNode, kw_only=True):
 
 def init_statistics(*shape: int) -> Statistics:
     """Return statistics of nothing yet: mean 0, deviation 1."""
+    with extra("train"):
+        from brax.training.acme import running_statistics
     state = running_statistics.init_state(jnp.zeros(shape), std_eps=0.0)
     return Statistics(running=jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), state))
 
 
 def update_statistics(statistics: Statistics, values: jax.Array, valid: jax.Array, axis: str) -> Statistics:
     """Take in values (..., *shape) where valid (...), of all processes along a mesh axis."""
+    with extra("train"):
+        from brax.training.acme import running_statistics
     here = valid.reshape(*valid.shape, *[1] * (values.ndim - valid.ndim))
     weights = valid.astype(jnp.float32)
     new = running_statistics.update(

@@ -5,10 +5,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax.struct import PyTreeNode
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import (
@@ -20,6 +20,9 @@ from usarmjx.train.learning.networks import (
     init_network,
 )
 from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
+
+with extra("train"):
+    import optax
 
 POLICY_STREAM, CRITIC_STREAM, ROLLOUT_STREAM, UPDATE_STREAM, STAGGER_STREAM = range(5)
 """First folds of the run's key."""

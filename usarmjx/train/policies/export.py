@@ -6,7 +6,7 @@ the weights in half. This module imports neither JAX nor anything that needs it.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
+from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.held import FORMAT, check_about, check_shapes, read_arrays
 
 if TYPE_CHECKING:
@@ -193,18 +194,25 @@ def save_policy(
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     for g in range(len(policy.groups)):
         arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
-        weights = _flat(params.weights[g]["params"], f"weights/{g}/")
-        arrays |= {name: array.astype(np.float16) if half else array for name, array in weights.items()}
-    names: Sequence[str] = sorted(arrays)
+        arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
+    _write_arrays(file, arrays, half)
+
+
+def _write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:
+    """Write what a policy's file has, weights as numbers of 16 bits if wanted."""
+    kept = {
+        name: arrays[name].astype(np.float16) if half and name.startswith("weights/") else arrays[name]
+        for name in sorted(arrays)
+    }
     with write_beside(Path(file)) as fresh, fresh.open("wb") as out:
-        np.savez_compressed(out, **{name: arrays[name] for name in names})
+        np.savez_compressed(out, **cast(Any, kept))
 
 
 def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
-    """Write the policy of a run to a file.
+    """Write the policy of a run, or a packaged one, to a file.
 
     Args:
-        run: Folder of the run.
+        run: Folder of the run; or, where there is none of that name, the task of a packaged policy.
         file: To write.
         which: Checkpoint: `best`, `last`, or the number of an iteration.
         half: See `save_policy`.
@@ -212,6 +220,10 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
     Raises:
         UsageError: No run, no such checkpoint, a broken one, or a file that cannot be written.
     """
-    from usarmjx.train.learning.checkpoint import load_policy
+    if str(run) in POLICIES and not Path(run).exists():
+        about, arrays = read_arrays(POLICIES.get(str(run)))
+        _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
+        return
+    from usarmjx.train.learning.checkpoint import load_policy  # which the extra `train` is for
 
     save_policy(file, *load_policy(Path(run), which), half=half)

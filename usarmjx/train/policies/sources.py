@@ -11,7 +11,6 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import parse_settings
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import make, make_task
@@ -118,6 +117,8 @@ def find_source(what: str, checkpoint: str = "best") -> PolicySource:
     """
     path = Path(what)
     if path.is_dir():
+        from usarmjx.train.learning.checkpoint import load_policy  # which the extra `train` is for
+
         policy, params, record = load_policy(path, checkpoint)
         return PolicySource(name=what, task=record.task, overrides=record.overrides, learned=(policy, params))
     if path.exists():

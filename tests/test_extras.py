@@ -1,0 +1,126 @@
+"""What the base installation does without, and what is said where that is not enough."""
+
+import json
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+
+import dev
+from usarmjx.base.errors import UsageError
+from usarmjx.base.extras import MissingExtraError, extra
+from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.learning.networks import LearnedPolicy, likeliest_action
+from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.export import NumpyPolicy, export_run
+
+WITHOUT = """
+import sys
+
+class NotThere:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in %r:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NotThere())
+"""
+"""A program's beginning, after which some libraries are not installed."""
+ALL = {"brax", "optax", "orbax", "tensorboardX", "gymnasium", "pettingzoo", "jaxmarl", "gymnax", "warp"}
+"""Modules that only extras bring."""
+USE = """
+import json, os
+import jax.numpy as jnp
+from typer.testing import CliRunner
+from usarmjx.cli.app import app
+from usarmjx.plots import play
+from usarmjx.train.evaluation import evaluate
+from usarmjx.train.policies.sources import find_source
+
+def command(*words):
+    done = CliRunner().invoke(app, list(words))
+    return done.exit_code, done.output
+
+policy, params = find_source("drive-to-goal").learned
+acting = policy.as_policy(params)
+_, (actions,) = acting.act(acting.initial_carry(2), (jnp.full((2, 1, 20), 0.5),), None)
+told = {"actions": actions.tolist()}
+with open("runs.jsonl", "w") as file:
+    file.write("")
+for name, words in {
+    "export": ["export", "drive-to-goal", "goal.npz"],
+    "curves": ["curves", "runs.jsonl"],
+    "train": ["train", "--task", "drive-to-goal", "--out", "run", "--worlds", "2"],
+    "export a run": ["export", "run", "run.npz"],
+}.items():
+    os.makedirs("run", exist_ok=True)
+    told[name] = command(*words)
+for module in ("gymnasium", "pettingzoo", "jaxmarl", "brax"):
+    try:
+        __import__(f"usarmjx.train.adapters.{module}")
+    except ImportError as error:
+        told[module] = str(error)
+print(json.dumps(told))
+"""
+
+
+def test_the_base_installation_runs_packaged_policies_and_names_the_extra_for_the_rest(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT % ALL + USE], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    packaged = NumpyPolicy(POLICIES.get("drive-to-goal"))
+    same, _ = packaged.act(0, np.full((2, 1, 20), 0.5), packaged.initial_carry(0, 2, 1))
+    assert np.allclose(told["actions"], same, atol=1e-5)
+    assert told["export"][0] == 0
+    assert (tmp_path / "goal.npz").exists()
+    status, said = told["curves"]
+    assert (status, "pip" in said) == (2, False), said  # it looked into the file, and there is nothing
+    for name in ("train", "export a run"):
+        status, said = told[name]
+        line = said.strip().splitlines()[-1]
+        assert status == 2, said
+        assert line.startswith("usarmjx: this needs "), said
+        assert line.endswith('pip install "usarmjx[train]"'), said
+        assert "Traceback" not in said
+    assert told["gymnasium"] == 'this needs gymnasium: pip install "usarmjx[rl]"'
+    assert told["pettingzoo"] == 'this needs gymnasium: pip install "usarmjx[rl]"'
+    assert told["jaxmarl"] == 'this needs jaxmarl: pip install "usarmjx[rl]"'
+    assert told["brax"] == 'this needs brax: pip install "usarmjx[train]"'
+
+
+def test_what_is_missing_of_ours_is_not_blamed_on_an_extra():
+    with pytest.raises(ModuleNotFoundError, match=r"usarmjx\.nothing"), extra("rl"):
+        import usarmjx.nothing  # noqa: F401
+    said = r'^this needs no_such: pip install "usarmjx\[rl\]"$'
+    with pytest.raises(MissingExtraError, match=said), extra("rl"):
+        import no_such.thing  # noqa: F401
+    assert issubclass(MissingExtraError, UsageError)
+
+
+def test_the_likeliest_action_is_the_mode_of_the_distribution_that_training_draws_from():
+    logits = np.random.default_rng(1).normal(size=(5, 6)).astype(np.float32)
+    kind = LearnedPolicy((AgentGroup("P2AT", ("R1",), 4, 3),), (8,)).distribution(0)
+    assert np.array_equal(likeliest_action(logits), kind.mode(logits))
+
+
+def test_the_extras_that_are_named_exist():
+    declared = tomllib.loads((dev.ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = set()
+    for file in (dev.ROOT / "usarmjx").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        named |= {part.partition('"')[0] for part in text.split('with extra("')[1:]} - {"train: import optax"}
+    assert {"train", "rl"} <= named <= declared.keys()
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_a_packaged_policy_is_exported_as_it_is(half, tmp_path):
+    export_run("explore", tmp_path / "explore.npz", half=half)
+    mine, packaged = NumpyPolicy(tmp_path / "explore.npz"), NumpyPolicy(POLICIES.get("explore"))
+    assert (mine.task, mine.groups, mine.period) == (packaged.task, packaged.groups, packaged.period)
+    first = [policy.weights[0]["layer_0"]["kernel"] for policy in (mine, packaged)]
+    exact = first[1].astype(np.float16).astype(np.float32) if half else first[1]
+    assert np.array_equal(first[0], exact)
+    assert np.array_equal(mine.mean[0], packaged.mean[0])
