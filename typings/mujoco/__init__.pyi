@@ -477,6 +477,9 @@ def mj_multiRay(
     nray: int,
     cutoff: float,
 ) -> None: ...
+def mj_geomDistance(
+    m: MjModel, d: MjData, geom1: int, geom2: int, distmax: float, fromto: np.ndarray | None
+) -> float: ...
 def mj_ray(
     m: MjModel,
     d: MjData,

@@ -55,6 +55,17 @@ FINE = {
         "victims": (VICTIM,),
     },
     "a door open to all": {"doors": (Door(name="d", at=(2, -0.45, 0), yaw=np.pi / 2),)},
+    "a victim that leans on a wall": {
+        "shapes": (replace(WALL, size=(0.05, 1, 0.5), at=(3.2, 0, 0.5)),),
+        "victims": (replace(VICTIM, at=(3, 0, 0.12), rotation=(0, 0, np.pi), posture="sitting"),),
+    },
+    "starts side by side, as in a car park": {
+        "starts": (start(0, 0, 0.188, yaw=np.pi / 2), start(0.6, 0, 0.188, tag="B", yaw=-np.pi / 2)),
+    },
+    "a door beside its wall": {
+        "shapes": (GAP,),
+        "doors": (Door(name="d", at=(2, 0.99, 0), yaw=-np.pi / 2),),
+    },
     "bricks apart": {"loose": (BRICK, replace(BRICK, name="two", at=(1.21, 0, 0.051)))},
     "tags of both kinds": {"tags": (Tag(at=(1, 1, 0)), Tag(at=(1, 1, 0)), Tag(at=(1, 1, 0), id=1001))},
     "a robot in a pond": {
@@ -117,6 +128,41 @@ WRONG = {
     "a victim behind a wall": (
         {"shapes": (WALL,), "victims": (replace(VICTIM, at=(4, 0, 0.11)),)},
         r"victim 'Anna' at 4, 0: a P2AT from 'A' gets no nearer than 1\.0 m",
+    ),
+    "a victim inside a wall": (
+        {"shapes": (replace(WALL, size=(0.3, 1, 0.5)),), "victims": (replace(VICTIM, at=(2.2, 0, 0.11)),)},
+        r"victim 'Anna' is 0\.[12]\d m deep in shapes\[0\] \(box at 2, 0, 0\.5\)",
+    ),
+    "a thin wall through a victim": (
+        {"shapes": (replace(WALL, size=(0.025, 1, 0.5)),), "victims": (replace(VICTIM, at=(2, 0, 0.11)),)},
+        r"victim 'Anna' is 0\.\d\d m deep in shapes\[0\]",
+    ),
+    "a victim in the air": (
+        {"victims": (replace(VICTIM, at=(2, 0, 2.11)),)},
+        r"victim 'Anna' hangs in the air, 2\.0\d m above the ground",
+    ),
+    "a victim under the floor": (
+        {"victims": (replace(VICTIM, at=(2, 0, -1)),)},
+        r"victim 'Anna' is 1\.\d\d m below the floor|gets no nearer",
+    ),
+    "two starts side by side": (
+        {"starts": (START, start(0.05, 0, 0.188, tag="B"))},
+        r"starts 'A' and 'B' are 0\.05 m apart, .*: a P2AT is 0\.\d\d m long",
+    ),
+    "a door hinged in a wall": (
+        {"shapes": (GAP,), "doors": (Door(name="gate", at=(2, 1.3, 0), yaw=-np.pi / 2),)},
+        r"door 'gate' hangs 0\.\d\d m deep in shapes\[0\] .*: it cannot turn",
+    ),
+    "a door between two walls": (
+        {
+            "shapes": tuple(replace(WALL, size=(0.02, 0.6, 0.5), at=(x, 0, 0.5)) for x in (1.95, 2.05)),
+            "doors": (Door(name="gate", at=(2, -0.45, 0), yaw=np.pi / 2, size=(0.9, 0.02, 1.0)),),
+        },
+        r"door 'gate' opens by \d degrees only",
+    ),
+    "a start on a wall": (
+        {"shapes": (replace(WALL, size=(1, 1, 0.5), at=(0, 0, 0.5)),), "starts": (start(0, 0, 1.188),)},
+        r"start 'A' is on top of shapes\[0\] .*, which is a wall",
     ),
     "a tag outside": ({"tags": (Tag(at=(0, 9, 0)),)}, r"tag 0 \(ID -1\) at 0, 9 is outside"),
     "IDs of releasers": ({"tags": (Tag(at=(0, 1, 0), id=7),)}, "ID 7; up to 1000 they belong to releasers"),

@@ -9,6 +9,7 @@ from PIL import Image
 
 import dev
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.check.arena import check_arena
 from usarmjx.models.files.images import read_heights, write_heights
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.maps import rectangles
@@ -148,3 +149,16 @@ def test_the_office_is_the_map():
 def test_a_mistake_in_a_map_is_named(text, says, tmp_path):
     with pytest.raises(ArenaFileError, match=says):
         load_arena(write(tmp_path / "a.yaml", text))
+
+
+def test_a_map_without_a_free_cell_is_told_and_found_by_the_check(tmp_path, caplog):
+    Image.new("L", (30, 20), 0).save(tmp_path / "a.png")
+    text = "image: a.png\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    (tmp_path / "a.yaml").write_text(text)
+    arena = load_arena(tmp_path / "a.yaml")
+    assert "no free cell: of 30 x 20, 600 are walls and the others unknown; mind `negate`" in caplog.text
+    assert any("is on top of shapes[0]" in fault and "a wall" in fault for fault in check_arena(arena))
+    caplog.clear()
+    (tmp_path / "b.yaml").write_text(text + "negate: 1\n")
+    assert check_arena(load_arena(tmp_path / "b.yaml")) == []
+    assert not caplog.text

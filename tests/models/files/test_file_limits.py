@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import ConvexHull
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.drives import NoDrive
@@ -360,6 +361,45 @@ BROKEN = [
 @pytest.mark.parametrize(("name", "text", "says"), BROKEN)
 def test_what_is_broken_in_a_mesh_is_said(name, text, says, tmp_path):
     refused(write(tmp_path / name, text), says)
+
+
+def box_stl():
+    """A cuboid as a binary STL file, as a list of bytes."""
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], "<f4")
+    faces = ConvexHull(corners)
+    data = bytearray(80) + struct.pack("<I", len(faces.simplices))
+    for simplex, plane in zip(faces.simplices, faces.equations, strict=True):
+        facet = corners[simplex]
+        if np.cross(facet[1] - facet[0], facet[2] - facet[0]) @ plane[:3] < 0:
+            facet = facet[::-1]
+        data += np.r_[plane[:3], facet.ravel()].astype("<f4").tobytes() + bytes(2)
+    return data
+
+
+CORRUPT = {
+    "other numbers": (
+        lambda data: data.__setitem__(slice(96, 108), struct.pack("<3f", 0.3, 0.4, 0.6)),
+        "facet 1 has another normal than its corners",
+    ),
+    "far away": (lambda data: data.__setitem__(slice(99, 100), b"\x7e"), "facet 1 has a corner .* m away"),
+    "zeros": (lambda data: data.__setitem__(slice(284, 334), bytes(50)), "facet 5 has no area"),
+}
+
+
+@pytest.mark.parametrize(("damage", "says"), CORRUPT.values(), ids=CORRUPT)
+def test_a_corrupt_stl_is_called_corrupt(damage, says, tmp_path):
+    data = box_stl()
+    assert len(load_arena(write(tmp_path / "fine.stl", bytes(data))).shapes) == 1
+    damage(data)
+    refused(write(tmp_path / "a.stl", bytes(data)), rf"a\.stl is corrupt: {says}")
+
+
+def test_heights_are_not_read_from_jpeg_whatever_it_is_called(tmp_path):
+    grey = Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
+    grey.save(tmp_path / "fine.png")
+    assert load_arena(tmp_path / "fine.png").shapes[0].heights is not None
+    grey.save(tmp_path / "a.png", format="JPEG")
+    refused(tmp_path / "a.png", r"a\.png: is a JPEG image, which is lossy")
 
 
 def test_names_of_objects_need_not_be_utf_8(tmp_path):

@@ -7,6 +7,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.build.compose_arena import ARENA
 from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.build.tags import MAX_RELEASED_ID
+from usarmjx.models.check.bodies import BodyProbe, check_close_starts
 from usarmjx.models.check.probe import ArenaProbe, format_position, in_water, solid_name
 from usarmjx.models.files.content import corners_of
 from usarmjx.models.robots import ROBOTS
@@ -25,8 +26,9 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     """Return what is wrong with an arena, a sentence each; empty: nothing was found.
 
     Looked at: the plan (extent, names and IDs, what lies outside), each start pose for a robot of that
-    class (ground under it, at the height of manual 5.3.5; no solid in the robot), what it can reach from the
-    first start pose on ground (the others, the victims), loose objects that lie in something, and water.
+    class (ground under it, at the height of manual 5.3.5; no solid in the robot; room between two of them),
+    what it can reach from the first start pose on ground (the others, the victims), loose objects and victims
+    that lie in something or hang in the air, doors that cannot turn, and water.
 
     Raises:
         UnknownNameError: No such robot class.
@@ -38,6 +40,8 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     except (SpecError, ValueError) as error:
         return [*found, f"it cannot be built: {error}"]
     found += [*site.check_starts(), *site.check_loose(), *site.check_waters()]
+    bodies = BodyProbe(arena)
+    found += [*check_close_starts(arena, spec), *bodies.check_victims(), *bodies.check_doors()]
     dry = [start for start in arena.starts if not in_water(arena, start)]
     if not dry or any(fault.startswith(f"start {dry[0].tag!r}") for fault in found):
         return found  # from there nobody gets anywhere

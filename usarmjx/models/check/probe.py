@@ -21,6 +21,8 @@ MAX_LOOSE_PENETRATION = 0.005
 """How deep a loose object may lie in another solid [m]."""
 MAX_WATER_GAP = 0.1
 """How far above the ground a volume of water may end [m]."""
+WALL_TOP = 0.8
+"""A wall at least so high is not meant to be stood on [m]."""
 AWAY_HEIGHT = 1000.0
 """Where the robot waits while the arena is looked at without it [m]."""
 RAY_STEP = 1e-4
@@ -56,6 +58,38 @@ def in_water(arena: ArenaSpec, start: StartPose) -> bool:
     )
 
 
+class GroundFinder:
+    """Looks for what can be stood on, straight down.
+
+    Args:
+        model: A model with an arena.
+        data: Its present state.
+        ignore: What the names of geoms start with that are no ground.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, ignore: str = "\0") -> None:
+        self._model, self._data, self._ignore = model, data, ignore
+
+    def below(self, at: tuple[float, float, float]) -> float | None:
+        """Return the height of the first solid below a place in the world that can be touched [m]."""
+        found = self.find(at)
+        return None if found is None else found[0]
+
+    def find(self, at: tuple[float, float, float]) -> tuple[float, str] | None:
+        """Return height [m] and geom of the first solid below a place in the world that can be touched."""
+        point, down = np.array(at), np.array([0.0, 0.0, -1.0])
+        geom = np.zeros((1, 1), np.int32)
+        while (distance := mujoco.mj_ray(self._model, self._data, point, down, None, 1, -1, geom)) >= 0:
+            point = point + down * distance
+            hit = int(geom[0, 0])
+            name = self._model.geom(hit).name
+            touched = self._model.geom_contype[hit] or self._model.geom_conaffinity[hit]
+            if touched and not name.startswith(self._ignore):
+                return float(point[2]), name
+            point = point + down * RAY_STEP
+        return None
+
+
 class ArenaProbe:
     """The arena on C MuJoCo with one robot, which is put where it is needed.
 
@@ -81,11 +115,14 @@ class ArenaProbe:
         """Yield what is wrong with start poses."""
         for start in self._arena.starts:
             name = f"start {start.tag!r}"
-            ground = self._ground(start.at)
             if not in_water(self._arena, start):
-                if ground is None:
+                found = self._find_ground(start.at)
+                if found is None:
                     yield f"{name}: there is no ground under it"
                     continue
+                ground, geom = found
+                if self._surface(geom) == "wall" and ground > WALL_TOP:
+                    yield f"{name} is on top of {solid_name(self._arena, geom)}, which is a wall"
                 if abs(start.at[2] - ground - START_ELEVATION) > ELEVATION_TOLERANCE:
                     yield (
                         f"{name} is {start.at[2] - ground:.3f} m above the ground under it, not "
@@ -122,17 +159,14 @@ class ArenaProbe:
 
     def _ground(self, at: tuple[float, float, float]) -> float | None:
         """Return the height of the first solid below a place that can be touched, in the arena's axes."""
+        found = self._find_ground(at)
+        return None if found is None else found[0]
+
+    def _find_ground(self, at: tuple[float, float, float]) -> tuple[float, str] | None:
+        """Return height, in the arena's axes, and geom of the first solid below a place."""
         self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
-        point = np.array([*at[:2], at[2] + self._arena.floor])
-        down = np.array([0.0, 0.0, -1.0])
-        geom = np.zeros((1, 1), np.int32)
-        while (distance := mujoco.mj_ray(self._model, self._data, point, down, None, 1, -1, geom)) >= 0:
-            point = point + down * distance
-            hit = int(geom[0, 0])
-            if self._model.geom_contype[hit] or self._model.geom_conaffinity[hit]:
-                return float(point[2] - self._arena.floor)
-            point = point + down * RAY_STEP
-        return None
+        found = GroundFinder(self._model, self._data).find((at[0], at[1], at[2] + self._arena.floor))
+        return None if found is None else (found[0] - self._arena.floor, found[1])
 
     def _inside(self, start: StartPose) -> dict[str, float]:
         """Return the solids that the robot is in when it starts there, and how deep."""
@@ -147,12 +181,15 @@ class ArenaProbe:
                 found[solid] = max(depth, found.get(solid, 0.0))
         return found
 
+    def _surface(self, geom: str) -> str:
+        """Return the surface of a fixed solid; "" of anything else."""
+        if not geom.startswith(ARENA):
+            return ""
+        return self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])].surface
+
     def _bearable(self, geom: str) -> float:
         """Return how deep in a solid a robot may start."""
-        if geom.startswith(ARENA):
-            shape = self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])]
-            return MAX_GROUND_PENETRATION if shape.surface == "ground" else MAX_PENETRATION
-        return MAX_PENETRATION
+        return MAX_GROUND_PENETRATION if self._surface(geom) == "ground" else MAX_PENETRATION
 
     def _contacts(self) -> dict[tuple[str, str], float]:
         """Return the pairs of geoms that touch, and how deep."""

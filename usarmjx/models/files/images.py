@@ -14,6 +14,8 @@ MOST_PIXELS = 16_000_000
 """Of a map."""
 MOST_HEIGHTS = 1_000_000
 """Of a terrain."""
+LOSSY = ("JPEG",)
+"""What smears its pixels into each other."""
 WHITE_BY_MODE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}
 """Modes of Pillow with one grey value, and white in each."""
 
@@ -24,9 +26,15 @@ def read_heights(path: Path, height: float) -> np.ndarray:
     Black is 0 and white is `height`; the first line of the image is far, at the largest y.
 
     Raises:
-        ArenaFileError: A file that does not read, has colours, or is too small or too large.
+        ArenaFileError: A file that does not read, has colours, or is too small or too large, or is a JPEG,
+            whatever it is called: its heights would not be those that somebody drew.
     """
-    mode, pixels = _pixels(path, MOST_HEIGHTS)
+    mode, pixels, form = _read_image(path, MOST_HEIGHTS)
+    if form in LOSSY:
+        raise ArenaFileError(
+            f"{path}: is a {form} image, which is lossy: a floor drawn flat comes out bumpy; "
+            "give heights as PNG, made from the original"
+        )
     if mode not in WHITE_BY_MODE or pixels.ndim != 2:
         raise ArenaFileError(
             f"{path}: is an image of mode {mode}; heights are grey values of 8 or 16 bits, nothing else"
@@ -74,18 +82,24 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def _pixels(path: Path, most: int) -> tuple[str, np.ndarray]:
-    """Return an image's mode and its pixels (rows, columns[, channels]); palettes become colours."""
+    """Return an image's mode and its pixels; see `_read_image`."""
+    return _read_image(path, most)[:2]
+
+
+def _read_image(path: Path, most: int) -> tuple[str, np.ndarray, str]:
+    """Return an image's mode, its pixels (rows, columns[, channels]) and format; palettes become colours."""
     from PIL import Image
 
     read_bytes(path, most=8 * most)
     try:
         with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
+            form = image.format or ""
             if width * height > most:
                 raise ArenaFileError(f"{path}: {width} x {height} pixels; at most {most} in all")
             if image.mode in ("1", "P"):
                 image = image.convert("L" if image.mode == "1" else "RGB")
-            return image.mode, np.array(image)
+            return image.mode, np.array(image), form
     except ArenaFileError:
         raise
     except Exception as error:  # Pillow raises whatever its decoders run into

@@ -121,6 +121,15 @@ def occupancy_grid_content(
         shapes=tuple(_box(plan, box, height) for box in boxes),
         extent=_extent(plan),
         free_position=_free_position(plan),
+        warnings=() if plan.free.any() else (_nowhere(value, plan),),
+    )
+
+
+def _nowhere(value: YamlValue, plan: OccupancyGrid) -> str:
+    rows, columns = plan.wall.shape
+    return (
+        f"{value.path}: the map has no free cell: of {columns} x {rows}, {plan.wall.sum()} are walls and the "
+        "others unknown; mind `negate`, `occupied_thresh` and `free_thresh`"
     )
 
 

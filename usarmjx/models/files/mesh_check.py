@@ -13,6 +13,10 @@ MOST_MESH_BYTES = 64_000_000
 HEADER, FACET = 84, 50
 """Bytes of a binary STL file before its facets, and of each of them."""
 FACETS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+FAR_OUT = 1e6
+"""Times as far as most corners of a file, no corner is meant to be."""
+ALIKE = 0.9
+"""Cosine between the normal in a file and that of the corners."""
 CLIPPED = 40
 """Characters of a word that messages show."""
 
@@ -118,6 +122,33 @@ def _check_facets(path: Path, facets: np.ndarray) -> None:
     wrong = np.flatnonzero(~np.isfinite(facets["corners"]).all(axis=(1, 2)))
     if len(wrong):
         raise broken(path, f"facet {wrong[0] + 1} has a corner that is not finite")
+
+
+def find_corrupt_facet(path: Path, data: bytes) -> str:
+    """Return in words which facet of a binary STL file cannot be meant; "" if none is suspect.
+
+    For files that read and make no solid: a facet is suspect that has no area, one corner far from all
+    others, or a normal unlike that of its corners where most facets' are alike.
+    """
+    announced = int.from_bytes(data[HEADER - 4 : HEADER], "little")
+    if path.suffix.lower() != ".stl" or len(data) != HEADER + FACET * announced:
+        return ""
+    facets = np.frombuffer(data, FACETS, announced, HEADER)
+    corners, said = facets["corners"].astype(float), facets["normal"].astype(float)
+    reach = np.abs(corners).max(axis=(1, 2))
+    usual = float(np.median(reach))
+    if reach.max() > FAR_OUT * max(usual, 1e-9):
+        return (
+            f"facet {reach.argmax() + 1} has a corner {reach.max():.3g} m away, most are within {usual:.3g}"
+        )
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area, length = np.linalg.norm(normal, axis=1), np.linalg.norm(said, axis=1)
+    if not area.all():
+        return f"facet {area.argmin() + 1} has no area"
+    unlike = (length > 0) & ((normal * said).sum(1) < ALIKE * area * length)
+    if 0 < unlike.sum() < announced / 2:
+        return f"facet {unlike.argmax() + 1} has another normal than its corners"
+    return ""
 
 
 def _check_text(path: Path, data: bytes) -> None:

@@ -16,7 +16,13 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import surface_of
-from usarmjx.models.files.mesh_check import MESH_CHECKS, MOST_MESH_BYTES, broken, check_mesh
+from usarmjx.models.files.mesh_check import (
+    MESH_CHECKS,
+    MOST_MESH_BYTES,
+    broken,
+    check_mesh,
+    find_corrupt_facet,
+)
 from usarmjx.models.files.reader_process import MeshArrays, read_mesh_objects
 from usarmjx.models.files.values import FARTHEST, read_bytes
 from usarmjx.models.spec.shapes import Mesh, Shape
@@ -63,11 +69,17 @@ def load_convex_pieces(
         hull: Whether to take the hulls of pieces that are not convex.
 
     Raises:
-        ArenaFileError: A file that does not read; a piece that is not closed or not convex, flat, or that has
-            too many corners; names it.
+        ArenaFileError: A file that does not read or is corrupt; a piece that is not closed or not convex,
+            flat, or that has too many corners; names it.
     """
     x, y, z = scale
-    return [*_pieces_of(path, _checked(path), (x, y, z), hull)]
+    digest = _checked(path)
+    try:
+        return [*_pieces_of(path, digest, (x, y, z), hull)]
+    except ArenaFileError as error:
+        if suspect := find_corrupt_facet(path, read_bytes(path, MOST_MESH_BYTES)):
+            raise ArenaFileError(f"{path} is corrupt: {suspect}") from error
+        raise
 
 
 @lru_cache(maxsize=64)
