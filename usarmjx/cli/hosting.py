@@ -70,6 +70,9 @@ class ListenOptions:
             "need its seat; 0: never.",
         ),
     ] = 60.0
+    dialect: Annotated[
+        str, typer.Option(help="manual: the wire protocol of its version; udk: that of the later ones.")
+    ] = "manual"
     allow: AllowOption = None
     token: TokenOption = None
     token_file: TokenFileOption = None
@@ -99,6 +102,7 @@ class ListenOptions:
             max_connections=self.max_connections,
             init_timeout=self.init_timeout,
             rules=self.rules,
+            dialect=self.dialect,
         )
 
 
@@ -164,6 +168,7 @@ class Host:
         view: Whether there is one.
         spectator: The spectator's page, of which browsers may use the same names.
         services: Services of each world.
+        layers: What the live page shows at first beside what it always does.
     """
 
     listen: ListenOptions
@@ -174,6 +179,7 @@ class Host:
     view: bool
     spectator: SpectatorOptions
     services: Sequence[ServiceOptions] = field(default_factory=list[ServiceOptions])
+    layers: Sequence[str] = ()
 
     @contextlib.contextmanager
     def ports(self) -> "Iterator[OpenPorts]":
@@ -242,6 +248,6 @@ class Host:
         clock = StepClock(self.run.realtime_factor)
         controls = add_controls(servers, clock)
         if ports.page is not None:
-            add_viewer(servers, controls, ports.page, services.viewer, radio)
+            add_viewer(servers, controls, ports.page, services.viewer, radio, self.layers)
         with recorded(worlds, self.run.record):
             run(servers, clock, signals)

@@ -48,14 +48,22 @@ def bot_settings(
     max_connections: int | None,
     init_timeout: float,
     rules: "AccessRules",
+    dialect: str,
 ) -> "BotServerSettings":
     """Return how to serve a world; an option overrides what BotAPI.ini among the ini files says.
 
     As a robot takes a connection, there are as many as seats at least, unless an option says otherwise.
+
+    Raises:
+        UsageError: There is no such dialect.
     """
     from usarmjx.server.bot_server import BotServerSettings, read_bot_server
+    from usarmjx.server.protocol.dialects import find_dialect
 
-    read = BotServerSettings(host, init_timeout=init_timeout, access=rules, **read_bot_server(ini or ()))
+    spoken = find_dialect(dialect)
+    read = BotServerSettings(
+        host, init_timeout=init_timeout, access=rules, dialect=spoken, **read_bot_server(ini or ())
+    )
     return replace(
         read,
         port=read.port if port is None else port,

@@ -15,6 +15,7 @@ from usarmjx.server.messages.sensors import configuration, geometry, link_joint
 from usarmjx.server.messages.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, clip, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
@@ -46,10 +47,17 @@ class Client:
         world: The served world.
         peer: The peer's address, for the log.
         fault_log: Where its faults are logged; None: in a log of its own.
+        dialect: In which version's words it speaks.
     """
 
-    def __init__(self, world: ServedWorld, peer: str, fault_log: FaultLog | None = None) -> None:
-        self.session = RobotSession(reports.nfo_greeting(world.arena.name))
+    def __init__(
+        self,
+        world: ServedWorld,
+        peer: str,
+        fault_log: FaultLog | None = None,
+        dialect: Dialect = MANUAL,
+    ) -> None:
+        self.session = RobotSession(reports.nfo_greeting(world.arena.name), dialect=dialect)
         self.robot: Robot | None = None
         self._reporter = Reporter(world, self.session)
         self._trace_state: RobotTrace | None = None

@@ -9,6 +9,7 @@ from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.read import as_whole, fail
 from usarmjx.server.access import EVERYBODY, AccessRules
 from usarmjx.server.ports import BOT_PORT
+from usarmjx.server.protocol.dialects import MANUAL, Dialect
 
 SECTION = "BotAPI.BotServer"
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
@@ -28,6 +29,7 @@ class BotServerSettings:
         max_faults: A client is dropped after so many lines in a row that could not be used, of which a
             refused INIT counts as `session.REFUSAL_FAULTS`; 0: never.
         access: Who may connect.
+        dialect: In which version's words clients speak.
     """
 
     host: str = "127.0.0.1"
@@ -36,6 +38,7 @@ class BotServerSettings:
     init_timeout: float = 60.0
     max_faults: int = 1000
     access: AccessRules = EVERYBODY
+    dialect: Dialect = MANUAL
 
 
 @dataclass

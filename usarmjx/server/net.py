@@ -252,7 +252,8 @@ class BotServer:
             writer.close()
             return
         limit_receive_buffer(writer, RECEIVE_BUFFER)
-        client, budget = Client(self.world, peer, self._fault_log), ClientBudget(self._budgets)
+        client = Client(self.world, peer, self._fault_log, self.settings.dialect)
+        budget = ClientBudget(self._budgets)
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
         self.tally.connections += 1
         log.info("%s: connected", peer)

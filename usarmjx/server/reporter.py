@@ -51,7 +51,10 @@ class Reporter:
         """Send a sensor's reading; one that makes no message is left out, and the log says so once."""
         sensor, world = robot.suite.sensors[index], self._world
         try:
-            message = sensor_report(sensor, reading, world.time, world.arena.gps, world.tag_texts)
+            stamped = self._session.dialect.is_stamped
+            message = sensor_report(
+                sensor, reading, world.time, world.arena.gps, world.tag_texts, stamped=stamped
+            )
             if message is not None:
                 self._session.send(message)
         except PeerError:

@@ -115,6 +115,11 @@ UNDERSTOOD = [
         id="manual 9.4 MISPKG arm",
     ),
     pytest.param(
+        "MISPKG {Name Cam} {Rotation 0,0.1,0.2} {Order 1}",
+        MisPkg("Cam", (LinkCommand(1, -0.1, 1), LinkCommand(2, 0.2, 1))),
+        id="the older MISPKG of Player and SPQR: pan to the right, tilt up",
+    ),
+    pytest.param(
         "MISPGK {Name Arm} {Link 1} {Value 1}{Order 2}",
         MisPkg("Arm", (LinkCommand(1, 1.0, 2),)),
         id="manual 9.4 heading MISPGK",
@@ -360,7 +365,7 @@ IGNORED = [
     ("MISPKG {Link 1} {Value 1}", "without a Name"),
     ("MISPKG {Name Arm}", "no Link"),
     ("MISPKG {Name Arm} {Value 1} {Value 2} {Link 2}", "belongs to none"),
-    ("MISPKG {Name Cam} {Rotation 0,0.1,0.2} {Order 0}", "no Link"),  # old dialect: Player, SPQR
+    ("MISPKG {Name Cam} {Rotation}", "no Link"),
     ("GETGEO", "without a Type"),
     ("GETCONF {Name F1}", "without a Type"),
 ]

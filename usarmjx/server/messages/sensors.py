@@ -151,6 +151,8 @@ def sensor_report(
     time: float,
     origin: LatLon | None = None,
     texts: victims.TagTexts | None = None,
+    *,
+    stamped: bool = False,
 ) -> Message | None:
     """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
 
@@ -162,13 +164,14 @@ def sensor_report(
         time: Simulated time [s].
         origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
         texts: What is written on RFID tags.
+        stamped: Whether it has its time whatever the sensor is set to.
     """
     report = generic.lookup_by_type(sensor, REPORTS) or generic.report
     if report is _gps:
         report = partial(_gps, origin=origin)
     elif report is victims.tags:
         report = partial(victims.tags, texts=texts)
-    message = report(sensor, value, time if sensor.settings[0].with_time_stamp else None)
+    message = report(sensor, value, time if stamped or sensor.settings[0].with_time_stamp else None)
     return None if message is None else generic.of_type(sensor.kind, message)
 
 

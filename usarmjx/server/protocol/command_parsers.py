@@ -163,10 +163,22 @@ def _mis_pkg(message: Message) -> Command | Ignored:
     name = message.get("Name")
     if not name:
         return Ignored("MISPKG without a Name")
+    if not message.all("Link") and message.get("Rotation"):
+        return _mis_pkg_rotation(message, name)
     groups = _groups(message, _LINK_KEYS)
     if any("link" not in group for group in groups):
         return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
     return MisPkg(name, tuple(_link(group) for group in groups))
+
+
+def _mis_pkg_rotation(message: Message, name: str) -> Command:
+    """Read the form of before links had numbers, `{Rotation 0,pan,tilt}`, that Player and SPQR still send.
+
+    Its pan is positive to the right, as yaw is on the wire; that of a camera's link 1 to the left.
+    """
+    _, pan, tilt = _vector(message.get("Rotation")) or (0.0, 0.0, 0.0)
+    order = to_int(message.get("Order"))
+    return MisPkg(name, (LinkCommand(1, -pan, order), LinkCommand(2, tilt, order)))
 
 
 def _link(group: dict[str, str]) -> LinkCommand:

@@ -34,6 +34,7 @@ from usarmjx.server.protocol.commands import (
     SetViewports,
     Trace,
 )
+from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.grammar import Message, clip, format_message, parse_message
 from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
 
@@ -81,17 +82,24 @@ class RobotSession:
         greeting: The line that the server speaks first.
         line_limit: Longest line accepted [bytes].
         send_limit: Most that may wait to be sent [bytes].
+        dialect: In which version's words both sides speak.
 
     Attributes:
         phase: Where the dialogue stands.
+        dialect: In which version's words both sides speak.
         fault_count: How many faults there were so far.
         faults_in_a_row: How many lines could not be used since the last that could.
     """
 
     def __init__(
-        self, greeting: Message, line_limit: int = DEFAULT_LIMIT, send_limit: int = SEND_LIMIT
+        self,
+        greeting: Message,
+        line_limit: int = DEFAULT_LIMIT,
+        send_limit: int = SEND_LIMIT,
+        dialect: Dialect = MANUAL,
     ) -> None:
         self.phase = SessionPhase.GREETED
+        self.dialect = dialect
         self._lines = LineBuffer(line_limit)
         self._send_limit = send_limit
         self._outgoing = bytearray()
@@ -173,7 +181,8 @@ class RobotSession:
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        line = format_message(message).encode("latin-1", "replace") + b"\r\n"
+        told = [format_message(one) for one in self.dialect.translate(message)]
+        line = "".join(f"{one}\r\n" for one in told).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
         self._outgoing += line
@@ -209,7 +218,7 @@ class RobotSession:
     def _understand(self, line: str) -> Command | None:
         """Return the line's command if it is legal now; otherwise note the fault."""
         try:
-            command = parse_command(parse_message(line))
+            command = parse_command(self.dialect.understand(parse_message(line)))
         except PeerError as error:
             self._fault(f"{error}: {clip(line)}")
             return None

@@ -1,0 +1,109 @@
+"""The words of the later versions; those that nodes for ROS were written for."""
+
+import pytest
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.commands import DriveRobot, GetConf, Init, LinkCommand, MisPkg
+from usarmjx.server.protocol.dialects import DIALECTS, MANUAL, UDK, find_dialect
+from usarmjx.server.protocol.grammar import format_message, parse_message
+from usarmjx.server.protocol.reports import nfo_greeting
+from usarmjx.server.protocol.session import RobotSession
+
+TOLD = [  # the manual's line, and what is heard instead
+    (
+        "MISSTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000} {Torque -0.50}"
+        " {Link 2} {Value 0.0000} {Torque 0.10}",
+        ["ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000} {Link 2} {Value 0.0000}"],
+    ),
+    (
+        "SEN {Time 62.0100} {Type Sonar} {Name F1 Range 2.5098} {Name F2 Range 5.0000}",
+        [
+            "SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}",
+            "SEN {Time 62.0100} {Type Sonar} {Name F2} {Range 5.0000}",
+        ],
+    ),
+    (
+        "SEN {Time 1.0000} {Type Encoder} {Name ECLeft Tick 4} {Name ECRight Tick -5}",
+        [
+            "SEN {Time 1.0000} {Type Encoder} {Name ECLeft} {Tick 4}",
+            "SEN {Time 1.0000} {Type Encoder} {Name ECRight} {Tick -5}",
+        ],
+    ),
+    (
+        "GEO {Type Sonar} {Name F2 Location 0.1850,-0.1150,0.0000"
+        " Orientation 0.0000,0.0000,-0.8727 Mount HARD}",
+        [
+            "GEO {Type Sonar} {Name F2} {Location 0.1850,-0.1150,0.0000}"
+            " {Orientation 0.0000,0.0000,-0.8727} {Mount HARD}"
+        ],
+    ),
+    (
+        "GEO {Type MisPkg} {Name Cam} {Link 1} {ParentLink -1} {Location 0.1,0,0} {Orientation 3.1,0,0}"
+        " {Link 2} {ParentLink 1} {Location 0,0,0.05} {Orientation 1.5,0,0}",
+        [
+            "GEO {Type Actuator} {Name Cam} {Location 0.0000,0.0000,0.0000}"
+            " {Orientation 0.0000,0.0000,0.0000} {Mount HARD}"
+            " {Link 1} {Parent 0} {Location 0.1,0,0} {Orientation 3.1,0,0}"
+            " {Link 2} {Parent 1} {Location 0,0,0.05} {Orientation 1.5,0,0}"
+        ],
+    ),
+    ("GEO {Type MisPkg} {Name Nothing}", ["GEO {Type Actuator} {Name Nothing}"]),
+    (
+        "CONF {Type MisPkg} {Name Cam} {Link 1} {JointType Revolute} {MaxSpeed 0.17} {MaxTorque 20.00}"
+        " {MinRange 1.00} {MaxRange 0.00}",
+        [
+            "CONF {Type Actuator} {Name Cam} {Link 1} {JointType Revolute} {MaxSpeed 0.17}"
+            " {MaxTorque 20.00} {MinValue 1.00} {MaxValue 0.00}"
+        ],
+    ),
+    ("STA {Type GroundVehicle} {Time 1.00}", ["STA {Type GroundVehicle} {Time 1.00}"]),
+    ("SEN {Type Odometry} {Name O} {Pose 1,2,3}", ["SEN {Type Odometry} {Name O} {Pose 1,2,3}"]),
+    ("CONF {Type Sonar} {Name F1} {MaxRange 5}", ["CONF {Type Sonar} {Name F1} {MaxRange 5}"]),
+    (
+        "SEN {Time 5.0} {Type VictSensor} {Status NoVictims}",
+        ["SEN {Time 5.0} {Type VictSensor} {Status NoVictims}"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("line", "heard"), TOLD, ids=[line.split("} {Name")[0] for line, _ in TOLD])
+def test_what_udk_says(line, heard):
+    message = parse_message(line)
+    assert [format_message(one) for one in UDK.translate(message)] == heard
+    assert list(MANUAL.translate(message)) == [message]
+
+
+ASKED = [
+    (
+        "ACT {Name Cam} {Link 0} {Value 0.2} {Link 1} {Value -0.1}",
+        MisPkg("Cam", (LinkCommand(1, 0.2), LinkCommand(2, -0.1))),
+    ),
+    ("MISPKG {Name Cam} {Link 1} {Value 0.2} {Order 0}", MisPkg("Cam", (LinkCommand(1, 0.2),))),
+    ("GETCONF {Type actuator} {Name Cam}", GetConf("MisPkg", "Cam")),
+    ("GETCONF {Type Gripper}", GetConf("Gripper")),
+    ("Drive {Left 1.0} {Right 1.0}", DriveRobot((("Left", 1.0), ("Right", 1.0)))),
+]
+
+
+@pytest.mark.parametrize(("line", "command"), ASKED)
+def test_what_udk_understands(line, command):
+    session = RobotSession(nfo_greeting("DM-Test"), dialect=UDK)
+    (init,) = session.receive_data(b"INIT {Classname USARBot.P3AT} {Name R} {Start Start1}\r\n")
+    assert init == Init("P2AT", "R", start="Start1")
+    session.answer_init(True)
+    assert session.receive_data(line.encode() + b"\r\n") == [command]
+
+
+def test_the_manual_knows_none_of_it():
+    session = RobotSession(nfo_greeting("DM-Test"))
+    (init,) = session.receive_data(b"INIT {Classname USARBot.P3AT} {Name R}\r\n")
+    assert init.class_name == "P3AT"
+    session.answer_init(True)
+    assert session.receive_data(b"ACT {Name Cam} {Link 0} {Value 0.2}\r\n") == []
+    assert session.receive_data(b"GETGEO {Type Actuator}\r\n")[0].type == "Actuator"
+
+
+def test_a_dialect_is_found_by_its_name():
+    assert [find_dialect(name) for name in DIALECTS] == [MANUAL, UDK]
+    with pytest.raises(UsageError, match="unknown dialect 'b'; known: manual, udk"):
+        find_dialect("b")

@@ -1,0 +1,132 @@
+"""In which version's words a server speaks: those of the manual, or those of the later versions on UDK.
+
+A dialect stands between the lines and the commands. `understand` turns what a client says into the manual's
+messages, `translate` the manual's messages into what the client hears. What UDK's version calls otherwise:
+
+    ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000}     MISSTA, without Torque
+    ACT {Name CameraPanTilt} {Link 0} {Value 0.2}                      MISPKG; links count from 0 in it alone
+    GETCONF {Type Actuator}, GETGEO {Type Actuator}                    {Type MisPkg}
+    SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
+    INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.grammar import Message, Segment, to_int
+
+PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
+"""What mission packages are called by the manual and by UDK's version."""
+GROUPED_TYPES = ("Sonar", "IR", "Touch", "Encoder")
+"""Sensors of which the manual's version tells all in one line."""
+LATER_CLASSES = {"usarbot.p3at": "USARBot.P2AT", "p3at": "P2AT"}
+"""Robots of the later versions, by what they are here."""
+LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
+"""Keys of GEO and CONF of packages, and what UDK's version calls them."""
+_ORIGIN = "0.0000,0.0000,0.0000"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a server speaks.
+
+    Attributes:
+        name: What it is called.
+        understand: Turns a client's message into the manual's.
+        translate: Turns a message of the manual into those that the client hears.
+        is_stamped: Whether every reading has its time, whatever the sensor is set to.
+    """
+
+    name: str
+    understand: Callable[[Message], Message]
+    translate: Callable[[Message], Iterable[Message]]
+    is_stamped: bool = False
+
+
+def _understand_udk(message: Message) -> Message:
+    if message.kind == "ACT":
+        return Message("MISPKG", tuple(_from_one(segment) for segment in message.segments))
+    if message.kind in ("GETGEO", "GETCONF"):
+        return _with_values(message, "type", {ACTUATOR_TYPE.lower(): PACKAGE_TYPE})
+    if message.kind == "INIT":
+        return _with_values(message, "classname", LATER_CLASSES)
+    return message
+
+
+def _from_one(segment: Segment) -> Segment:
+    key, value = segment
+    return (key, str(to_int(value) + 1)) if key.lower() == "link" and value else segment
+
+
+def _with_values(message: Message, key: str, others: dict[str, str]) -> Message:
+    segments = tuple(
+        (name, others.get(value.lower(), value) if name.lower() == key else value)
+        for name, value in message.segments
+    )
+    return replace(message, segments=segments)
+
+
+def _translate_udk(message: Message) -> Iterator[Message]:
+    if message.kind == "MISSTA":
+        yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
+    elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == PACKAGE_TYPE.lower():
+        yield Message(message.kind, tuple(_actuator(message)))
+    elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
+        yield from _one_by_one(message)
+    elif message.kind in ("SEN", "GEO"):
+        yield replace(message, segments=tuple(_split(message.segments)))
+    else:
+        yield message
+
+
+def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Give each pair of `{Name F1 Range 2.5}` braces of its own."""
+    for key, value in segments:
+        words = value.split()
+        if key == "Name" and len(words) > 1:
+            yield (key, words[0])
+            yield from zip(words[1::2], words[2::2], strict=True)
+        else:
+            yield (key, value)
+
+
+def _one_by_one(message: Message) -> Iterator[Message]:
+    """Return a message for each item of one that tells of several."""
+    segments = list(_split(message.segments))
+    names = [place for place, (key, _) in enumerate(segments) if key == "Name"]
+    for start, end in pairwise([*names, len(segments)]):
+        yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
+
+
+def _actuator(message: Message) -> Iterator[Segment]:
+    """Return what UDK's version says of packages: where each is, and its links from the base, link 0."""
+    is_placed = message.kind == "GEO" and bool(message.all("Link"))
+    for key, value in message.segments:
+        if key == "Type":
+            yield (key, ACTUATOR_TYPE)
+        elif key == "ParentLink":
+            yield (LINK_KEYS[key], str(max(to_int(value), 0)))
+        else:
+            yield (LINK_KEYS.get(key, key), value)
+        if key == "Name" and is_placed:
+            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", "HARD"))
+
+
+MANUAL = Dialect("manual", lambda message: message, lambda message: (message,))
+"""Version 3.1.3, on Unreal Tournament 2004: what the manual says."""
+UDK = Dialect("udk", _understand_udk, _translate_udk, is_stamped=True)
+"""The versions on the Unreal Development Kit, which most nodes for ROS were written for."""
+DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}
+
+
+def find_dialect(name: str) -> Dialect:
+    """Return the dialect of a name.
+
+    Raises:
+        UsageError: There is no such dialect; lists them.
+    """
+    if name not in DIALECTS:
+        raise UsageError(f"unknown dialect {name!r}; known: {', '.join(DIALECTS)}")
+    return DIALECTS[name]
