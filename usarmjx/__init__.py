@@ -1,27 +1,100 @@
 """usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.
 
-`make` gives a task's environment, `sim.batch.Batch` steps worlds, `server` serves one over the Gamebots
-protocol. docs/architecture.md says what is in which folder, and follows a command, a range, an action and a
-radio link through them; docs/glossary.md has the words. Importing this raises JAX's pool of threads, see
-`base.threads`.
+`make` gives a task's environment, `Batch` steps the worlds of a scene that `build_scene` made, `serve` lets
+clients of the Gamebots protocol in, `load_policy` finds a trained policy. `TASKS`, `ROBOTS`, `ARENAS`,
+`SENSORS`, `POLICIES` and `ENGINES` have what there is by name: `usarmjx.TASKS.names()`. The other names here
+are types of their arguments and results. These names are public; `usarmjx.client`, which needs only the
+standard library, is too. docs/architecture.md says where the rest is, and follows a command, a range, an
+action and a radio link through it.
+
+All of it is imported on first use. Importing this raises JAX's pool of threads, see `base.threads`.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from usarmjx.base import threads
 
 if TYPE_CHECKING:
-    from usarmjx.train.make import make
+    from usarmjx.base.errors import EngineError as EngineError
+    from usarmjx.base.errors import SpecError as SpecError
+    from usarmjx.base.errors import UnknownNameError as UnknownNameError
+    from usarmjx.base.errors import UsageError as UsageError
+    from usarmjx.base.errors import UsarmjxError as UsarmjxError
+    from usarmjx.base.registry import Registry as Registry
+    from usarmjx.comms.attenuation import RadioSettings as RadioSettings
+    from usarmjx.comms.mail import MessageSettings as MessageSettings
+    from usarmjx.engines.choice import ENGINES as ENGINES
+    from usarmjx.models.arenas import ARENAS as ARENAS
+    from usarmjx.models.build.compose import Physics as Physics
+    from usarmjx.models.build.variation import DomainRandomization as DomainRandomization
+    from usarmjx.models.robots import ROBOTS as ROBOTS
+    from usarmjx.models.spec.arena import ArenaSpec as ArenaSpec
+    from usarmjx.models.spec.robot import RobotSpec as RobotSpec
+    from usarmjx.sensors.suite import SENSORS as SENSORS
+    from usarmjx.server.background import Serving as Serving
+    from usarmjx.server.background import serve as serve
+    from usarmjx.sim.batch import Batch as Batch
+    from usarmjx.sim.batch import BatchState as BatchState
+    from usarmjx.sim.scene import RosterEntry as RosterEntry
+    from usarmjx.sim.scene import Scene as Scene
+    from usarmjx.sim.scene import build_scene as build_scene
+    from usarmjx.train.envs.env import Env as Env
+    from usarmjx.train.envs.policy import Policy as Policy
+    from usarmjx.train.make import make as make
+    from usarmjx.train.policies import POLICIES as POLICIES
+    from usarmjx.train.policies.sources import PolicySource as PolicySource
+    from usarmjx.train.policies.sources import find_source as load_policy  # noqa: F401
+    from usarmjx.train.tasks import TASKS as TASKS
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "ARENAS": "usarmjx.models.arenas",
+    "ArenaSpec": "usarmjx.models.spec.arena",
+    "Batch": "usarmjx.sim.batch",
+    "BatchState": "usarmjx.sim.batch",
+    "DomainRandomization": "usarmjx.models.build.variation",
+    "ENGINES": "usarmjx.engines.choice",
+    "EngineError": "usarmjx.base.errors",
+    "Env": "usarmjx.train.envs.env",
+    "MessageSettings": "usarmjx.comms.mail",
+    "POLICIES": "usarmjx.train.policies",
+    "Physics": "usarmjx.models.build.compose",
+    "Policy": "usarmjx.train.envs.policy",
+    "PolicySource": "usarmjx.train.policies.sources",
+    "ROBOTS": "usarmjx.models.robots",
+    "RadioSettings": "usarmjx.comms.attenuation",
+    "Registry": "usarmjx.base.registry",
+    "RobotSpec": "usarmjx.models.spec.robot",
+    "RosterEntry": "usarmjx.sim.scene",
+    "SENSORS": "usarmjx.sensors.suite",
+    "Scene": "usarmjx.sim.scene",
+    "Serving": "usarmjx.server.background",
+    "SpecError": "usarmjx.base.errors",
+    "TASKS": "usarmjx.train.tasks",
+    "UnknownNameError": "usarmjx.base.errors",
+    "UsageError": "usarmjx.base.errors",
+    "UsarmjxError": "usarmjx.base.errors",
+    "build_scene": "usarmjx.sim.scene",
+    "load_policy": "usarmjx.train.policies.sources:find_source",
+    "make": "usarmjx.train.make",
+    "serve": "usarmjx.server.background",
+}
+"""The module of each public name, and what it is called there if otherwise."""
+
+__all__ = [*_WHERE, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 threads.ensure_pool_size()
-
-__all__ = ["make"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever has that name
     # On demand: whoever imports a small part of usarmjx does not wait for all of it.
-    if name == "make":
-        from usarmjx.train.make import make
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, there = _WHERE[name].partition(":")
+    return getattr(import_module(module), there or name)
 
-        return make
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_WHERE})
