@@ -327,6 +327,9 @@ def _servo(
     here, servos = actuated_servos(plan)
     q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
     speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
+    stands = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
+    if servos.has_brake.any():
+        windup_limit = xp.where(stands, servos.brake_limit, windup_limit)
     if conditions.torque is not None:
         share = conditions.torque[..., None]
         torque, windup_limit = torque * share, windup_limit * share
@@ -341,6 +344,11 @@ def _servo(
     wanted = xp.where(mode == ControlMode.POSITION, (target - aim) / period, target)
     rate = xp.clip(wanted, -speed, speed)
     ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
+    if servos.has_brake.any():
+        # As long as that cannot turn it back within the step, a brake exerts exactly what it can.
+        slips = stands & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
+        ctrl, hold = xp.where(slips, 0.0, ctrl), xp.where(slips, 0.0, hold)
+        aim = xp.where(slips, -xp.sign(v) * servos.brake_limit, aim)
     forced = mode == ControlMode.TORQUE
     if on_numpy() and not forced.any():
         return ctrl, hold, aim

@@ -206,4 +206,4 @@ def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> Non
     hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
     hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
     joint.actfrclimited = True
-    joint.actfrcrange = [-motor.torque, motor.torque]
+    joint.actfrcrange = [-motor.strongest, motor.strongest]

@@ -36,6 +36,8 @@ def add_geom(
     """
     _check(name, shape)
     surface = SURFACES["fixture" if shape.material == SKY else shape.surface]
+    if shape.tyre is not None:
+        surface = shape.tyre.on(surface)
     geom = body.add_geom(
         name=name,
         type=GEOM_TYPES[shape.kind] if kind is None else kind,

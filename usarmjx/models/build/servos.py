@@ -25,6 +25,8 @@ class Servos:
         lead: How far a servo's target is ahead of its joint per speed of that, without torque.
         windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a
             stalled wheel would have to unwind first, and a braked one would roll back.
+        brake_limit: The same for a joint that is told to stand still.
+        has_brake: Whether that is another torque than it moves by.
     """
 
     speed: np.ndarray
@@ -36,6 +38,8 @@ class Servos:
     high: np.ndarray
     lead: np.ndarray
     windup_limit: np.ndarray
+    brake_limit: np.ndarray
+    has_brake: np.ndarray
 
 
 @cache
@@ -59,6 +63,8 @@ def servos_of(robot: RobotSpec) -> Servos:
         high=row([high for _, high in limits]),
         lead=row([m.damping / m.stiffness for m in motors]),
         windup_limit=row([m.torque / m.stiffness for m in motors]),
+        brake_limit=row([(m.torque if m.brake is None else m.brake) / m.stiffness for m in motors]),
+        has_brake=np.array([m.brake is not None for m in motors], bool),
     )
 
 

@@ -78,16 +78,43 @@ def drive_of(
     driven = {pair.name for pair in wheels if _is_driven(pair, roles, notes)}
     if not driven:
         fail(wheels[0].line, "no wheel is driven", "wheels beside the middle line, without Not_Powered")
-    kept = tuple(replace(p, motor=None) if p.is_wheel and p.name not in driven else p for p in parts)
+    car = not _is_holonomic(roles) and any(_steers(pair, roles) for pair in wheels)
+    braked = _braked(wheels, driven, notes, car=car)
+    idle = {part.name for part in parts if part.is_wheel} - driven
+    kept = tuple(_undriven(part, braked) if part.name in idle else part for part in parts)
     radii = {part.name: part.shapes[0].size[0] for part in kept if part.is_wheel}
     radius = radii[next(pair.name for pair in wheels if pair.name in driven)]
     motors = {part.name: part.motor for part in kept if part.name in driven and part.motor}
     spin = min(motor.max_speed * radii[name] / radius for name, motor in motors.items())
     if _is_holonomic(roles):
         return kept, _omni(wheels, driven, roles, spin, radius)
-    if any(_steers(pair, roles) for pair in wheels):
-        return kept, _ackermann(wheels, driven, roles, spin, radius)
+    if car:
+        drive = _ackermann(wheels, driven, roles, spin, radius)
+        both = (replace(wheel, brakes=wheel.joint in braked) for wheel in drive.wheels)
+        return kept, replace(drive, wheels=tuple(both))
     return kept, _skid(wheels, driven, roles, radii, spin, radius)
+
+
+def _braked(
+    wheels: Sequence[JointPair], driven: set[str], notes: WarningLog, *, car: bool
+) -> dict[str, float]:
+    """Return the BrakeTorque of wheels that only brake, by name [N m]: a car's can, others roll."""
+    found: dict[str, float] = {}
+    for pair in wheels:
+        if pair.name in driven or not pair.brake:
+            continue
+        if car:
+            found[pair.name] = pair.brake
+        else:
+            notes.add(pair.line, f"BrakeTorque is ignored: {pair.name} is not driven, and this is no car")
+    return found
+
+
+def _undriven(wheel: Part, braked: Mapping[str, float]) -> Part:
+    """Return a wheel without its motor, or with its brake alone."""
+    if wheel.motor is None or wheel.name not in braked:
+        return replace(wheel, motor=None)
+    return replace(wheel, motor=replace(wheel.motor, torque=braked[wheel.name]))
 
 
 def change_wheels(robot: RobotSpec, roles: Mapping[int, WheelRole]) -> RobotSpec:

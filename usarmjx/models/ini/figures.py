@@ -10,7 +10,7 @@ from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_number, as_vector
 from usarmjx.models.spec.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.spec.shapes import Shape, Tyre
 
 MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
 """The original's defaults (manual 14.4.2.3): what our robots' own figures stand for."""
@@ -19,6 +19,9 @@ KARMA_SCALE = 50.0
 
 DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
 """What the original lets a suspension move that says nothing of it [m]."""
+
+TYRES = ("wheel", "track")
+"""Surfaces of tyres."""
 
 Figures = Mapping[str, Line]
 """Last line of each key, by the key in lower case."""
@@ -91,6 +94,23 @@ def set_susp_damping(robot: RobotSpec, value: float) -> RobotSpec:
     return _springs(robot, damping=value / SUSP_DAMPING)
 
 
+def set_tyre(robot: RobotSpec, **figures: float) -> RobotSpec:
+    """Tire...: figures of the tyres of all wheels that touch the ground by them, tracks' wheels included."""
+
+    def changed(shape: Shape) -> Shape:
+        if shape.surface not in TYRES:
+            return shape
+        stock = Tyre(speed=robot.drive.top_speed * UU_PER_METRE)
+        tyre = replace(shape.tyre or stock, **figures)
+        return replace(shape, tyre=None if tyre == stock else tyre)
+
+    return _each_part(
+        robot,
+        lambda part: part.is_wheel,
+        lambda part: replace(part, shapes=tuple(changed(shape) for shape in part.shapes)),
+    )
+
+
 def set_high(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
     """SuspHighLimit: how far a suspension lets its wheel up."""
     return _travel(robot, value * KARMA_SCALE / uu_per_metre, upper=True)
@@ -124,6 +144,14 @@ SETTERS: dict[str, tuple[float, Callable[[RobotSpec, float], RobotSpec]]] = {
     "SteerSpeed": (0.0, set_steer_speed),
     "SuspStiffness": (0.0, set_stiffness),
     "SuspDamping": (0.0, set_susp_damping),
+    "TireRollFriction": (0.0, lambda robot, value: set_tyre(robot, roll_friction=value)),
+    "TireLateralFriction": (0.0, lambda robot, value: set_tyre(robot, lateral_friction=value)),
+    "TireRollSlip": (0.0, lambda robot, value: set_tyre(robot, roll_slip=value)),
+    "TireLateralSlip": (0.0, lambda robot, value: set_tyre(robot, lateral_slip=value)),
+    "TireMinSlip": (0.0, lambda robot, value: set_tyre(robot, min_slip=value)),
+    "TireSlipRate": (-1e-9, lambda robot, value: set_tyre(robot, slip_rate=value)),
+    "TireSoftness": (-1e-9, lambda robot, value: set_tyre(robot, softness=value)),
+    "TireRestitution": (-1e-9, lambda robot, value: set_tyre(robot, restitution=value)),
 }
 """Keys of one number: what it must be above, and what it does; in the order in which they are carried out."""
 LENGTHS: dict[str, Callable[[RobotSpec, float, float], RobotSpec]] = {
@@ -166,8 +194,9 @@ def apply_figures(
 
 def _is_set(robot: RobotSpec, key: str, value: float) -> bool:
     """Return whether a key has its value already: a robot it changes has nothing for other values either."""
-    other = SETTERS[key][1](robot, value * 1.5) if key in SETTERS else LENGTHS[key](robot, value + 1.0, 1.0)
-    return other != robot
+    if key in SETTERS:
+        return SETTERS[key][1](robot, value * 1.5 + 0.1) != robot
+    return LENGTHS[key](robot, value + 1.0, 1.0) != robot
 
 
 def _is_wheel(part: Part) -> bool:

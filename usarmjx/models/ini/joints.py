@@ -12,10 +12,11 @@ import numpy as np
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.ini.figures import DEFAULT_SUSPENSION_TRAVEL
-from usarmjx.models.ini.pairs import JointPair, part_rotation, spin_axis, steering_axis, unit_of
+from usarmjx.models.ini.pairs import JointPair, leaning, part_rotation, spin_axis, steering_axis, unit_of
 from usarmjx.models.ini.read import as_class, fail, key_text, number_of, vector_of
-from usarmjx.models.robots.kit import BLACK, car_wheel, wheel
-from usarmjx.models.spec.robot import STEER_SUFFIX, Motor, Part, RobotSpec, Spring
+from usarmjx.models.robots.car_kit import STEER_ARMATURE, STEER_TORQUE
+from usarmjx.models.robots.kit import BLACK, car_wheel, firm_motor, wheel
+from usarmjx.models.spec.robot import UP, Motor, Part, RobotSpec, Spring
 from usarmjx.models.spec.shapes import Shape
 
 # All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
@@ -56,27 +57,33 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
         motor,
         max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
         torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
+        brake=pair.brake,
     )
+    upright = steering_axis(pair)
     spring = Spring(
         stiffness=load * SUSPENSION_RATE**2,
         damping=2 * SUSPENSION_SHARE * load * SUSPENSION_RATE,
-        load=load * GRAVITY,
+        load=load * GRAVITY * float(np.dot(upright, UP)),
     )
-    spin_axis(pair)  # is lateral, or this says that it must be
     tyre = wheel(pair.name, at=pair.at, size=(radius, width), mass=mass, motor=motor, parent=pair.parent)
     if model and tyre.shapes[0].size == model.shapes[0].size:
         tyre = replace(tyre, looks=model.looks)
+    tyre = replace(tyre, rotation=leaning(spin_axis(pair)))
     tyre = replace(tyre, shapes=_moved(tyre.shapes, pair.middle), looks=_moved(tyre.looks, pair.middle))
     parts = car_wheel(
         tyre,
         hub=mass * HUB_SHARE,
         spring=spring if pair.sprung else None,
         travel=DEFAULT_SUSPENSION_TRAVEL[1],
-        steer=_servo(motor.armature, STEER_SPEED, load * GRAVITY * radius) if pair.steers else None,
+        steer=_steering_servo(weight, mass * radius**2 / 4) if pair.steers else None,
         lock=np.pi,
     )
-    axis = steering_axis(pair)
-    return [replace(part, axis=axis) if part.name.endswith(STEER_SUFFIX) else part for part in parts]
+    return [part if part.is_wheel else replace(part, axis=upright) for part in parts]
+
+
+def _steering_servo(weight: float, inertia: float) -> Motor:
+    """Return what turns a wheel of that inertia about its upright, as firm as those of our cars."""
+    return firm_motor(STEER_SPEED, STEER_TORQUE * weight, inertia, STEER_ARMATURE * weight)
 
 
 def _moved(shapes: Sequence[Shape], by: Vec3) -> tuple[Shape, ...]:

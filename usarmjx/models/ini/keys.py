@@ -33,7 +33,6 @@ OLD_PARTS = {"cameratilt": "CameraPanTilt_Link2", "camerapan": "CameraPanTilt_Li
 """Part names from before V3.0, which the excerpt of manual 12.1.2 still has, and the captured ones."""
 
 _LOOKS = "robots look as their solids do: there are no Unreal meshes and textures"
-_CONTACT = "MuJoCo's contacts have one friction coefficient, that of the surface `wheel`, and no such number"
 _SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
 
 KNOWN_IGNORED = {
@@ -46,15 +45,7 @@ KNOWN_IGNORED = {
     "ConverterClass": "units and axes of the wire are fixed: metres, radians, z down",
     "HingePropGap": _SERVO,
     "SteerPropGap": _SERVO,
-    "TireRollFriction": _CONTACT,
-    "TireLateralFriction": _CONTACT,
-    "TireRollSlip": _CONTACT,
-    "TireLateralSlip": _CONTACT,
-    "TireMinSlip": _CONTACT,
-    "TireSlipRate": _CONTACT,
-    "TireSoftness": _CONTACT,
-    "TireAdhesion": _CONTACT,
-    "TireRestitution": _CONTACT,
+    "TireAdhesion": "contacts push and rub, and never pull: nothing sticks to anything",
     "TorqueCurve": "motors have one torque at all speeds",
     "SafeForce": "joints do not stall under overload",
     "ProtectTime": "joints do not stall under overload",
@@ -70,7 +61,6 @@ KNOWN_IGNORED = {
 """Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) that change nothing, and why."""
 
 JOINT_IGNORED = {
-    "BrakeTorque": "wheels brake with all the torque of their motor",
     "DrawScale3D": _LOOKS,
 }
 """The same for a part-joint pair (14.4.2.4)."""

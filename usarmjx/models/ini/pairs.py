@@ -18,6 +18,7 @@ from usarmjx.models.ini.read import (
     as_bool,
     as_class,
     as_name,
+    as_number,
     as_struct,
     as_vector,
     fail,
@@ -29,7 +30,7 @@ from usarmjx.models.spec.shapes import ZERO
 
 FIELDS = (
     "PartName", "PartClass", "JointClass", "bSteeringLocked", "bSuspensionLocked", "Parent", "ParentPos",
-    "ParentAxis", "ParentAxis2", "SelfPos", "SelfAxis", "SelfAxis2", *JOINT_IGNORED,
+    "ParentAxis", "ParentAxis2", "SelfPos", "SelfAxis", "SelfAxis2", "BrakeTorque", *JOINT_IGNORED,
 )  # fmt: skip
 OURS = ("Radius", "Width", "Size", "Mass", "MaxSpeed", "Torque", "MinRange", "MaxRange")
 """Fields that we add: the original has them in the classes of wheels and parts."""
@@ -81,6 +82,12 @@ class JointPair:
     def sprung(self) -> bool:
         """Whether the wheel's suspension is free."""
         return not self._locked("bSuspensionLocked")
+
+    @property
+    def brake(self) -> float | None:
+        """BrakeTorque: with what a wheel that is told to stand still is braked [N m]; None: not said."""
+        value = self.struct.get("BrakeTorque")
+        return None if value is None else as_number(self.line, value, "BrakeTorque", above=-1e-9)
 
     def _locked(self, name: str) -> bool:
         value = self.struct.get(name)
@@ -146,9 +153,16 @@ def _add(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
 
 
 def spin_axis(pair: JointPair) -> Vec3:
-    """Return a wheel's spin axis, which must be lateral, on its left: positive turns roll it forward."""
-    _near(pair, "ParentAxis2", LEFT, 0.99)
-    return LEFT
+    """Return a wheel's spin axis, which may lean, on its left: positive turns roll it forward."""
+    return _near(pair, "ParentAxis2", LEFT, 0.5)
+
+
+def leaning(axis: Vec3) -> Vec3:
+    """Return roll, pitch and yaw of the least turn that takes the left to an axis on that side."""
+    x, y, z = axis
+    cross = np.array([[0.0, -x, 0.0], [x, 0.0, z], [0.0, -z, 0.0]])  # of LEFT x axis
+    roll, pitch, yaw = (angles_from_mat(np.eye(3) + cross + cross @ cross / (1.0 - y)) + 0.0).tolist()
+    return (roll, pitch, yaw)
 
 
 def steering_axis(pair: JointPair) -> Vec3:

@@ -43,6 +43,7 @@ class Motor:
         stiffness: Gain on the joint's position [N m/rad or N/m].
         damping: Gain on its velocity [N m s/rad or N s/m].
         armature: Inertia of the motor seen at the joint [kg m2 or kg].
+        brake: Most it can exert to stand still, told the speed 0; None: its torque [N m or N].
     """
 
     max_speed: float
@@ -50,6 +51,12 @@ class Motor:
     stiffness: float = 100.0
     damping: float = 5.0
     armature: float = 0.1
+    brake: float | None = None
+
+    @property
+    def strongest(self) -> float:
+        """The most it can exert, moving or standing still [N m or N]."""
+        return max(self.torque, self.brake or 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

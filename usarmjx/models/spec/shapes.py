@@ -4,7 +4,8 @@ A shape lies in the axes of the description that holds it: USARSim's for robots 
 `spec.robot`); x forward, y left, z up for arenas. Lengths are metres, angles radians, masses kilograms.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -71,6 +72,65 @@ SURFACES = {
 }
 
 
+MOST_SLIP, MOST_SOFTNESS, NO_BOUNCE, MOST_BOUNCE = 10.0, 9.0, 1e-3, 0.95
+"""What contacts bear: slip times or through this, settling time times one more than that, and which shares
+of its speed thrown back."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tyre:
+    """Figures of a tyre in Karma's terms (manual 14.4.2.3), whose defaults are the surface as it is.
+
+    A contact has one friction coefficient in all directions, and one slip, the speed at which it creeps under
+    a force: for both the geometric mean of Karma's two directions counts. Slip and softness bring the other
+    with them a little: what gives sideways gives downwards.
+
+    Attributes:
+        roll_friction: Friction in the tyre's direction.
+        lateral_friction: Friction across.
+        roll_slip: Largest slip in the tyre's direction.
+        lateral_slip: Largest slip across.
+        min_slip: Smallest slip in both directions.
+        slip_rate: Slip for each Unreal unit a second of its robot's top speed.
+        softness: 1 doubles the time in which a contact settles.
+        restitution: Share of its speed with which it bounces back.
+        speed: That top speed [Unreal units/s].
+    """
+
+    roll_friction: float = 15.0
+    lateral_friction: float = 15.0
+    roll_slip: float = 0.06
+    lateral_slip: float = 0.06
+    min_slip: float = 0.001
+    slip_rate: float = 0.0005
+    softness: float = 0.0
+    restitution: float = 0.0
+    speed: float = 0.0
+
+    @property
+    def slip(self) -> float:
+        """Karma's slip at that speed: the mean of both directions."""
+        grown = self.min_slip + self.slip_rate * self.speed
+        return math.sqrt(min(self.roll_slip, grown) * min(self.lateral_slip, grown))
+
+    def on(self, surface: Surface) -> Surface:
+        """Return how a surface touches that stands for the stock figures; a tyre also decides for the ground."""
+        stock = Tyre(speed=self.speed)
+        grip = math.sqrt(self.roll_friction * self.lateral_friction) / stock.roll_friction
+        slip = min(max(self.slip / stock.slip, 1 / MOST_SLIP), MOST_SLIP)
+        begins, deep, depth = surface.solimp
+        # The ratio of damping that lets a spring throw back that share, at the frequency that it had.
+        loss = math.log(min(max(self.restitution, NO_BOUNCE), MOST_BOUNCE))
+        ratio = 1.0 if self.restitution <= NO_BOUNCE else -loss / math.hypot(math.pi, loss)
+        return replace(
+            surface,
+            friction=surface.friction * grip,
+            priority=max(surface.priority, 1),
+            solref=(surface.solref[0] * (1 + min(self.softness, MOST_SOFTNESS)) / ratio, ratio),
+            solimp=(*(1 / (1 + (1 / share - 1) * slip) for share in (begins, deep)), depth),
+        )
+
+
 OPAQUE, GLASS, MIRROR, FENDER, SKY = "opaque", "glass", "mirror", "fender", "sky"
 MATERIALS = (OPAQUE, GLASS, MIRROR, FENDER, SKY)
 """What a solid does to rays (manual 14.1.2), beside stopping them: glass lets infrared and light through,
@@ -118,6 +178,7 @@ class Shape:
         rotation: Roll, pitch, yaw.
         mass: Mass; 0 leaves the body's mass to its other shapes.
         surface: A key of `SURFACES`.
+        tyre: Figures of a tyre that change how its surface touches.
         material: What it does to rays; one of `MATERIALS`. Fenders are boxes.
         mesh: The solid of kind mesh.
         heights: The terrain of kind hfield.
@@ -130,6 +191,7 @@ class Shape:
     rotation: Vec3 = ZERO
     mass: float = 0.0
     surface: str = "hull"
+    tyre: Tyre | None = None
     material: str = OPAQUE
     mesh: Mesh | None = None
     heights: HeightField | None = None
