@@ -286,8 +286,8 @@ VERBS = {
     ),
     "bench": Verb("benchmarks (arguments go to `usarmjx bench`)", lambda *args: [usarmjx("bench", *args)]),
     "docs": Verb(
-        "the documents' examples and links",
-        lambda *args: [pytest("tests/test_docs.py", *args)],
+        "the documents as a site in build/site, their examples and links (with arguments: pytest with them)",
+        lambda *args: [*([] if args else [["-m", "documents"]]), pytest("tests/test_docs.py", *args)],
     ),
     "audit": Verb(
         "known vulnerabilities of the pinned packages, where pip-audit can run (status 2: it cannot)",

@@ -2,12 +2,18 @@
 
 In a fenced block, ```python is executed (as doctests if it has prompts), ```console holds commands
 after "$ " and ```bash nothing but commands. A block with a file's name behind its language, ```ini a.ini, is
-that file in the folder where the page's examples run. Anything else, ```text for instance, is not looked at.
+that file in the folder where the page's examples run. ```output is what the ```python before it prints.
+Anything else, ```text for instance, is not looked at.
 """
 
+import contextlib
 import doctest
+import io
 import re
 import shlex
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,6 +63,22 @@ def run_python(body: str, names: dict[str, object], document: str) -> None:
     failures = runner.run(test, out=shown.append, clear_globs=False).failed
     names.update(test.globs)
     assert not failures, "".join(shown)
+
+
+def run_page(text: str, document: str) -> None:
+    """Execute the python blocks of a page, and compare what they print with the output blocks."""
+    names: dict[str, object] = {"__name__": Path(document).stem}
+    printed = ""
+    for language, body in FENCE.findall(text):
+        if language == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as screen:
+                run_python(body, names, document)
+            printed = screen.getvalue()
+        elif language == "output":
+            flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+            assert doctest.OutputChecker().check_output(body, printed, flags), (
+                f"{document} prints:\n{printed}"
+            )
 
 
 def command_problem(words: list[str]) -> str:
@@ -111,9 +133,7 @@ def test_python_examples_run(path: Path, workplace: Path):
     text = path.read_text(encoding="utf-8")
     for name, body in NAMED.findall(text):
         (workplace / name).write_text(body, encoding="utf-8")
-    names: dict[str, object] = {"__name__": path.stem}
-    for body in blocks(text, "python"):
-        run_python(body, names, name_of(path))
+    run_page(text, name_of(path))
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
@@ -167,6 +187,13 @@ def test_wrong_examples_are_found():
         run_python("1 / 0", {}, "sample")
 
 
+def test_wrong_output_is_found():
+    page = "```python\nprint('a', 1 / 3)\n```\n\n```output\na 0.33...\n```\n"
+    run_page(page, "sample")
+    with pytest.raises(AssertionError, match=r"sample prints:\s+a 0\.33"):
+        run_page(page.replace("a 0.33...", "a 0.34"), "sample")
+
+
 def test_examples_of_a_document_share_names():
     names: dict[str, object] = {}
     run_python("x = 20", names, "sample")
@@ -179,3 +206,35 @@ def test_the_page_of_all_robots_is_the_generated_one():
     from usarmjx.cli.catalogue import robots_table
 
     assert (dev.ROOT / "docs" / "all-robots.md").read_text() == robots_table() + "\n"
+
+
+def test_the_first_controller_drives_up_to_a_wall(workplace: Path):
+    """docs/start.md, word for word but for the port."""
+    (script,) = re.findall(
+        r"^```py drive.py\n(.*?)^```", (dev.ROOT / "docs/start.md").read_text(), re.M | re.S
+    )
+    options = ["--arena", "yellow", "--port", "0", "--image-port", "0", "--no-wireless", "--no-viewer"]
+    serve = [sys.executable, "-m", "usarmjx", "serve", *options, "--realtime-factor", "4"]
+    with subprocess.Popen(serve, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
+        try:
+            assert server.stdout is not None
+            port = next(line.rpartition(":")[2] for line in server.stdout if "listening" in line)
+            assert script.count("port=3000") == 1
+            (workplace / "drive.py").write_text(script.replace("port=3000", f"port={int(port)}"))
+            done = subprocess.run([sys.executable, "drive.py"], capture_output=True, text=True, timeout=120)
+        finally:
+            server.send_signal(signal.SIGINT)
+    assert done.stderr == ""
+    ahead = [float(line.split()[2]) for line in done.stdout.splitlines()]
+    assert ahead[0] > 1.0
+    assert ahead[-1] < 0.5 < min(ahead[:-1])
+
+
+def test_what_the_first_page_compares_stands_in_the_document_of_its_figures():
+    figures = (dev.ROOT / "docs/performance.md").read_text(encoding="utf-8")
+    readme = (
+        (dev.ROOT / "README.md").read_text(encoding="utf-8").split("## Beside others")[1].split("\n## ")[0]
+    )
+    rows = [line for line in readme.splitlines() if line.startswith("|")]
+    assert len(rows) > 5
+    assert [row for row in rows if row not in figures] == []

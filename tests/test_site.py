@@ -1,0 +1,172 @@
+"""The documentation as a site: built without a warning, complete, and without a request to another host."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+import dev
+import documents
+import usarmjx
+
+LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href", "video": "src"}
+"""Elements that make a browser fetch what their attribute names."""
+
+
+class Fetched(HTMLParser):
+    """What a page makes a browser fetch, and the text of its styles."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag in LOADS and "canonical" not in (given.get("rel") or ""):
+            self.addresses.append(given.get(LOADS[tag]) or "")
+        self.addresses += re.findall(r"url\(([^)]*)\)", given.get("style") or "")
+
+    def handle_data(self, data: str) -> None:
+        if self.lasttag == "style":
+            self.addresses += re.findall(r"(?:url\(|@import\s+[\"'])([^)\"']*)", data)
+
+
+def foreign(page: str) -> list[str]:
+    """Return what a page fetches from another host."""
+    parser = Fetched()
+    parser.feed(page)
+    return [address for address in parser.addresses if re.match(r"[\"']?\s*(\w+:)?//", str(address))]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=dev.ROOT, capture_output=True, text=True, env=quiet)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stderr
+    return folder
+
+
+def test_every_document_is_a_page(site: Path):
+    names = {path.stem for path in (dev.ROOT / "docs").glob("*.md")} | {"contributing", "benchmarks"}
+    assert sorted(name for name in names if not (site / f"{name}.html").is_file()) == []
+    assert len(names) > 20
+
+
+def test_no_page_asks_another_host(site: Path):
+    asked = {page.name: found for page in site.rglob("*.html") if (found := foreign(page.read_text("utf-8")))}
+    assert asked == {}
+    styles = "".join(path.read_text("utf-8") for path in site.rglob("*.css"))
+    assert re.findall(r"@import[^;]*//|url\([\"']?(?:https?:)?//", styles) == []
+
+
+def test_what_asks_another_host_is_found():
+    page = """<link href="//fonts.example.org/a.css"><script src="https://example.org/x.js"></script>
+        <img src="robots.png"><a href="https://example.org">far</a><style>p {background: url(http://e.org/b)}</style>"""
+    assert len(foreign(page)) == 3
+
+
+def test_links_inside_the_site_lead_somewhere(site: Path):
+    """Also those that lead out of docs on a forge; MkDocs looks at anchors itself."""
+    broken = {}
+    for page in site.rglob("*.html"):
+        links = re.findall(r"<a [^>]*href=\"([^\"#?]+)", page.read_text("utf-8"))
+        near = [link for link in links if not re.match(r"\w+:", link)]
+        if lost := {link for link in near if not (page.parent / link).exists()}:
+            broken[page.name] = lost
+    broken.pop("404.html", None)  # its links are absolute, for a server
+    assert broken == {}
+
+
+def test_search_knows_the_manuals_table_the_docstrings_and_all_options(site: Path):
+    index = json.loads((site / "search/search_index.json").read_text("utf-8"))["docs"]
+    text = {entry["location"]: entry["text"] for entry in index}
+    assert any(place.startswith("conformance.html#") and "GETSTARTPOSES" in text[place] for place in text)
+    assert "worlds" in text["api.html#usarmjx.Batch.reset"]
+    assert "--spectator-port" in text["commands.html#usarmjx-serve"]
+    assert not any(place.startswith("source/") for place in text)
+
+
+def test_every_public_name_has_its_docstring_on_the_site(site: Path):
+    page = (site / "api.html").read_text("utf-8")
+    names = [name for name in usarmjx.__all__ if not name.isupper() and name[0] != "_"]
+    assert [name for name in names if f'id="usarmjx.{name}"' not in page] == []
+    assert all(f"<code>{name}</code>" in page for name in usarmjx.__all__ if name.isupper())
+
+
+def test_search_works_without_a_server(site: Path):
+    """From a file, the index comes as a script and a frame does the worker's work."""
+    page = (site / "index.html").read_text("utf-8")
+    assert 'src="assets/iframe-worker.js"' in page
+    assert (site / "search/search_index.js").is_file()
+
+
+@pytest.mark.parametrize(
+    ("path", "link", "there"),
+    [
+        ("docs/radio.md", "[x](../examples/radio_drive.py)", "[x](source/examples/radio_drive.py.md)"),
+        ("docs/radio.md", "[x](../benchmarks/README.md#top)", "[x](benchmarks.md#top)"),
+        (
+            "docs/radio.md",
+            "[x](serving.md#time) [y](https://e.org/a)",
+            "[x](serving.md#time) [y](https://e.org/a)",
+        ),
+        ("CONTRIBUTING.md", "[x](docs/robots.md)", "[x](robots.md)"),
+        ("benchmarks/README.md", "[x](../docs/training.md#results)", "[x](training.md#results)"),
+        ("docs/a.md", "```text\n[x](../dev.py)\n```\n", "```text\n[x](../dev.py)\n```\n"),
+    ],
+)
+def test_links_of_a_forge_become_those_of_the_site(path: str, link: str, there: str):
+    assert documents.with_links_of_site(link, path) == there
+
+
+# Notebooks
+
+
+PAGE = """# Two and two
+
+Begin with a file:
+
+```ini a.ini
+x=1
+```
+
+then add:
+
+```python
+print(2 + 2)
+```
+
+```output
+4
+```
+
+```console
+$ ls
+```
+"""
+
+
+def test_a_page_as_a_notebook():
+    cells = json.loads(documents.notebook(PAGE))["cells"]
+    assert [cell["cell_type"] for cell in cells] == ["markdown", "code", "markdown", "code", "markdown"]
+    assert cells[1]["source"] == ["%%writefile a.ini\n", "x=1"]
+    assert cells[3]["source"] == ["print(2 + 2)"]
+    assert cells[3]["outputs"] == [{"name": "stdout", "output_type": "stream", "text": ["4\n"]}]
+    assert "".join(cells[4]["source"]).endswith("$ ls\n```")
+    assert len({cell["id"] for cell in cells}) == 5
+
+
+@pytest.mark.parametrize("page", documents.tutorials(), ids=lambda page: page.stem)
+def test_the_notebook_of_a_tutorial_is_its_page(page: Path):
+    """After a change: `python3 dev.py docs`. tests/test_docs.py executes the page."""
+    text = page.read_text(encoding="utf-8")
+    assert documents.tutorials()[page].read_text(encoding="utf-8") == documents.notebook(text)
+    assert f"]({page.stem}.ipynb)" in text
