@@ -1,0 +1,167 @@
+"""`usarmjx sweep`: many cells of a file or of a bundled sweep; what came of them, and how two compare."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.waiting import announce
+
+COMMANDS = ("run", "show", "compare")
+
+
+class FileOrCommand(TyperGroup):
+    """`usarmjx sweep FILE` is `usarmjx sweep run FILE`."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - typer's own click
+        """Return the command that arguments begin with; whatever is none is a file to run."""
+        if args and args[0] not in COMMANDS:
+            args = ["run", *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(
+    cls=FileOrCommand, no_args_is_help=True, help="Play many configurations of tasks, and compare them."
+)
+
+FolderArgument = Annotated[Path, typer.Argument(help="Folder of a sweep.")]
+FigureOption = Annotated[Path | None, typer.Option(help="Draw it to this PNG file.")]
+TableOption = Annotated[
+    Path | None, typer.Option(help="Write a row for each cell to this file, .csv or .parquet.")
+]
+EpisodesOption = Annotated[
+    Path | None, typer.Option(help="Write a row for each episode to this file, .csv or .parquet.")
+]
+
+
+@app.command()
+def run(
+    what: Annotated[str, typer.Argument(metavar="FILE", help="YAML file, or the name of a bundled sweep.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the results; else sweeps/ and the file's name.")
+    ] = None,
+    run_on: Annotated[
+        str,
+        typer.Option(help="Where batches are played: here, processes, ray; --engine is the physics."),
+    ] = "here",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
+    ] = None,
+    address: Annotated[str | None, typer.Option(help="With ray: address of a cluster.")] = None,
+    engine: Annotated[str | None, typer.Option(help="Physics of all cells: warp, jax, c, or auto.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="A setting of all cells, key=value; may be repeated.")
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Play again what has failed.")] = False,
+    plan: Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing about progress.")] = False,
+    tensorboard: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
+    wandb: Annotated[str | None, typer.Option(help="Project of Weights & Biases to send cells to.")] = None,
+    figure: FigureOption = None,
+    table: TableOption = None,
+    episodes: EpisodesOption = None,
+) -> None:
+    """Play the cells of a sweep that have no result yet, and say what came of all."""
+    with ErrorExit():
+        announce(f"reading {what} ...")
+        from usarmjx.sweep.progress import usual_stream
+        from usarmjx.sweep.run import prepare, run_sweep
+        from usarmjx.sweep.spec import find_spec, load_spec
+        from usarmjx.sweep.workers import Workers
+
+        common = _pairs(settings or [])
+        if engine is not None:
+            common["engine"] = engine
+        spec = load_spec(find_spec(what), common)
+        folder = out or Path("sweeps") / spec.name
+        if plan:
+            prepared = prepare(spec, folder, retry)
+            typer.echo(f"{prepared.known} of {len(spec.cells)} cells are there already")
+            typer.echo(prepared.plan.as_text())
+            for record in prepared.broken:
+                typer.echo(f"fails: {record.failed}")
+            return
+        sinks = _sinks(tensorboard, wandb, spec.name)
+        found = run_sweep(
+            spec,
+            folder,
+            Workers(place=run_on, count=workers, address=address),
+            retry=retry,
+            say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
+            stream=None if quiet else usual_stream(),
+            sinks=sinks,
+        )
+        _tell(found, figure, table, episodes)
+        if any(record.failed is not None for record in found.records):
+            raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    folder: FolderArgument,
+    figure: FigureOption = None,
+    table: TableOption = None,
+    episodes: EpisodesOption = None,
+) -> None:
+    """Say what came of a sweep, finished or not."""
+    with ErrorExit():
+        from usarmjx.sweep.store import read_sweep
+
+        _tell(read_sweep(folder), figure, table, episodes)
+
+
+@app.command()
+def compare(
+    first: FolderArgument,
+    second: Annotated[Path, typer.Argument(help="Folder of another sweep.")],
+) -> None:
+    """Say what differs in the cells that two sweeps have in common."""
+    with ErrorExit():
+        from usarmjx.sweep.report import compare as compared
+        from usarmjx.sweep.store import read_sweep
+
+        typer.echo(compared(read_sweep(first), read_sweep(second)))
+
+
+def _pairs(given: list[str]) -> dict[str, Any]:
+    """Return settings typed as key=value, their values read as YAML."""
+    import yaml
+
+    from usarmjx.base.errors import UsageError
+
+    found: dict[str, Any] = {}
+    for pair in given:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise UsageError(f"{pair!r} is not of the form key=value")
+        try:
+            found[key] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise UsageError(f"{key}={text} does not read as YAML") from error
+    return found
+
+
+def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
+    from usarmjx.sweep.sinks import tensorboard_sink, wandb_sink
+
+    sinks: list[Any] = [] if tensorboard is None else [tensorboard_sink(tensorboard)]
+    return sinks if wandb is None else [*sinks, wandb_sink(wandb, name)]
+
+
+def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401
+    """Print what came of a sweep, and write what was asked for."""
+    from usarmjx.sweep.report import report
+    from usarmjx.sweep.table import cell_rows, episode_rows, export_rows
+
+    typer.echo(report(found))
+    if figure is not None:
+        from usarmjx.sweep.figures import plot_sweep
+
+        plot_sweep(found, figure)
+        typer.echo(f"wrote {figure}")
+    for path, rows_of in ((table, cell_rows), (episodes, episode_rows)):
+        if path is not None:
+            export_rows(rows_of(found), path)
+            typer.echo(f"wrote {path}")

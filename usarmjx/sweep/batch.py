@@ -1,0 +1,189 @@
+"""A group of cells as worlds of one environment: the episodes of a cell are worlds beside each other.
+
+A world has its key by the cell's seed and its number within the cell, and its arena, ranges and weights as
+data; so an episode is the same in whatever batch it is played, to the bit where the engine is C MuJoCo.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.models.build.arena_set import ArenaState
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.sim.batch import select_worlds
+from usarmjx.sweep.resolve import Resolved
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.state import EnvState
+
+Tick = Callable[[float], None]
+"""Is told what share of a batch is done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellEpisodes:
+    """The episodes of a cell.
+
+    Attributes:
+        scores: Final scores (episodes,).
+        steps: How long they took (episodes,).
+        bad: Which of them went wrong in their physics (episodes,).
+        metrics: The task's metrics at their ends, by name (episodes,).
+        seconds: The cell's share of the time that its batch took [s].
+    """
+
+    scores: np.ndarray
+    steps: np.ndarray
+    bad: np.ndarray
+    metrics: dict[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    seconds: float = 0.0
+
+
+class GroupRunner:
+    """Plays batches of cells that differ in data only; all of them with what is compiled for the first.
+
+    Args:
+        cells: All cells of the group.
+        size: How many are played at once.
+        engine: The physics engine.
+        seed: Of what no world draws from.
+
+    Raises:
+        UsageError: What the cells stand for cannot be built.
+    """
+
+    def __init__(self, cells: Sequence[Resolved], size: int, engine: str, seed: int = 0) -> None:
+        self._cells, self._size = tuple(cells), size
+        self._episodes = cells[0].episodes
+        library = list(dict.fromkeys(spec for cell in cells for spec in cell.arenas or ()))
+        self._places: dict[ArenaSpec, int] = {spec: place for place, spec in enumerate(library)}
+        task = cells[0].task
+        task = replace(task, arena=tuple(library)) if library else task
+        self.env = Env(task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed)
+        self._step = jax.jit(self._act)
+
+    def run(self, chosen: Sequence[int], tick: Tick | None = None) -> list[CellEpisodes]:
+        """Play the episodes of some cells of the group.
+
+        Args:
+            chosen: Which, at most as many as are played at once.
+            tick: Is told how far it is.
+
+        Raises:
+            UsageError: A policy that does not fit.
+        """
+        begun = time.perf_counter()
+        places = [*chosen, *[chosen[-1]] * (self._size - len(chosen))]
+        cells = [self._cells[place] for place in places]
+        weights = jax.tree.map(lambda *rows: jnp.stack(rows), *[cell.driver.weights for cell in cells])
+        found = self._play(cells, weights, tick or (lambda share: None))
+        taken = (time.perf_counter() - begun) / len(chosen)
+        return [replace(self._of(found, place), seconds=taken) for place in range(len(chosen))]
+
+    def _of(self, found: CellEpisodes, place: int) -> CellEpisodes:
+        rows = slice(place * self._episodes, (place + 1) * self._episodes)
+        return CellEpisodes(
+            scores=found.scores[rows],
+            steps=found.steps[rows],
+            bad=found.bad[rows],
+            metrics={name: values[rows] for name, values in found.metrics.items()},
+        )
+
+    # Policies: of each cell its own weights, carry and key.
+
+    def _policy(self, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays
+        make = self._cells[0].driver.make
+        if make is None:
+            raise UsageError("a client over TCP drives in no batch")
+        return make(self.env, weights)
+
+    def _begin(self, weights: Any) -> Any:  # noqa: ANN401
+        """Return the carry of each cell's worlds (cells, episodes, ...)."""
+        first = jax.tree.map(lambda rows: rows[0], weights)
+        carry = self._policy(first).initial_carry(self._episodes)
+        return jax.tree.map(lambda one: jnp.broadcast_to(one, (self._size, *jnp.shape(one))), carry)
+
+    def _act(
+        self,
+        weights: Any,  # noqa: ANN401
+        carry: Any,  # noqa: ANN401
+        obs: tuple[jax.Array, ...],
+        keys: jax.Array,
+    ) -> tuple[Any, tuple[jax.Array, ...]]:
+        """Return carry and actions of all worlds, cell by cell."""
+        shape = self._size, self._episodes
+        apart = jax.tree.map(lambda one: one.reshape(*shape, *one.shape[1:]), obs)
+
+        def of_cell(
+            weights: Any,  # noqa: ANN401
+            carry: Any,  # noqa: ANN401
+            obs: tuple[jax.Array, ...],
+            key: jax.Array,
+        ) -> tuple[Any, tuple[jax.Array, ...]]:
+            return self._policy(weights).act(carry, obs, key)
+
+        carry, actions = jax.vmap(of_cell)(weights, carry, apart, keys)
+        return carry, jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), actions)
+
+    # Worlds.
+
+    def _starts(self, cells: Sequence[Resolved]) -> EnvState:
+        """Return all worlds at the start of their episodes."""
+        numbers = jnp.arange(self._episodes)
+        keys = jnp.concatenate(
+            [
+                jax.vmap(partial(jax.random.fold_in, jax.random.key(cell.settings["seed"])))(numbers)
+                for cell in cells
+            ]
+        )
+        ranges = {
+            name: jnp.repeat(jnp.array([cell.ranges[name] for cell in cells]), self._episodes, 0)
+            for name in cells[0].ranges
+        }
+        return self.env.reset_each(keys, self._arenas(cells), ranges or None)
+
+    def _arenas(self, cells: Sequence[Resolved]) -> ArenaState | None:
+        """Return the arena of each world."""
+        if not self._places:
+            return None
+        specs = [cell.arena_of(episode) for cell in cells for episode in range(self._episodes)]
+        rows = np.array([self._places[spec] for spec in specs if spec is not None])
+        known = self.env.scene.arenas
+        assert known is not None  # as there are places
+        return jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)
+
+    def _play(self, cells: Sequence[Resolved], weights: Any, tick: Tick) -> CellEpisodes:  # noqa: ANN401
+        """Return the first episode of each world."""
+        env = self.env
+        begin = carry = self._begin(weights)
+        keys = jnp.stack([jax.random.key(cell.settings["seed"]) for cell in cells])
+        fold = jax.jit(jax.vmap(jax.random.fold_in, (0, None)))
+        state, step = self._starts(cells), 0
+        over, bad = np.zeros(env.worlds, bool), np.zeros(env.worlds, bool)
+        scores, steps = np.zeros(env.worlds), np.zeros(env.worlds, int)
+        metrics = {name: np.zeros(env.worlds) for name in state.metrics}
+        while not over.all():
+            carry, actions = self._step(weights, carry, state.obs, fold(keys, step))
+            state = env.step(state, actions)
+            step += 1
+            tick(step / env.episode_steps)
+            done = np.asarray(state.done)
+            if not done.any():
+                continue
+            flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), (begin, carry))
+            fresh = jax.tree.map(partial(select_worlds, state.done), *flat)
+            carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
+            now = done & ~over
+            over |= done
+            scores[now], steps[now] = np.asarray(state.final_score)[now], step
+            bad[now] = np.asarray(state.bad)[now]
+            for name, values in state.metrics.items():
+                metrics[name][now] = np.asarray(values)[now]
+        return CellEpisodes(scores=scores, steps=steps, bad=bad, metrics=metrics)

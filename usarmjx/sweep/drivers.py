@@ -1,0 +1,171 @@
+"""What drives the robots of a cell: by hand, trained, a function of one's own, or a client over TCP."""
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Policy
+from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.sources import find_source
+
+BY_HAND, SHIPPED = "by-hand", "shipped"
+KINDS = ("by-hand", "run", "file", "python", "client")
+"""Keys of a policy that is a mapping."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver:
+    """What drives the robots of a cell.
+
+    Attributes:
+        shape: What must be alike in a batch: all but the weights.
+        make: Returns a policy for an environment, given the weights.
+        weights: Of a trained policy: a tree of arrays; else empty.
+        command: Of a client over TCP: how it is started; None: the policy acts in the batch.
+        speed: Of a client: simulated seconds per second.
+    """
+
+    shape: Hashable
+    make: Callable[[Env, Any], Policy] | None = None
+    weights: Any = field(default=())
+    command: str | None = None
+    speed: float = 1.0
+
+
+def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
+    """Return kind and argument of a setting `policy`, and what else it says.
+
+    Raises:
+        UsageError: It is none.
+    """
+    if isinstance(policy, str):
+        if policy in (BY_HAND, SHIPPED):
+            return policy, "", {}
+        if ".py:" in policy:
+            return "python", policy, {}
+        return ("run" if Path(policy).is_dir() else "file"), policy, {}
+    if isinstance(policy, Mapping) and (kind := str(next(iter(policy), ""))) in KINDS:
+        more = {str(key): value for key, value in policy.items() if key != kind}
+        allowed = {"run": ("checkpoint",), "client": ("speed",)}.get(kind, ())
+        if isinstance(policy[kind], str) and set(more) <= set(allowed):
+            return kind, policy[kind], more
+    raise UsageError(
+        f"policy is {policy!r}, expected {BY_HAND}, {SHIPPED}, a run's folder, an exported file, "
+        f"file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
+    )
+
+
+def find_driver(policy: object, task: str) -> Driver:
+    """Return what a setting `policy` stands for.
+
+    Args:
+        policy: The setting.
+        task: Name of the cell's task.
+
+    Raises:
+        UsageError: There is none, or it is broken.
+    """
+    kind, what, more = _said(policy)
+    if kind == "client":
+        speed = more.get("speed", 1.0)
+        if isinstance(speed, bool) or not isinstance(speed, int | float) or speed <= 0:
+            raise UsageError(f"policy: speed is {speed!r}, expected simulated seconds per second, above 0")
+        return Driver(shape=("client", what), command=what, speed=float(speed))
+    if kind == "python":
+        return Driver(shape=("python", what), make=lambda env, _: _own(what, env))
+    if kind == BY_HAND:
+        name = what or task
+        by_hand = BASELINES.get(name)
+        return Driver(shape=("by hand", name.lower()), make=lambda env, _: by_hand(env))
+    if kind == SHIPPED and task not in POLICIES:
+        raise UsageError(
+            f"no policy for {task} comes with the package; there are: {', '.join(POLICIES.names())}"
+        )
+    checkpoint = str(more.get("checkpoint", "best"))
+    source = find_source(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
+    assert source.learned is not None  # as neither of them is by hand
+    learned, weights = source.learned
+
+    def make(env: Env, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays
+        source.policy(env)  # which refuses other robots
+        return learned.as_policy(weights)
+
+    shape = ("trained", learned.groups, learned.layers, learned.memory)
+    return Driver(shape=shape, make=make, weights=weights)
+
+
+def _own(what: str, env: Env) -> Policy:
+    made = _function(what)(env)
+    if not isinstance(made, Policy):
+        raise UsageError(f"policy {what} returned {type(made).__name__}, expected usarmjx's Policy")
+    return made
+
+
+def _function(what: str) -> Callable[[Env], object]:
+    """Return the function that `file.py:function` or `module:function` names.
+
+    Raises:
+        UsageError: There is none.
+    """
+    place, _, name = what.rpartition(":")
+    try:
+        module = _module(place)
+    except Exception as error:
+        raise UsageError(f"policy {what}: cannot be imported: {error}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise UsageError(f"policy {what}: {place} has no function {name!r}")
+    return function
+
+
+def _module(place: str) -> ModuleType:
+    if not place.endswith(".py"):
+        return importlib.import_module(place)
+    known = f"usarmjx_sweep_{hashlib.sha256(Path(place).read_bytes()).hexdigest()[:16]}"
+    if known not in sys.modules:
+        spec = importlib.util.spec_from_file_location(known, place)
+        assert spec is not None  # as the name ends in .py
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        sys.modules[known] = module
+    return sys.modules[known]
+
+
+def contents(policy: object, task: str) -> str:
+    """Return what tells a policy from what was under its name before: of files a hash, else nothing.
+
+    Raises:
+        UsageError: See `find_driver`.
+    """
+    kind, what, _ = _said(policy)
+    if kind == SHIPPED and task in POLICIES:
+        return _hash(POLICIES.get(task))
+    if kind == "python":
+        place = what.rpartition(":")[0]
+        if not place.endswith(".py"):
+            found = importlib.util.find_spec(place) if "." not in place else None
+            place = "" if found is None or found.origin is None else found.origin
+        return _hash(Path(place))
+    return _hash(Path(what)) if kind in ("file", "run") else ""
+
+
+def _hash(path: Path) -> str:
+    """Return a hash of a file, or of the names, sizes and times of what is in a folder; nothing: no such."""
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    rows = [
+        (str(file.relative_to(path)), file.stat().st_size, file.stat().st_mtime_ns)
+        for file in sorted(path.glob("checkpoints/**/*"))
+        if file.is_file()
+    ]
+    return hashlib.sha256(repr(rows).encode()).hexdigest() if rows else ""

@@ -1,0 +1,135 @@
+"""A batch as a piece of work: what is sent to a worker, and what it makes of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from usarmjx.base.errors import UsarmjxError, one_line
+from usarmjx.recording.versions import versions
+from usarmjx.sweep.batch import CellEpisodes, GroupRunner
+from usarmjx.sweep.resolve import Resolved, resolve
+from usarmjx.sweep.settings import Settings
+from usarmjx.sweep.store import CellRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchWork:
+    """A batch to be played.
+
+    Attributes:
+        group: Name of its group: what is compiled for one batch of it does for the others.
+        cells: Keys and settings of all cells of the group.
+        chosen: Which of them are played now.
+        size: How many cells are played at once.
+        engine: The physics engine.
+    """
+
+    group: str
+    cells: tuple[tuple[str, Settings], ...]
+    chosen: tuple[int, ...]
+    size: int
+    engine: str
+
+
+Watch = Callable[[float], None]
+"""Is told what share of a batch is done."""
+
+
+class _Kept:
+    """The last group's environment, which its next batch needs again."""
+
+    name: str = ""
+    runner: GroupRunner | None = None
+
+
+def play_batch(work: BatchWork, watch: Watch | None = None) -> list[CellRecord]:
+    """Play a batch; where it fails, its halves, so that one broken cell does not stop the others."""
+    try:
+        found = _episodes(work, watch)
+    except Exception as error:  # whatever a policy or the device does
+        _Kept.runner = None
+        if len(work.chosen) == 1:
+            return [failure(*work.cells[work.chosen[0]], _reason(error))]
+        return [record for half in _halves(work) for record in play_batch(half)]
+    return [_record(work, place, one) for place, one in zip(work.chosen, found, strict=True)]
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, UsarmjxError) else f"{type(error).__name__}: {one_line(error)}"
+
+
+def failure(key: str, settings: Settings, reason: str) -> CellRecord:
+    """Return the record of a cell that has no result."""
+    return CellRecord(key=key, settings=dict(settings), versions=versions(), failed=reason)
+
+
+def _episodes(work: BatchWork, watch: Watch | None) -> Sequence[CellEpisodes]:
+    own = [resolved(settings) for _, settings in work.cells]
+    if own[work.chosen[0]].driver.command is not None:
+        from usarmjx.sweep.clients import play_client
+
+        return [play_client(own[place], own[place].driver, work.engine) for place in work.chosen]
+    if _Kept.runner is None or _Kept.name != work.group:
+        _Kept.runner = None  # so that its memory is free before the next one's is taken
+        _Kept.runner, _Kept.name = GroupRunner(own, work.size, work.engine), work.group
+    return _Kept.runner.run(work.chosen, watch)
+
+
+def _halves(work: BatchWork) -> list[BatchWork]:
+    middle = len(work.chosen) // 2
+    halves: list[BatchWork] = []
+    for chosen in (work.chosen[:middle], work.chosen[middle:]):
+        cells = tuple(work.cells[place] for place in chosen)
+        halves.append(
+            BatchWork(
+                group=f"{work.group}:{chosen[0]}-{chosen[-1]}",
+                cells=cells,
+                chosen=tuple(range(len(cells))),
+                size=len(cells),
+                engine=work.engine,
+            )
+        )
+    return halves
+
+
+def _record(work: BatchWork, place: int, one: CellEpisodes) -> CellRecord:
+    key, settings = work.cells[place]
+    return CellRecord(
+        key=key,
+        settings=dict(settings),
+        engine=work.engine,
+        scores=tuple(one.scores.tolist()),
+        steps=tuple(one.steps.tolist()),
+        bad=tuple(one.bad.tolist()),
+        metrics={name: tuple(values.tolist()) for name, values in one.metrics.items()},
+        seconds=one.seconds,
+        versions=versions(),
+    )
+
+
+def resolved(settings: Settings) -> Resolved:
+    """Return what settings stand for; what was asked before is known.
+
+    Raises:
+        UsageError: See `resolve`.
+    """
+    return _resolved(_Frozen(settings))
+
+
+class _Frozen:
+    """Settings as a key of a cache."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self._text = settings, repr(sorted(settings.items()))
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Frozen) and self._text == other._text
+
+
+@lru_cache(maxsize=4096)
+def _resolved(frozen: Any) -> Resolved:  # noqa: ANN401 - a _Frozen
+    return resolve(frozen.settings)

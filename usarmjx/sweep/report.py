@@ -1,0 +1,126 @@
+"""Answers as text: aligned columns that are Markdown tables, too."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from usarmjx.recording.versions import versions
+from usarmjx.sweep.answers import (
+    AxisRow,
+    axis_rows,
+    changes,
+    failures,
+    front_points,
+    label_of,
+    other_versions,
+    policy_differences,
+)
+from usarmjx.sweep.statistics import Estimate
+from usarmjx.sweep.store import StoredSweep
+
+MOST_POINTS = 12
+"""Cells of a front that are listed."""
+MOST_CHANGES = 40
+
+
+def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return a table's lines, columns as wide as they need be."""
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+
+    def line(row: Sequence[str]) -> str:
+        return "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+
+    return [line(head), "|" + "|".join("-" * (width + 2) for width in widths) + "|", *map(line, rows)]
+
+
+def as_words(found: Estimate) -> str:
+    """Return a number with its interval."""
+    if not np.isfinite(found.value):
+        return "none"
+    if not np.isfinite(found.low):
+        return f"{found.value:.3g}"
+    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
+
+
+def report(found: StoredSweep) -> str:
+    """Return what a sweep says, in tables."""
+    lines = [f"{found.name}: {found.about}" if found.about else found.name]
+    failed = sum(record.failed is not None for record in found.records)
+    missing = len(found.keys) - len(found.records)
+    lines.append(
+        f"{len(found.finished)} of {len(found.keys)} cells, {failed} failed, {missing} not played yet"
+    )
+    bad = sum(len(record.bad) - len(record.good) for record in found.finished)
+    if bad:
+        lines.append(f"{bad} episodes left out: physics failed")
+    for name, others in other_versions(found, versions()).items():
+        lines.append(f"computed with another {name}: {', '.join(others)}")
+    for reason, records in failures(found).items():
+        lines.append(f"failed: {reason} ({len(records)} cells, as {label_of(records[0], found.axes)})")
+    rows = axis_rows(found)
+    for axis in dict.fromkeys(row.axis for row in rows):
+        lines += ["", *_axis_table(axis, [row for row in rows if row.axis == axis])]
+    lines += _differences(found) + _front(found)
+    return "\n".join(lines)
+
+
+def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
+    head = ["task", axis or "cells", "policy", "score, 95 % interval", "interquartile mean", "episodes"]
+    body = [
+        [
+            row.task,
+            row.value if axis else str(row.cells),
+            row.policy,
+            as_words(row.mean) + (" Wilson" if row.mean.method == "Wilson" else ""),
+            as_words(row.middle),
+            str(row.mean.count),
+        ]
+        for row in rows
+    ]
+    return aligned(head, body)
+
+
+def _differences(found: StoredSweep) -> list[str]:
+    rows = policy_differences(found)
+    if not rows:
+        return []
+    head = ["task", "policy", "less", "difference in the same episodes, 95 %", "better in", "episodes"]
+    body = [
+        [row.task, row.first, row.second, as_words(row.gain), f"{row.better:.0%}", str(row.gain.count)]
+        for row in rows
+    ]
+    return ["", *aligned(head, body)]
+
+
+def _front(found: StoredSweep) -> list[str]:
+    best = [point for point in front_points(found) if point.best]
+    if not best:
+        return []
+    best.sort(key=lambda point: (point.task, -point.score))
+    body = [
+        [point.task, point.label, f"{point.score:.3g}", f"{point.connectivity:.2f}"]
+        for point in best[:MOST_POINTS]
+    ]
+    more = [f"... and {len(best) - MOST_POINTS} more"] if len(best) > MOST_POINTS else []
+    return ["", *aligned(["task", "nobody is better than", "score", "connectivity"], body), *more]
+
+
+def compare(first: StoredSweep, second: StoredSweep) -> str:
+    """Return what is different in the cells that two sweeps have in common, the largest changes first."""
+    rows, only_first, only_second = changes(first, second)
+    lines = [
+        f"{len(rows)} cells in both, {only_first} in the first only, {only_second} in the second only",
+    ]
+    if not rows:
+        return lines[0]
+    rows.sort(key=lambda row: -abs(row.gain.value) if np.isfinite(row.gain.value) else 0.0)
+    same = sum(row.gain.value == 0.0 for row in rows)
+    lines.append(f"the same score in {same} of them")
+    body = [
+        [row.task, row.settings, f"{row.before:.3g}", f"{row.after:.3g}", as_words(row.gain)]
+        for row in rows[:MOST_CHANGES]
+        if row.gain.value != 0.0
+    ]
+    if body:
+        lines += ["", *aligned(["task", "cell", "first", "second", "second less first, 95 %"], body)]
+    return "\n".join(lines)
