@@ -1,8 +1,10 @@
 """The command line: `app` lists the commands, and each has a file of its name (`list` is in `listing`).
 
 A command's file holds its options and little else; heavy imports stand inside the functions, so that
-`--help` answers at once. What the commands print is in `catalogue`, `arena_tables` and `sensor_tables`,
-whose output is also docs/all-robots.md and the like; what `usarmjx demo` runs and measures is in
-`demo_run`, what commands that serve share in `hosting`, `service_options` and `serve_run`. `tools` has the shared options and
-`ErrorExit`, which makes one line and exit code 2 of our own errors. Begin with `serve`; `grouping` makes one option of each field of the dataclasses that it takes.
+`--help` answers at once. Options that several commands have are fields of dataclasses, each of which
+`grouping` makes an option of its own: `hosting` and `service_options` for what serves, `policy_options` for
+what tries a policy; single ones are in `tools`, with `ErrorExit`, which makes one line and exit code 2 of our
+own errors. What the commands print is in `catalogue`, `arena_tables` and `sensor_tables`, whose output is
+docs/all-robots.md and the like, too; `demo_live` is what `usarmjx demo` shows, `demo_run` what it measures.
+Old spellings of options are in `spelling`, names that shells complete in `completion`. Begin with `serve`.
 """

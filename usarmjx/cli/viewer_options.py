@@ -134,6 +134,7 @@ def add_viewer(
     bound: socket.socket,
     settings: "ViewerSettings",
     radio: "RadioSettings | None" = None,
+    layers: Sequence[str] = (),
 ) -> None:
     """Let the worlds of servers be shown on one page.
 
@@ -143,6 +144,7 @@ def add_viewer(
         bound: Where the page is.
         settings: How to serve it.
         radio: The radio's constants; None: there is none.
+        layers: Layers that are on at first beside those that always are.
     """
     from usarmjx.server.log_tail import keep_log
     from usarmjx.server.viewing.seat import control_seat
@@ -166,7 +168,9 @@ def add_viewer(
             partial(CameraInset, worlds=worlds),
             partial(ConsolePanel, worlds=worlds, seat=seat, tail=tail),
         ]
-        return ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
+        page = ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
+        page.show_layers(layers)
+        return page
 
     servers[0].services.append(
         ViewerService(source, replace(settings, port=bound.getsockname()[1]), bound, make_page)

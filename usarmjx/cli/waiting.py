@@ -34,10 +34,13 @@ class CompilationWatch:
     Args:
         say: Takes a line.
         at_work: Whether a thread, by number, compiles just now: what is lowered need not be compiled.
+        interval: How often it is said [s].
     """
 
-    def __init__(self, say: Callable[[str], None], at_work: Callable[[int], bool]) -> None:
-        self._say, self._at_work = say, at_work
+    def __init__(
+        self, say: Callable[[str], None], at_work: Callable[[int], bool], interval: float = INTERVAL
+    ) -> None:
+        self._say, self._at_work, self._interval = say, at_work, interval
         self._compiling: set[int] = set()  # threads in which XLA may be at work
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
         self._lock = threading.Lock()
@@ -72,7 +75,7 @@ class CompilationWatch:
             if busy or now - self._last <= GAP:
                 if length >= self._next:
                     self._say(f"compiling ... {length:.0f} s")
-                    self._next = length - length % INTERVAL + INTERVAL
+                    self._next = length - length % self._interval + self._interval
             elif self._next > FIRST:
                 self._say(f"compiled, {length:.0f} s")
                 self._next = FIRST
@@ -84,7 +87,9 @@ def say(text: str) -> None:
         typer.echo(f"usarmjx: {text}", err=True)
 
 
-def announce(text: str, *, keep: bool = True, aloud: bool = True, quickly: bool = False) -> None:
+def announce(
+    text: str, *, keep: bool = True, aloud: bool = True, quickly: bool = False, interval: float = INTERVAL
+) -> None:
     """Say what takes a while, and go on saying so while it compiles; what is compiled is kept.
 
     The first line comes before JAX is imported, which takes a second or two. Nothing happens in a process
@@ -95,6 +100,7 @@ def announce(text: str, *, keep: bool = True, aloud: bool = True, quickly: bool 
         keep: Whether compilations are kept, and those of before used.
         aloud: Whether anything is said; of several processes that do the same, one is enough.
         quickly: Whether to compile without optimisation.
+        interval: How often it is said that it compiles [s].
     """
     if "jax" in sys.modules:
         return
@@ -107,7 +113,7 @@ def announce(text: str, *, keep: bool = True, aloud: bool = True, quickly: bool 
             tell(f"note: {complaint}")
         if folder := os.environ.get(JAX_FOLDER):
             tell_once_of_broken_entries(tell, Path(folder))
-    threading.Thread(target=_watch, args=(tell,), name="compilations", daemon=True).start()
+    threading.Thread(target=_watch, args=(tell, interval), name="compilations", daemon=True).start()
 
 
 def _say_nothing(text: str) -> None:
@@ -124,13 +130,13 @@ def is_compiling(thread: int) -> bool:
     return False
 
 
-def _watch(tell: Callable[[str], None]) -> None:
+def _watch(tell: Callable[[str], None], interval: float) -> None:
     """Tell of compilations from the moment on that somebody imports JAX."""
     while "jax" not in sys.modules:
         time.sleep(0.1)
     from jax import monitoring
 
-    watch = CompilationWatch(tell, is_compiling)
+    watch = CompilationWatch(tell, is_compiling, interval)
 
     def hear(event: str, duration_secs: float, **_: object) -> None:
         watch.heard(event, duration_secs, time.monotonic(), threading.get_ident())

@@ -169,6 +169,15 @@ class ViewerPage:
             onlooker.attach(robot)
             self.robot = robot
 
+    def show_layers(self, names: Sequence[str]) -> None:
+        """Switch layers on, for all.
+
+        Raises:
+            UnknownNameError: There is none of that name; lists those there are.
+        """
+        for name in names:
+            self._switches.turn_on(LAYERS.get(name).name)
+
     def first_pose(self, aspect: float = 1.6) -> CameraPose:
         """Return from where all that is shown fills a picture of some aspect."""
         bounds = [np.array(bounds_of(cell.drawing)) + cell.offset for cell in self._stage.cells]

@@ -49,6 +49,7 @@ class LayerSwitches:
     def __init__(self, page: "ViewerPage") -> None:
         self._page = page
         self.on = [layer for layer in page.layers.values() if layer.shown_at_first]
+        self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         if not page.layers:
             return
         gui = page.server.gui
@@ -58,6 +59,11 @@ class LayerSwitches:
                 box.on_update(
                     lambda event, layer=layer: page.post(lambda: self.switch(layer, event.target.value))
                 )
+                self._boxes[layer.name] = box
+
+    def turn_on(self, name: str) -> None:
+        """Switch a layer on as by its box."""
+        self._boxes[name].value = True
 
     def switch(self, layer: Layer, on: bool) -> None:
         """Switch a layer on or off."""

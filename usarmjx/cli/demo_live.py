@@ -1,0 +1,169 @@
+"""The live demonstration: a shipped policy explores with four robots, and people look on or take one over."""
+
+import logging
+import os
+import sys
+import threading
+import webbrowser
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import typer
+
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
+from usarmjx.cli.service_options import SpectatorOptions, port_of
+from usarmjx.cli.waiting import announce
+from usarmjx.server.ports import BOT_PORT, bound_socket
+from usarmjx.server.signals import StopSignals
+
+if TYPE_CHECKING:
+    from usarmjx.models.spec.arena import ArenaSpec
+    from usarmjx.server.worlds.policy_world import PolicyWorld
+
+POLICY, ARENA = "explore", "yellow"
+STARTS = ("Start26", "Start43", "Start39", "Start14")
+"""Start poses of the team, in different parts of the arena."""
+EPISODE_STEPS = 600
+"""So many actions of 0.2 s after which the team forgets its maps and explores anew."""
+CUTOFF = -70.0
+"""Signals weaker than this are not heard [dBm]: -49 in training, where links hold for 3 m at most."""
+LAYERS = ("Radio links",)
+"""What the page shows beside what it always does."""
+SAY_EVERY = 5.0
+"""While it compiles a line says so as often [s]."""
+TITLE = "usarmjx demo"
+
+
+class Guide:
+    """A `net.Service`: tells how to begin once the robots move, and opens the page in a browser.
+
+    Args:
+        page: Address of the page.
+        port: Where clients connect.
+        robots: Names of the robots.
+        browser: Whether a browser is to be opened.
+    """
+
+    def __init__(self, page: str, port: int, robots: Sequence[str], browser: bool) -> None:
+        self._page, self._port, self._robots, self._browser = page, port, robots, browser
+        self._told = False
+
+    async def start(self) -> list[str]:
+        """Begin; there is nothing to say before robots move."""
+        return []
+
+    def tick(self) -> None:
+        """The world has made a control step: the robots move."""
+        if self._told:
+            return
+        self._told = True
+        typer.echo(guide_text(self._page, self._port, self._robots))
+        if self._browser:
+            # It may take as long as it likes to start.
+            threading.Thread(target=open_page, args=(self._page,), name="browser", daemon=True).start()
+
+    def stop(self) -> None:
+        """End."""
+
+
+def guide_text(page: str, port: int, robots: Sequence[str]) -> str:
+    """Return what to do at the page, and what to try next."""
+    last = robots[-1]
+    return f"""
+{len(robots)} robots explore {ARENA}, driven by the shipped policy `{POLICY}`: {page}
+
+  Take one over: press "Take the controls", choose {last} under Robot, press "Take over",
+  click beside the arrows, and hold W A S D or the arrow keys; "Give it back" lets the policy go on.
+  Click a robot to look through its camera; "Show" switches scans, radio links and the team's map.
+
+What to try next, in another terminal:
+  usarmjx console {port}     a client here: INIT {{ClassName USARBot.P2AT}} {{Name {last}}} takes {last}
+  usarmjx serve            an arena that waits for a controller of your own
+  usarmjx train drive-to-goal --out runs/goal --view
+  usarmjx list             robots, sensors, arenas, tasks, policies, engines
+
+Ctrl-C ends the demonstration.
+"""
+
+
+def has_display(environment: Mapping[str, str] = os.environ, platform: str = sys.platform) -> bool:
+    """Return whether a browser can show something here: on Linux only where there is a display."""
+    if not platform.startswith(("linux", "freebsd")):
+        return True
+    return any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
+def open_page(address: str) -> None:
+    """Open a page in the user's browser; where none can be opened the address was told anyway."""
+    try:
+        webbrowser.open(address)
+    except (webbrowser.Error, OSError) as error:
+        logging.getLogger(__name__).info("no browser: %s", error)
+
+
+def run_live(browser: bool, port: int | None, viewer_port: int | None) -> None:
+    """Serve the demonstration until a signal comes.
+
+    Args:
+        browser: Whether to open a browser, where there is a display.
+        port: Where clients connect; None: the usual port, or a free one where that is taken.
+        viewer_port: Where the page is; None: likewise.
+
+    Raises:
+        UsageError: A port is taken.
+    """
+    listen = ListenOptions(port=_free(BOT_PORT) if port is None else port)
+    host = Host(
+        listen=listen,
+        settings=listen.settings((), None),
+        numbers=(0,),
+        run=RunOptions(),
+        viewer=ViewerOptions(viewer_port=viewer_port),
+        view=True,
+        spectator=SpectatorOptions(),
+        layers=LAYERS,
+    )
+    with StopSignals() as signals, host.ports() as ports:
+        announce(
+            "building four robots in a maze; half a minute the first time ...",
+            quickly=True,
+            interval=SAY_EVERY,
+        )
+        services = host.prepare()
+        world = make_world()
+        assert ports.page is not None
+        page = f"http://{listen.host}:{port_of(ports.page)}/"
+        guide = Guide(page, port_of(ports.bound[0]["--port"]), [*world.agents()], browser and has_display())
+        host.serve([world], ports, services, signals, batch_size=1, more=[guide])
+
+
+def make_world() -> "PolicyWorld":
+    """Return the world in which the shipped policy explores."""
+    from usarmjx.models.arenas import ARENAS
+    from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
+    from usarmjx.train.make import make
+    from usarmjx.train.policies.sources import find_source
+    from usarmjx.train.tasks.team_parts import WALLED_RADIO
+
+    arena = starting_at(ARENAS.get(ARENA), STARTS)
+    radio = replace(WALLED_RADIO, cutoff=CUTOFF)
+    env = make(POLICY, engine="c", arena=arena, episode_steps=EPISODE_STEPS, radio=radio)
+    return PolicyWorld(PolicyBatch(env, find_source(POLICY).policy(env)))
+
+
+def starting_at(arena: "ArenaSpec", tags: tuple[str, ...]) -> "ArenaSpec":
+    """Return an arena whose first start poses are those of some tags."""
+    starts = {start.tag: start for start in arena.starts}
+    rest = [start for start in arena.starts if start.tag not in tags]
+    return replace(arena, starts=(*(starts[tag] for tag in tags), *rest))
+
+
+def _free(port: int) -> int:
+    """Return a port if it is free, else 0: any."""
+    try:
+        with bound_socket("127.0.0.1", port):
+            return port
+    except UsageError:
+        return 0
