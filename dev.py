@@ -265,8 +265,8 @@ class Verb:
 
 VERBS = {
     "demo": Verb(
-        "run the demonstration (arguments go to `usarmjx demo`)",
-        lambda *args: [usarmjx("demo", *args)],
+        "run the main job, checked (arguments go to `usarmjx demo --headless`)",
+        lambda *args: [usarmjx("demo", "--headless", *args)],
         extras=frozenset(),
     ),
     "test": Verb(

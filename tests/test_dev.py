@@ -173,7 +173,7 @@ def test_a_folder_named_build_is_no_build_output(tmp_path: Path):
 def test_only_the_demo_does_without_the_development_tools():
     bare = {name for name, verb in dev.VERBS.items() if not verb.extras}
     assert bare == {"demo"}
-    assert dev.VERBS["demo"].steps("--port", "0") == [["-m", "usarmjx", "demo", "--port", "0"]]
+    assert dev.VERBS["demo"].steps("--out", "x") == [["-m", "usarmjx", "demo", "--headless", "--out", "x"]]
 
 
 def test_second_call_installs_nothing(checkout: FakeCheckout):
