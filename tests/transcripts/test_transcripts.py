@@ -1,0 +1,287 @@
+"""What original controllers say and are told, step by step, and what their parsers make of it."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from tests.arenas import COURSE
+from tests.server.test_adapter import House, heard
+from tests.transcripts.readers import (
+    ScalarReader,
+    player_mounts,
+    player_sonars,
+    player_value,
+    pyro_first,
+    pyro_segments,
+    scalars,
+)
+from tests.transcripts.transcript import HERE, read_transcript, shapes_of
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.adapter import Client
+from usarmjx.server.protocol.dialects import find_dialect
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+
+NAMES = sorted(path.stem for path in HERE.glob("*.txt"))
+CLOSE = 0.03  # rad: servos get there but for what they carry
+FOUR_DECIMALS = 1.01e-4
+
+
+class Played:
+    """A transcript that has been played: the lines heard in each step, and where the robot was after each."""
+
+    def __init__(self, house, name):
+        self.transcript = read_transcript(name)
+        world = house.world
+        client = Client(world, name, dialect=find_dialect(self.transcript.dialect))
+        house.clients.append(client)
+        self.lines, self.poses, self.greeting = [], [], heard(client)[0]
+        for step in self.transcript.steps:
+            lines = house.say(client, step.say.encode() + self.transcript.ends) if step.say else []
+            house.run(round(step.wait / world.period))
+            self.lines.append(lines + heard(client))
+            state = world.state(client.robot) if client.robot else None
+            self.poses.append(state and (*state.pos.tolist(), heading(state.quat)))
+        self.joints = dict(zip(client.robot.plan.parts[1:], state.joint_pos.tolist(), strict=True))
+        self.faults = client.session.fault_count
+        self.robot = client.robot
+        house.leave(client)
+
+    @property
+    def all(self):
+        return [line for lines in self.lines for line in lines]
+
+    def last(self, *parts):
+        """The last line that has all these parts."""
+        return [line for line in self.all if all(part in line for part in parts)][-1]
+
+    def pose_after(self, say):
+        """x, y, z and yaw, in the engine's axes, after the first step that says so."""
+        number = next(i for i, step in enumerate(self.transcript.steps) if step.say.startswith(say))
+        return np.array(self.poses[number])
+
+
+def heading(quat):
+    w, x, y, z = quat
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+@pytest.fixture(scope="module")
+def played():
+    world = DynamicWorld(COURSE, Physics(), 1, max_robots=4)
+    for name in ("P2AT", "P2DX"):
+        world.prepare(ROBOTS.get(name))
+    return {name: Played(House(world), name) for name in NAMES}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_step_is_answered_as_written_down(played, name):
+    for step, lines in zip(played[name].transcript.steps, played[name].lines, strict=True):
+        assert shapes_of(lines) == step.answers, step
+
+
+def test_nothing_that_they_say_is_lost_on_the_server(played):
+    """But Pyro's PAUSE, which no version of USARSim knew."""
+    assert {name: one.faults for name, one in played.items()} == dict.fromkeys(NAMES, 0) | {"pyro": 1}
+
+
+# MOAST, and NIST's node for ROS
+
+
+def test_moast_learns_the_arena_from_the_greeting(played):
+    assert pyro_first(played["moast"].greeting, "Level") == ["course"]
+    reader = ScalarReader(played["moast"].greeting)
+    assert (reader.head, reader.key(), reader.value(), reader.key(), reader.value()) == (
+        "NFO",
+        *("Gametype", "BotDeathMatch"),
+        *("Level", "course"),
+    )
+
+
+@pytest.mark.parametrize("name", ["moast", "ros"])
+def test_scalars_are_read_where_they_stand(played, name):
+    one = played[name]
+    sonar = ScalarReader(one.last("{Type Sonar}", "SEN", "F2"))
+    while sonar.key() != "Name" or sonar.value() != "F2":
+        pass
+    sonar.expect("Range")
+    assert 0.1 <= sonar.reals(1)[0] <= 5.0
+    scan = scalars(one.last("SEN", "{Type RangeScanner}"), {"Resolution": 1, "FOV": 1, "Range": "rest"})
+    assert len(scan["Range"]) == 181 <= 192, "no more beams than its buffer has"
+    robot = {"Dimensions": 3, "COG": 3, "WheelRadius": 1, "WheelSeparation": 1, "WheelBase": 1}
+    geometry = scalars(one.last("GEO", "{Type GroundVehicle}"), robot)
+    assert (geometry["WheelRadius"], geometry["WheelSeparation"]) == ((0.13,), (0.4712,))
+    drive = {"SteeringType": "word", "Mass": 1, "MaxSpeed": 1, "MaxTorque": 1}
+    assert scalars(one.last("CONF", "{Type GroundVehicle}"), drive)["SteeringType"] == "SkidSteered"
+    mount = ScalarReader(one.last("GEO", "{Type Sonar}"))
+    while mount.key() != "Name":
+        mount.value()
+    mount.expect("F2")
+    mount.expect("Location")
+    place = mount.reals(3)
+    mount.expect("Orientation")
+    turned = mount.reals(3)
+    mount.expect("Mount")
+    (real,) = (item for item in one.robot.spec.sensors if item.name == "F2")
+    assert (*place, *turned) == pytest.approx((*real.at, *real.direction), abs=FOUR_DECIMALS)
+    assert mount.value() == "HARD"
+
+
+def test_moasts_robot_stands_where_it_was_told_and_drives_and_stops(played):
+    moast = played["moast"]
+    before, after = moast.pose_after("Drive {Left 2"), np.array(moast.poses[-2])
+    assert before[:2] == pytest.approx((0.0, 4.0), abs=0.02), "the wire's y is to the right"
+    assert np.linalg.norm(after[:2] - before[:2]) > 0.15
+    assert after[3] < before[3] - 0.05, "left faster than right turns to the right"
+    assert np.array(moast.poses[-1])[:2] == pytest.approx(after[:2], abs=0.05), "and stands then"
+    truth = scalars(moast.last("{Type GroundTruth}"), {"Location": 3, "Orientation": 3})
+    x, y, _ = truth["Location"]
+    assert (x, -y) == pytest.approx(moast.poses[-1][:2], abs=0.006)
+
+
+@pytest.mark.parametrize(("name", "head"), [("moast", "MISSTA"), ("ros", "ASTA")])
+def test_the_state_of_a_package_is_read_by_links(played, name, head):
+    reader, links = ScalarReader(played[name].last(head, "CameraPanTilt")), {}
+    while key := reader.key():
+        value = reader.value()
+        if key == "Link":
+            link = int(value)
+        elif key == "Value":
+            links[link] = float(value)
+    joints = played[name].joints
+    real = [joints[f"CameraPanTilt_Link{number}"] for number in (1, 2)]
+    assert [links[1], links[2]] == pytest.approx(real, abs=FOUR_DECIMALS)
+    told = {"moast": (0.1, 0.05), "ros": (0.3, 0.1)}[name]
+    assert real == pytest.approx(told, abs=CLOSE)
+
+
+def test_ros_hears_of_its_actuator_what_it_waits_for(played):
+    ros = played["ros"]
+    geometry = ScalarReader(ros.last("GEO", "{Type Actuator}"))
+    assert [geometry.key(), geometry.value(), geometry.key(), geometry.value()] == [
+        *("Type", "Actuator"),
+        *("Name", "CameraPanTilt"),
+    ]
+    for word, count in (("Location", 3), ("Orientation", 3)):
+        geometry.expect(word)
+        geometry.reals(count)
+    geometry.expect("Mount")
+    assert geometry.value() == "HARD"
+    assert [geometry.key(), geometry.value(), geometry.key(), geometry.value()] == [
+        "Link",
+        "1",
+        "Parent",
+        "0",
+    ]
+    links = re.findall(r"{Link (\d)} {JointType (\w+)}", ros.last("CONF", "{Type Actuator}"))
+    assert links == [("1", "Revolute"), ("2", "Revolute")]
+
+
+def test_every_reading_for_ros_has_its_time_and_names_one_item(played):
+    for line in played["ros"].all:
+        if line.startswith("SEN"):
+            assert line.startswith("SEN {Time "), line
+            assert line.count("{Name ") == 1, line
+
+
+# Player
+
+
+def test_players_position_driver_learns_how_to_drive(played):
+    player = played["player"]
+    configuration = player.last("CONF", "{Type GroundVehicle}")
+    assert player_value(configuration, "SteeringType") == "SkidSteered"
+    numbers = [
+        float(player_value(configuration, key)) for key in ("Mass", "MaxSpeed", "MaxTorque", "MaxFrontSteer")
+    ]
+    assert numbers == [14.0, 5.385, 60.0, 0.0]
+    geometry = player.last("GEO", "{Type GroundVehicle}")
+    assert float(player_value(geometry, "WheelRadius")) == 0.13
+    assert float(player_value(geometry, "WheelSeparation")) == 0.4712
+    assert len(player_value(geometry, "Dimensions").split(",")) == 3
+
+
+def test_players_robot_drives_by_it_and_its_odometry_begins_anew(played):
+    player = played["player"]
+    start, end = player.pose_after("DRIVE {Left 2"), player.pose_after("SET {Type Odometry}")
+    assert start[:2] == pytest.approx((0.0, 4.0), abs=0.02), "a vector with spaces"
+    assert end[0] - start[0] == pytest.approx(0.26, abs=0.05), "2 rad/s of wheels of 0.13 m for a second"
+    poses = [
+        player_value(line, "Pose") for line in player.all if "{Type Odometry}" in line and "Pose" in line
+    ]
+    ways = [float(pose.split(",")[0]) for pose in poses]
+    assert max(ways) > 0.2
+    assert abs(ways[-1]) < 0.05
+
+
+def test_players_sonars_come_in_arrays_by_their_first_letter(played):
+    player = played["player"]
+    line = player.last("SEN", "{Type Sonar}")
+    assert [len(player_sonars(line, letter)) for letter in "FR"] == [8, 8]
+    assert player_value(line, "Name") == "F1"
+    mounts = player_mounts(player.last("GEO", "{Type Sonar}"))
+    real = {
+        item.name: (item.at, item.direction) for item in player.robot.spec.sensors if item.kind == "Sonar"
+    }
+    assert mounts.keys() == real.keys()
+    for name, (place, turned) in mounts.items():
+        expected = (*real[name][0], *real[name][1])
+        assert (*place, *turned) == pytest.approx(expected, abs=FOUR_DECIMALS)
+
+
+def test_players_laser(played):
+    player = played["player"]
+    scan = [float(text) for text in player_value(player.last("SEN", "RangeScanner"), "Range").split(",")]
+    assert len(scan) == 181
+    configuration = player.last("CONF", "{Type RangeScanner}")
+    fov, step = (float(player_value(configuration, key)) for key in ("Fov", "Resolution"))
+    assert (fov, step) == (3.1415, 0.0174)
+    assert list(player_mounts(player.last("GEO", "{Type RangeScanner}"))) == ["Scanner1"]
+
+
+def test_players_camera_turns_and_zooms(played):
+    """Its pan is positive to the right on the wire, our link's to the left."""
+    player = played["player"]
+    pan, tilt = (player.joints[f"CameraPanTilt_Link{link}"] for link in (1, 2))
+    assert (pan, tilt) == pytest.approx((0.2, 0.1), abs=CLOSE)
+    assert float(player_value(player.last("RES", "Camera"), "Status")) == 0.5
+    assert float(player_value(player.last("CONF", "{Type Camera}"), "CameraDefFov")) == 0.8727
+
+
+# Pyro
+
+
+def test_pyro_reads_every_line(played):
+    for line in played["pyro"].all:
+        assert pyro_segments(line), line
+
+
+def test_pyro_learns_its_sensors_and_hears_them(played):
+    pyro = played["pyro"]
+    places = [
+        segment["Location"]
+        for segment in pyro_segments(pyro.last("GEO", "{Type Sonar}"))
+        if "Name" in segment
+    ]
+    assert len(places) == 8
+    assert float(pyro_first(pyro.last("CONF", "{Type Sonar}"), "MaxRange")[0]) == 5.0
+    assert float(pyro_first(pyro.last("CONF", "{Type RangeScanner}"), "Fov")[0]) == 3.1415
+    assert float(pyro_first(pyro.last("CONF", "{Type Encoder}"), "Resolution")[0]) > 0.0
+    ranges = [s["Range"] for s in pyro_segments(pyro.last("SEN", "{Type Sonar}")) if "Range" in s]
+    assert len(ranges) == 8
+    (scan,) = [s["Range"] for s in pyro_segments(pyro.last("SEN", "{Type RangeScanner}")) if "Range" in s]
+    assert len(scan) == 181
+    assert len([s for s in pyro_segments(pyro.last("{Type Encoder}", "Tick")) if "Tick" in s]) == 2
+    assert int(pyro_first(pyro.last("STA {Type"), "Battery")[0]) > 1000
+    assert float(pyro_first(pyro.last("RES"), "Status")[0]) == 0.6, "the field of view that it zooms to"
+
+
+def test_pyros_robot_stands_where_its_world_file_says_and_drives(played):
+    pyro = played["pyro"]
+    start = pyro.pose_after("GETGEO {Type Sonar}")
+    assert start[:2] == pytest.approx((0.0, 4.0), abs=0.02), "INIT without its last brace"
+    x, y, turned = (float(text) for text in pyro_first(pyro.last("Odometry"), "Pose"))
+    assert np.array(pyro.poses[-1])[0] - start[0] > 0.15
+    assert (x, -y, turned) == pytest.approx((*(np.array(pyro.poses[-1])[:2] - start[:2]), 0.0), abs=0.05)
