@@ -42,6 +42,11 @@ KEYS: dict[str, tuple[dict[str, Any], ...]] = {
     "RangeScanner": ({"Resolution": 0.1, "MaxRange": 20.0, "Noise": 0.05}, {"ScanInterval": 0.0}),
     "IRScanner": ({"Resolution": 0.1, "MaxRange": 20.0, "Sigma": 0.05, "Mean": 0.1},),
     "RangeScanner3D": ({"ScanInterval": 0.4},),
+    "Lidar": (
+        {"VerticalResolution": 0.2, "HorizontalResolution": 0.5, "Dropout": 0.2, "IntensityNoise": 0.1},
+    ),
+    "IMU": ({"ScanInterval": 0.0},),
+    "Magnetometer": ({"HardIron": (("X", 3.0), ("Y", -2.0), ("Z", 1.0))},),
     "INS": ({"Drifting": True, "Precision": 10.0}, {"Sigma": 0.0, "ScanInterval": 0.0}),
     "Odometry": ({"LeftTire": "", "RightTire": "", "EncoderResolution": 0.001, "Sigma": 0.1},),
     "VictSensor": ({"ScanInterval": 0.2}, {"bShowResults": True, "HorizontalStep": 0.2, "ScanInterval": 0.2}),

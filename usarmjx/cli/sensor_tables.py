@@ -20,7 +20,7 @@ HEAD = """# All sensors
 
 This page is the output of `usarmjx list sensors`; a test keeps it so. [sensors.md](sensors.md) tells how to
 use them. Rays are those of one sensor with the options below; "from" is the manual's section, or lines
-captured from a real server. A value has the leading axes worlds and robots.
+captured from a real server, or ours where USARSim has none. A value has the leading axes worlds and robots.
 """
 MESSAGES = """What they say over TCP; those of the scanners are with fewer beams:
 """
@@ -45,8 +45,12 @@ SECTIONS = {
     "HumanMotion": "10.12",
     "GroundTruth": "captured",
     "CO2Sensor": "captured",
+    "Lidar": "ours",
+    "IMU": "ours",
+    "Magnetometer": "ours",
+    "Battery": "ours",
 }
-"""Where each is from: a section of the manual, or messages of real servers."""
+"""Where each is from: a section of the manual, messages of real servers, or what is in neither."""
 SAMPLES = {
     "Sonar": [1.7626],
     "IR": [0.8569],
@@ -64,6 +68,10 @@ SAMPLES = {
     "Sound": [1.65, 2.0],
     "HumanMotion": 0.66,
     "CO2Sensor": 0.01,
+    "Lidar": [[[4.0, 4.1], [1.5, 100.0]], [[0.48, 0.46], [0.21, 0.0]]],
+    "IMU": [0.01, 0.0, 0.52, 0.12, 0.02, 9.79],
+    "Magnetometer": [20.5, -0.3, -43.4],
+    "Battery": [0.75, 23.85, 2700.0],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {
@@ -72,6 +80,7 @@ SHORT_OPTIONS = {
     "RangeScanner3D": options(
         VerticalFOV=0.2, VerticalResolution=0.2, HorizontalFOV=0.5, HorizontalResolution=0.5
     ),
+    "Lidar": options(VerticalFOV=0.2, VerticalResolution=0.2, HorizontalFOV=0.5, HorizontalResolution=0.5),
 }
 """Options with which the messages shown are short."""
 

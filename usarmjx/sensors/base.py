@@ -30,11 +30,14 @@ from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
-NOISE_SETTINGS = ("noise", "sigma", "max_noise", "min_noise")
+NOISE_SETTINGS = (
+    *("noise", "sigma", "max_noise", "min_noise", "field_noise", "intensity_noise"),
+    *("gyro_noise", "gyro_bias", "gyro_bias_walk", "accel_noise", "accel_bias", "accel_bias_walk"),
+)
 """Settings that are sizes of random errors; `precision` is the inverse of one."""
 
 NO_RAYS = np.zeros((0, 3), np.float32)
-ROBOT_FIELDS = ("state", "bodies", "hits")
+ROBOT_FIELDS = ("state", "bodies", "hits", "battery")
 """What of the inputs of several robots has a leading axis over them."""
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -64,6 +67,7 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
         hits: What the rays of the sensors met (rays,).
         surroundings: Victims and tags of its world; None: there are none.
         noise_factor: Factor on the noise of its sensors (); None: 1.
+        battery: For how long its battery lasts yet [s] (); None: nobody asked.
     """
 
     time: Array
@@ -72,6 +76,7 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
     hits: Hits
     surroundings: Surroundings | None = None
     noise_factor: Array | None = None
+    battery: Array | None = None
 
     @property
     def surroundings_or_empty(self) -> Surroundings:
@@ -143,6 +148,7 @@ class Sensor(ABC):
         bundle_size: So many rays after each other go about the same way; see `raycast.nearest_hits`.
         needs_surroundings: Whether it asks for the surroundings.
         needs_victims: Whether it asks for victims in them, rather than tags only.
+        needs_battery: Whether it asks for the battery.
         settings_class: The class of its settings.
         quantities: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
             Messages are made from it, but for those of the manual's sensors, which are as captured.
@@ -157,6 +163,7 @@ class Sensor(ABC):
     bundle_size: ClassVar[int] = DEFAULT_BUNDLE_SIZE
     needs_surroundings: ClassVar[bool] = False
     needs_victims: ClassVar[bool] = True
+    needs_battery: ClassVar[bool] = False
     settings_class: ClassVar[type[Any]] = SensorSettings
     quantities: ClassVar[tuple[Quantity, ...]] = ()
 

@@ -21,15 +21,13 @@ from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, v
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors import co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim
-from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_for_teams
+from usarmjx.sensors.base import Reading, Sensor, SensorInput, is_for_teams
+from usarmjx.sensors.kinds import SENSORS
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import resolve_camera, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
-SENSOR_MODULES = (co2, gps, human_motion, motion, ranging, rfid, scanners, sound, touch, victim)
-"""The modules that fill `SENSORS`."""
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
 
@@ -68,6 +66,11 @@ class Suite:
     def needs_victims(self) -> bool:
         """Whether any sensor asks for victims in the surroundings."""
         return any(sensor.needs_surroundings and sensor.needs_victims for sensor in self.sensors)
+
+    @cached_property
+    def needs_battery(self) -> bool:
+        """Whether any sensor asks for the battery."""
+        return any(sensor.needs_battery for sensor in self.sensors)
 
     @cached_property
     def ray_counts(self) -> tuple[int, ...]:

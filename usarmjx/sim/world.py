@@ -23,7 +23,7 @@ from usarmjx.models.build.variation import RandomizedValues
 from usarmjx.models.drives.state import RobotState
 from usarmjx.models.effecters import DroppedTags
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import Reading, SensorInput
+from usarmjx.sensors.base import ROBOT_FIELDS, Reading, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
 from usarmjx.sensors.suite import SensorMemory
 from usarmjx.sensors.surroundings import Surroundings
@@ -161,7 +161,7 @@ def map_robots(
     function: Callable[..., T], sensor_input: SensorInput, group: RobotGroup, key: Array, *rest: object
 ) -> T:
     """Map function(sensor_input, *rest, key) over a group's robots, each with a key folded by its slot."""
-    own = {name: getattr(sensor_input, name) for name in ("state", "bodies", "hits", "noise_factor")}
+    own = {name: getattr(sensor_input, name) for name in (*ROBOT_FIELDS, "noise_factor")}
 
     def one(own: dict[str, Any], *rest: object) -> T:
         return function(sensor_input.replace(**own), *rest)
@@ -226,7 +226,10 @@ def sense(
     around = surroundings(scene, world.arena_state, world.tags, time_of(scene, world))
     inputs = [sense_self(scene, world, physics, group, around) for group in scene.groups]
     return tuple(
-        one.replace(hits=_hits(group, one, state.memory, cast))
+        one.replace(
+            hits=_hits(group, one, state.memory, cast),
+            battery=battery_left(scene, world, group, state) if group.suite.needs_battery else None,
+        )
         for group, one, state in zip(scene.groups, inputs, world.groups, strict=True)
     )
 
@@ -241,10 +244,15 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
     return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
 
 
+def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
+    """Return for how long the batteries of a group's robots last yet, 0 if drowned [s] (n,)."""
+    age = time_of(scene, world) - state.battery_start
+    return xp.where(state.drowned, 0.0, xp.maximum(group.robot.battery_life - age, 0.0))
+
+
 def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return which robots of a group are in use and have a battery that lasts (n,)."""
-    age = time_of(scene, world) - state.battery_start
-    return state.active & (age < group.robot.battery_life) & ~state.drowned
+    return state.active & (battery_left(scene, world, group, state) > 0)
 
 
 @named_scope("compute_inputs")

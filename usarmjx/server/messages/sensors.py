@@ -59,6 +59,12 @@ def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Messag
     return reports.sen_scanner_3d(time, scan)
 
 
+def _lidar(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings, (ranges, echoes) = sensor.settings[0], value.reshape(2, -1).tolist()
+    scan = reports.RangeScan3D(sensor.mounts[0].name, settings.resolution, settings.fov, ranges)
+    return reports.sen_lidar(time, scan, echoes)
+
+
 def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     x, y, heading = value.tolist()
     (x, y, _), (_, _, heading) = flip_wire_vector((x, y, 0.0)), flip_wire_angles((0.0, 0.0, heading))
@@ -106,6 +112,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "RangeScanner": _scanner,
     "IRScanner": _scanner,
     "RangeScanner3D": _scanner_3d,
+    "Lidar": _lidar,
     "Odometry": _odometry,
     "INS": _ins,
     "GroundTruth": _ground_truth,

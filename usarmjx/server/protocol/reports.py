@@ -222,6 +222,13 @@ def sen_scanner_3d(time: float | None, scan: RangeScan3D) -> Message:
     )
 
 
+def sen_lidar(time: float | None, scan: RangeScan3D, intensities: Sequence[float]) -> Message:
+    """Return a sweep of a "Lidar": a 3D range scanner's line, and how strong the echoes are. Ours."""
+    (*head, (_, _), name, resolution, fov, ranges) = sen_scanner_3d(time, scan).segments
+    echoes = ("Intensity", four_decimals_list(intensities))
+    return Message("SEN", (*head, ("Type", "Lidar"), name, resolution, fov, ranges, echoes))
+
+
 def sen_odometry(time: float | None, name: str, pose: Vector) -> Message:
     """Return the estimated pose relative to the start: x [m], y [m], theta [rad]."""
     return _sen(_precise(time), "Odometry", ("Name", name), ("Pose", four_decimals_list(pose)))

@@ -1,0 +1,199 @@
+"""Inertial measurement unit and magnetometer, as MEMS chips have them. Ours; the manual has neither.
+
+Values are in MuJoCo's axes; the server turns them into USARSim's.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from flax import struct
+
+from usarmjx.base import random
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.rotations import mat_from_rotation_vector, matvec, rotation_vector
+from usarmjx.base.transforms import GRAVITY, flip_vector
+from usarmjx.models.spec.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
+from usarmjx.sensors.quantities import Quantity
+
+LIFT = np.array([0.0, 0.0, GRAVITY], np.float32)
+"""The specific force of what rests, world axes [m/s2]."""
+FIRST_SPAN = 0.02
+"""The first measurement counts as one of so long: a control step [s]."""
+QUARTER_TURN = NumberLimits(low=-math.pi / 2 - 1e-5, high=math.pi / 2 + 1e-5)
+HALF_A_TURN_EACH_WAY = NumberLimits(low=-math.pi - 1e-5, high=math.pi + 1e-5)
+
+
+@dataclass(frozen=True)
+class ImuSettings(SensorSettings):
+    """Keys of `[USARBot.IMU]`; noise is of the order of an ADIS16448's (chosen).
+
+    Attributes:
+        gyro_noise: Density of the white noise of angular velocities [rad/s/sqrt(Hz)].
+        gyro_bias: Standard deviation of their bias at the start [rad/s].
+        gyro_bias_walk: How fast that walks [rad/s/sqrt(s)].
+        gyro_range: Largest angular velocity about an axis [rad/s].
+        accel_noise: Density of the white noise of accelerations [m/s2/sqrt(Hz)].
+        accel_bias: Standard deviation of their bias at the start [m/s2].
+        accel_bias_walk: How fast that walks [m/s2/sqrt(s)].
+        accel_range: Largest acceleration along an axis [m/s2].
+    """
+
+    weight: float = 0.05
+    gyro_noise: Annotated[float, NOT_NEGATIVE] = 1.7e-4
+    gyro_bias: Annotated[float, NOT_NEGATIVE] = 5e-3
+    gyro_bias_walk: Annotated[float, NOT_NEGATIVE] = 2e-5
+    gyro_range: Annotated[float, POSITIVE] = 17.45
+    accel_noise: Annotated[float, NOT_NEGATIVE] = 2e-3
+    accel_bias: Annotated[float, NOT_NEGATIVE] = 0.05
+    accel_bias_walk: Annotated[float, NOT_NEGATIVE] = 3e-3
+    accel_range: Annotated[float, POSITIVE] = 176.0
+
+
+class ImuMemory(struct.PyTreeNode, kw_only=True):
+    """What an IMU remembers.
+
+    Attributes:
+        velocity: Of its mount at the last measurement, world axes [m/s] (3,).
+        mat: Orientation of its mount then (3, 3).
+        time: When that was [s] ().
+        bias: Bias of angular velocities [rad/s] and accelerations [m/s2] (6,).
+    """
+
+    velocity: Array
+    mat: Array
+    time: Array
+    bias: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Imu(Sensor):
+    """Gyroscopes and accelerometers; value: angular velocity [rad/s], specific force [m/s2], own axes (6,).
+
+    At rest the specific force is 9.81 upward. Both are means since the last measurement, as such a chip sums
+    up between two readings: the turn, and the change of velocity less gravity, seen from half way between
+    both orientations.
+    """
+
+    kind = "IMU"
+    settings_class = ImuSettings
+    quantities = (Quantity("AngularVelocity", "vector"), Quantity("Acceleration", "vector"))
+
+    @cached_property
+    def _chain(self) -> np.ndarray:
+        """The bodies on the way from the chassis to the mount, without the chassis (n,)."""
+        found, body = list[int](), int(self.bodies_of_mounts()[0])
+        while body > 0:
+            found.append(body)
+            body = self.plan.parent[body]
+        return np.array(found[::-1], int)
+
+    def _motion(self, inputs: SensorInput, pos: Array) -> tuple[Array, Array]:
+        """Return velocity [m/s] and angular velocity [rad/s] of a point (..., 3) of the mount, world axes."""
+        state, bodies = inputs.state, inputs.bodies
+        turn = matvec(bodies.mat[..., 0, :, :], state.angular)
+        velocity = state.linear + xp.cross(turn, pos - state.pos)
+        for body in self._chain:
+            axis = matvec(bodies.mat[..., body, :, :], self.plan.axis[body].astype(np.float32))
+            axis = axis * state.joint_vel[..., body - 1, None]
+            if self.plan.slides[body]:
+                velocity = velocity + axis
+            else:
+                velocity = velocity + xp.cross(axis, pos - bodies.pos[..., body, :])
+                turn = turn + axis
+        return velocity, turn
+
+    def _by_kind(self, suffix: str) -> Array:
+        """Return a setting of gyroscopes and accelerometers for all six numbers (6,)."""
+        pair = [getattr(self.settings[0], f"{kind}_{suffix}") for kind in ("gyro", "accel")]
+        return xp.repeat(xp.stack([xp.asarray(value, xp.float32) for value in pair]), 3)
+
+    def init_memory(self, inputs: SensorInput, key: Array) -> ImuMemory:
+        """It starts with a bias of its own."""
+        pos, mat = self.mount_poses(inputs.bodies)
+        velocity, _ = self._motion(inputs, pos[0])
+        bias = self._by_kind("bias") * random.normal(key, (6,))
+        return ImuMemory(velocity=velocity, mat=mat[0], time=inputs.time, bias=bias)
+
+    @for_teams
+    def read(self, inputs: SensorInput, memory: ImuMemory, key: Array) -> tuple[ImuMemory, Array]:
+        """Measure turn and change of velocity since the last time; noise and bias are added, then limits."""
+        pos, mat = self.mount_poses(inputs.bodies)
+        pos, mat = pos[..., 0, :], mat[..., 0, :, :]
+        velocity, turn = self._motion(inputs, pos)
+        elapsed = (inputs.time - memory.time)[..., None]
+        again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_SPAN)
+        turned = rotation_vector(memory.mat.mT @ mat)
+        rate = xp.where(again, turned / span, matvec(mat.mT, turn))
+        change = xp.where(again, (velocity - memory.velocity) / span, 0.0)
+        half_way = xp.where(again[..., None], memory.mat @ mat_from_rotation_vector(turned / 2), mat)
+        force = matvec(half_way.mT, change + LIFT)
+        drawn = random.normal(key, (*memory.time.shape, 12))
+        bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]
+        noise = self._by_kind("noise") / xp.sqrt(span) * drawn[..., 6:]
+        limit = self._by_kind("range")
+        told = xp.clip(xp.concatenate([rate, force], -1) + bias + noise, -limit, limit)
+        now = xp.broadcast_to(inputs.time, memory.time.shape)
+        return ImuMemory(velocity=velocity, mat=mat, time=now, bias=bias), told
+
+
+@dataclass(frozen=True)
+class MagnetometerSettings(SensorSettings):
+    """Keys of `[USARBot.Magnetometer]`; the field is about that of central Europe (chosen).
+
+    Attributes:
+        strength: Of the earth's field [uT].
+        inclination: How far it points down [rad].
+        declination: How far it points east of north, which is x in every world [rad].
+        hard_iron: What the robot's own iron adds, in the mount's axes as on the wire [uT].
+        field_noise: Standard deviation of the noise along each axis [uT].
+    """
+
+    weight: float = 0.05
+    strength: Annotated[float, NOT_NEGATIVE] = 48.0
+    inclination: Annotated[float, QUARTER_TURN] = 1.13
+    declination: Annotated[float, HALF_A_TURN_EACH_WAY] = 0.0
+    hard_iron: tuple[tuple[str, float], ...] = (("X", 0.0), ("Y", 0.0), ("Z", 0.0))
+    field_noise: Annotated[float, NOT_NEGATIVE] = 0.1
+
+    def problem(self) -> str:
+        """Return what settings do not go together."""
+        axes = {str(axis).upper() for axis, _ in self.hard_iron}
+        return "" if axes <= set("XYZ") else f"HardIron is {self.hard_iron}, expected X, Y and Z"
+
+    @property
+    def field(self) -> np.ndarray:
+        """The earth's field in the world's axes, x to the north and z up [uT] (3,)."""
+        level, east = math.cos(self.inclination), math.sin(self.declination)
+        ahead = level * math.cos(self.declination)
+        return self.strength * np.array([ahead, -level * east, -math.sin(self.inclination)], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Magnetometer(Sensor):
+    """The earth's magnetic field along three axes; value: field in its own axes [uT] (3,)."""
+
+    kind = "Magnetometer"
+    settings_class = MagnetometerSettings
+    quantities = (Quantity("Field", "vector"),)
+
+    @cached_property
+    def _iron(self) -> np.ndarray:
+        axes = {str(axis).upper(): value for axis, value in self.settings[0].hard_iron}
+        return np.array(flip_vector(tuple(float(axes.get(axis, 0.0)) for axis in "XYZ")), np.float32)  # type: ignore[arg-type]
+
+    @for_teams
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
+        """Measure once."""
+        settings = self.settings[0]
+        _, mat = self.mount_poses(inputs.bodies)
+        seen = matvec(mat[..., 0, :, :].mT, settings.field) + self._iron
+        return memory, seen + settings.field_noise * random.normal(key, seen.shape)
+
+
+for _sensor in (Imu, Magnetometer):
+    SENSORS.add(_sensor.kind, _sensor)
