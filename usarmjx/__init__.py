@@ -1,11 +1,11 @@
 """usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.
 
 `make` gives a task's environment, `Batch` steps the worlds of a scene that `build_scene` made, `serve` lets
-clients of the Gamebots protocol in, `load_policy` finds a trained policy. `TASKS`, `ROBOTS`, `ARENAS`,
-`SENSORS`, `POLICIES` and `ENGINES` have what there is by name: `usarmjx.TASKS.names()`. The other names here
-are types of their arguments and results. These names are public; `usarmjx.client`, which needs only the
-standard library, is too. docs/architecture.md says where the rest is, and follows a command, a range, an
-action and a radio link through it.
+clients of the Gamebots protocol in, `load_policy` finds a trained policy, `sweep` plays many configurations.
+`TASKS`, `ROBOTS`, `ARENAS`, `SENSORS`, `POLICIES` and `ENGINES` have what there is by name:
+`usarmjx.TASKS.names()`. The other names here are types of their arguments and results. These names are
+public; `usarmjx.client`, which needs only the standard library, is too. docs/architecture.md says where the
+rest is, and follows a command, a range, an action and a radio link through it.
 
 All of it is imported on first use. Importing this raises JAX's pool of threads, see `base.threads`.
 """
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from usarmjx.sim.scene import RosterEntry as RosterEntry
     from usarmjx.sim.scene import Scene as Scene
     from usarmjx.sim.scene import build_scene as build_scene
+    from usarmjx.sweeps.run import sweep as sweep
     from usarmjx.train.envs.env import Env as Env
     from usarmjx.train.envs.policy import Policy as Policy
     from usarmjx.train.make import make as make
@@ -80,6 +81,7 @@ _WHERE = {
     "load_policy": "usarmjx.train.policies.sources:find_source",
     "make": "usarmjx.train.make",
     "serve": "usarmjx.server.background",
+    "sweep": "usarmjx.sweeps.run",
 }
 """The module of each public name, and what it is called there if otherwise."""
 

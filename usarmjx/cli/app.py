@@ -21,6 +21,7 @@ from usarmjx.cli import (
     recordings,
     sensor_plots,
     serve,
+    sweep,
     train,
 )
 from usarmjx.cli.spelling import respelt
@@ -66,6 +67,7 @@ def root(
 
 app.add_typer(bench.app, name="bench")
 app.add_typer(arena.app, name="arena")
+app.add_typer(sweep.app, name="sweep")
 app.add_typer(train.app)
 app.command("eval")(evaluation.evaluate_policy)
 app.command()(play.play)

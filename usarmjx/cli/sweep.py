@@ -66,10 +66,10 @@ def run(
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
         announce(f"reading {what} ...")
-        from usarmjx.sweep.progress import usual_stream
-        from usarmjx.sweep.run import prepare, run_sweep
-        from usarmjx.sweep.spec import find_spec, load_spec
-        from usarmjx.sweep.workers import Workers
+        from usarmjx.sweeps.progress import usual_stream
+        from usarmjx.sweeps.run import prepare, run_sweep
+        from usarmjx.sweeps.spec import find_spec, load_spec
+        from usarmjx.sweeps.workers import Workers
 
         common = _pairs(settings or [])
         if engine is not None:
@@ -107,7 +107,7 @@ def show(
 ) -> None:
     """Say what came of a sweep, finished or not."""
     with ErrorExit():
-        from usarmjx.sweep.store import read_sweep
+        from usarmjx.sweeps.store import read_sweep
 
         _tell(read_sweep(folder), figure, table, episodes)
 
@@ -119,8 +119,8 @@ def compare(
 ) -> None:
     """Say what differs in the cells that two sweeps have in common."""
     with ErrorExit():
-        from usarmjx.sweep.report import compare as compared
-        from usarmjx.sweep.store import read_sweep
+        from usarmjx.sweeps.report import compare as compared
+        from usarmjx.sweeps.store import read_sweep
 
         typer.echo(compared(read_sweep(first), read_sweep(second)))
 
@@ -144,7 +144,7 @@ def _pairs(given: list[str]) -> dict[str, Any]:
 
 
 def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
-    from usarmjx.sweep.sinks import tensorboard_sink, wandb_sink
+    from usarmjx.sweeps.sinks import tensorboard_sink, wandb_sink
 
     sinks: list[Any] = [] if tensorboard is None else [tensorboard_sink(tensorboard)]
     return sinks if wandb is None else [*sinks, wandb_sink(wandb, name)]
@@ -152,12 +152,12 @@ def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
 
 def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401
     """Print what came of a sweep, and write what was asked for."""
-    from usarmjx.sweep.report import report
-    from usarmjx.sweep.table import cell_rows, episode_rows, export_rows
+    from usarmjx.sweeps.report import report
+    from usarmjx.sweeps.table import cell_rows, episode_rows, export_rows
 
     typer.echo(report(found))
     if figure is not None:
-        from usarmjx.sweep.figures import plot_sweep
+        from usarmjx.sweeps.figures import plot_sweep
 
         plot_sweep(found, figure)
         typer.echo(f"wrote {figure}")

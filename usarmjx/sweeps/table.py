@@ -9,9 +9,9 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
-from usarmjx.sweep.settings import as_text
-from usarmjx.sweep.statistics import estimate, interquartile_mean
-from usarmjx.sweep.store import CellRecord, StoredSweep
+from usarmjx.sweeps.settings import as_text
+from usarmjx.sweeps.statistics import estimate, interquartile_mean
+from usarmjx.sweeps.store import CellRecord, StoredSweep
 
 SUFFIXES = (".csv", ".parquet")
 Row = dict[str, Any]

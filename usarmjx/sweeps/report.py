@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from usarmjx.recording.versions import versions
-from usarmjx.sweep.answers import (
+from usarmjx.sweeps.answers import (
     AxisRow,
     axis_rows,
     changes,
@@ -15,8 +15,8 @@ from usarmjx.sweep.answers import (
     other_versions,
     policy_differences,
 )
-from usarmjx.sweep.statistics import Estimate
-from usarmjx.sweep.store import StoredSweep
+from usarmjx.sweeps.statistics import Estimate
+from usarmjx.sweeps.store import StoredSweep
 
 MOST_POINTS = 12
 """Cells of a front that are listed."""

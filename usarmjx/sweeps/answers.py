@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.sweep.settings import as_text
-from usarmjx.sweep.statistics import Estimate, estimate, interquartile_mean, pareto_front
-from usarmjx.sweep.store import CellRecord, StoredSweep
-from usarmjx.sweep.table import scores_of
+from usarmjx.sweeps.settings import as_text
+from usarmjx.sweeps.statistics import Estimate, estimate, interquartile_mean, pareto_front
+from usarmjx.sweeps.store import CellRecord, StoredSweep
+from usarmjx.sweeps.table import scores_of
 
 UNLINKED = "unlinked"
 """The metric of tasks for teams that connectivity is read from: share of pairs of robots without a link."""

@@ -19,8 +19,8 @@ from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sweep.drivers import Driver, contents, find_driver
-from usarmjx.sweep.settings import FIELDS, Settings
+from usarmjx.sweeps.drivers import Driver, contents, find_driver
+from usarmjx.sweeps.settings import FIELDS, Settings
 from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import make_task

@@ -25,9 +25,9 @@ from usarmjx.server.loop import ServerLoop
 from usarmjx.server.net import BotServer
 from usarmjx.server.ports import bound_ports, count_up
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
-from usarmjx.sweep.batch import CellEpisodes
-from usarmjx.sweep.drivers import Driver
-from usarmjx.sweep.resolve import Resolved
+from usarmjx.sweeps.batch import CellEpisodes
+from usarmjx.sweeps.drivers import Driver
+from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 

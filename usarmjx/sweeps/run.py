@@ -9,14 +9,14 @@ from typing import Any, TextIO
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
-from usarmjx.sweep.plan import USUAL_WORLDS, SweepPlan, plan_batches
-from usarmjx.sweep.play import BatchWork, failure, play_batch, resolved
-from usarmjx.sweep.progress import SweepProgress
-from usarmjx.sweep.resolve import key_of, signature_of
-from usarmjx.sweep.sinks import Sink
-from usarmjx.sweep.spec import SweepSpec, find_spec, load_spec, read_spec
-from usarmjx.sweep.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
-from usarmjx.sweep.workers import Workers
+from usarmjx.sweeps.plan import USUAL_WORLDS, SweepPlan, plan_batches
+from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
+from usarmjx.sweeps.progress import SweepProgress
+from usarmjx.sweeps.resolve import key_of, signature_of
+from usarmjx.sweeps.sinks import Sink
+from usarmjx.sweeps.spec import SweepSpec, find_spec, load_spec, read_spec
+from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.workers import Workers
 
 Cell = tuple[str, dict[str, Any]]
 """Key and settings."""
@@ -205,7 +205,7 @@ def sweep(
         UsageError: Something that is not allowed; says what is.
         WriteError: The folder cannot be written to.
     """
-    from usarmjx.sweep.table import as_frame
+    from usarmjx.sweeps.table import as_frame
 
     if isinstance(what, Mapping):
         spec = read_spec(what, common=common)

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
-from usarmjx.sweep.answers import AxisRow, axes_of, axis_rows, front_points, policy_of, tasks_of
-from usarmjx.sweep.statistics import performance_profile
-from usarmjx.sweep.store import StoredSweep
-from usarmjx.sweep.table import scores_of
+from usarmjx.sweeps.answers import AxisRow, axes_of, axis_rows, front_points, policy_of, tasks_of
+from usarmjx.sweeps.statistics import performance_profile
+from usarmjx.sweeps.store import StoredSweep
+from usarmjx.sweeps.table import scores_of
 
 COLOURS = ("#1f5fa8", "#d1622b", "#3b8a4e", "#8a4fa3", "#7a7a7a", "#b8a11f")
 DPI = 100

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import UsageError, one_line
-from usarmjx.sweep.settings import as_text
-from usarmjx.sweep.store import CellRecord
-from usarmjx.sweep.table import scores_of
+from usarmjx.sweeps.settings import as_text
+from usarmjx.sweeps.store import CellRecord
+from usarmjx.sweeps.table import scores_of
 
 Sink = Callable[[CellRecord], None]
 """Is told of each cell that is finished or has failed."""

@@ -18,7 +18,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sim.batch import select_worlds
-from usarmjx.sweep.resolve import Resolved
+from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.state import EnvState

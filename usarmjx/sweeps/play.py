@@ -7,10 +7,10 @@ from typing import Any
 
 from usarmjx.base.errors import UsarmjxError, one_line
 from usarmjx.recording.versions import versions
-from usarmjx.sweep.batch import CellEpisodes, GroupRunner
-from usarmjx.sweep.resolve import Resolved, resolve
-from usarmjx.sweep.settings import Settings
-from usarmjx.sweep.store import CellRecord
+from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
+from usarmjx.sweeps.resolve import Resolved, resolve
+from usarmjx.sweeps.settings import Settings
+from usarmjx.sweeps.store import CellRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ def failure(key: str, settings: Settings, reason: str) -> CellRecord:
 def _episodes(work: BatchWork, watch: Watch | None) -> Sequence[CellEpisodes]:
     own = [resolved(settings) for _, settings in work.cells]
     if own[work.chosen[0]].driver.command is not None:
-        from usarmjx.sweep.clients import play_client
+        from usarmjx.sweeps.clients import play_client
 
         return [play_client(own[place], own[place].driver, work.engine) for place in work.chosen]
     if _Kept.runner is None or _Kept.name != work.group:

@@ -11,7 +11,7 @@ import yaml
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.base.files import read_bounded
-from usarmjx.sweep.settings import check_key, complete, flatten
+from usarmjx.sweeps.settings import check_key, complete, flatten
 
 BUNDLED = Path(__file__).parent / "bundled"
 KEYS = ("about", "common", "product", "list", "sample", "worlds")
