@@ -255,12 +255,12 @@ class Verb:
     Attributes:
         summary: What it does, for the help.
         steps: Python command lines to run, given the arguments that followed the verb.
-        extras: Optional dependencies that it needs.
+        extras: Optional dependencies that it needs; None: not even .venv, but this Python.
     """
 
     summary: str
     steps: Callable[..., list[list[str]]]
-    extras: frozenset[str] = frozenset({"dev"})
+    extras: frozenset[str] | None = frozenset({"dev"})
 
 
 VERBS = {
@@ -288,6 +288,11 @@ VERBS = {
     "docs": Verb(
         "the documents as a site in build/site, their examples and links (with arguments: pytest with them)",
         lambda *args: [*([] if args else [["-m", "documents"]]), pytest("tests/test_docs.py", *args)],
+    ),
+    "try": Verb(
+        "what a stranger does, in empty environments: the wheel, the demo, extras, first page (see --help)",
+        lambda *args: [["trial.py", *args]],
+        extras=None,
     ),
     "audit": Verb(
         "known vulnerabilities of the pinned packages, where pip-audit can run (status 2: it cannot)",
@@ -343,6 +348,9 @@ def main(argv: Sequence[str]) -> int:
     verb, args = parse(argv)
     environment = Environment(ROOT, ROOT / ".venv")
     try:
+        if verb.extras is None:
+            (step,) = verb.steps(*args)
+            return subprocess.run([sys.executable, *step], cwd=ROOT).returncode
         environment.ensure(verb.extras)
         return run_steps(environment, verb.steps(*args))
     except SetupError as error:

@@ -28,7 +28,7 @@ def attempt(event: str, args: tuple) -> str | None:
     if event in RESOLVING:  # nobody is asked about an address in numbers
         return None if is_here(args[0]) or re.fullmatch(r"[\d.]+|[\da-f:]+", str(args[0])) else str(args[0])
     program, *words = [os.fsdecode(word) for word in args[1]]
-    installs = program == sys.executable and words[:2] == ["-m", "pip"]
+    installs = program == sys.executable and words[:2] == ["-m", "pip"] and "--no-index" not in words
     return " ".join((program, *words)) if installs or os.path.basename(program) in LOADERS else None
 
 

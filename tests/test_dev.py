@@ -170,9 +170,9 @@ def test_a_folder_named_build_is_no_build_output(tmp_path: Path):
     assert found.endswith("test_sample.py::test_it")
 
 
-def test_only_the_demo_does_without_the_development_tools():
+def test_only_the_demo_and_what_strangers_do_go_without_the_development_tools():
     bare = {name for name, verb in dev.VERBS.items() if not verb.extras}
-    assert bare == {"demo"}
+    assert bare == {"demo", "try"}
     assert dev.VERBS["demo"].steps("--out", "x") == [["-m", "usarmjx", "demo", "--headless", "--out", "x"]]
 
 

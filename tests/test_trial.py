@@ -1,0 +1,140 @@
+"""The wheel has all that it needs, and `dev.py try` finds what is wrong with one."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import dev
+import trial
+import usarmjx
+
+USE = """
+import os
+from pathlib import Path
+import usarmjx, usarmjx.client.wander
+from usarmjx.cli import app, demo_run
+from usarmjx.models.arenas.arda import FILES
+from usarmjx.server.pictures import spectator_server
+from usarmjx.train.policies import POLICIES
+
+here = Path(usarmjx.__file__).parent
+assert here.parent == Path(os.environ["PYTHONPATH"]), here
+assert demo_run.CONTROLLER.is_relative_to(here) and demo_run.CONTROLLER.exists()
+assert all(file.exists() for file in FILES)
+assert usarmjx.load_policy("drive-to-goal").learned
+assert len(POLICIES) == len(list(here.glob("train/policies/*.npz"))) >= 3
+assert (here / "server/pictures/spectator.html").exists() and (here / "py.typed").exists()
+"""
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built with the tools that are installed: there is no network here."""
+    return trial.build(tmp_path_factory.mktemp("wheel"), sys.executable, isolated=False)
+
+
+def test_the_wheel_has_the_whole_package_and_nothing_else(wheel: Path):
+    files = trial.package_files()
+    assert trial.wheel_faults(wheel, files) == []
+    assert len(files) > 500
+    assert {Path(name).suffix for name in files} >= {".py", ".typed", ".npz", ".txt", ".html"}
+    assert wheel.name == f"usarmjx-{usarmjx.__version__}-py3-none-any.whl"
+
+
+def test_what_is_wrong_with_a_wheel_is_found(wheel: Path, tmp_path: Path):
+    spoilt = tmp_path / wheel.name
+    with zipfile.ZipFile(wheel) as whole, zipfile.ZipFile(spoilt, "w") as made:
+        for name in whole.namelist():
+            if not name.endswith(("py.typed", "/NOTICE")):
+                text = whole.read(name)
+                made.writestr(name, text.replace(b"Apache-2.0", b"unknown") if "METADATA" in name else text)
+        made.writestr("tests/test_x.py", "")
+    assert trial.wheel_faults(spoilt, trial.package_files()) == [
+        "usarmjx/py.typed is missing",
+        "tests/test_x.py does not belong there",
+        "NOTICE is missing",
+        "its metadata does not say License-Expression: Apache-2.0",
+    ]
+
+
+def test_an_installed_wheel_needs_nothing_of_the_repository(wheel: Path, tmp_path: Path):
+    place, empty = tmp_path / "installed", tmp_path / "empty"
+    empty.mkdir()
+    command = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--no-compile", "--quiet"]
+    subprocess.run([*command, "--target", str(place), str(wheel)], check=True, capture_output=True)
+    settings = {**os.environ, "PYTHONPATH": str(place)}
+    for words in (
+        ["-c", USE],
+        ["-m", "usarmjx", "demo", "--help"],
+        ["-m", "usarmjx.client.wander", "--help"],
+    ):
+        done = subprocess.run(
+            [sys.executable, *words], cwd=empty, env=settings, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def test_what_a_page_and_a_notebook_have_a_reader_run_is_found():
+    page = (
+        "```python\na = 1\n```\n```py drive.py\nprint(2)\n```\n```console\n$ x\n```\n```python\nb = a\n```\n"
+    )
+    assert trial.pieces(page) == ({"drive.py": "print(2)\n"}, "a = 1\n\nb = a\n")
+    code = {"cell_type": "code", "source": ["%pip install usarmjx\n", "!ls\n", "x = 1\n", "x"]}
+    assert (
+        trial.cells(json.dumps({"cells": [code, {"cell_type": "markdown", "source": ["no"]}]})) == "x = 1\nx"
+    )
+
+
+def test_the_first_page_has_programs_to_try():
+    found = [trial.pieces((dev.ROOT / name).read_text(encoding="utf-8")) for name in trial.FIRST_PAGES]
+    assert "drive.py" in found[0][0]
+    assert "usarmjx" in found[0][1]
+
+
+def test_failures_are_told_and_the_rest_is_still_tried(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    if os.name == "nt":
+        pytest.skip("the program is a shell script")
+    room = trial.Room(tmp_path / "room", tmp_path / "x.whl")
+    room.folder.mkdir()
+    room.programs.mkdir(parents=True)
+    program = room.programs / "usarmjx"
+    program.write_text('#!/bin/sh\necho "said $*" $(pwd) $PYTHONPATH\n[ "$1" != bad ]\n')
+    program.chmod(0o755)
+    account = trial.Account()
+    assert not account.attempt("one", lambda: room.run("usarmjx", "bad"))
+    assert not account.attempt("two", lambda: room.run("usarmjy"))
+    assert account.attempt("three", lambda: room.run("usarmjx", "good"))
+    assert room.run("usarmjx", "bad", status=1) == f"said bad {room.folder}\n"
+    shown = capsys.readouterr().out
+    assert account.failed == ["one", "two"]
+    assert "FAILED  one\nusarmjx bad\nended with status 1, not 0:\nsaid bad" in shown
+    assert "there is no program usarmjy" in shown
+    assert "ok      three" in shown
+
+
+def test_try_is_a_verb_that_needs_no_environment(monkeypatch: pytest.MonkeyPatch):
+    calls = []
+
+    def run(command, **_):
+        calls.append(command)
+        return subprocess.CompletedProcess(command, 3)
+
+    monkeypatch.setattr(dev.subprocess, "run", run)
+    monkeypatch.setattr(dev.Environment, "ensure", lambda *_: pytest.fail("it wants .venv"))
+    assert dev.main(["try", "--base"]) == 3
+    assert calls == [[sys.executable, "trial.py", "--base"]]
+
+
+def test_pythons_that_do_not_run_are_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    broken = tmp_path / "python3.99"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert trial.usable(["python3.99", "no-such-python"]) == [sys.executable]
+    assert trial.usable([sys.executable]) == [shutil.which(sys.executable)]
