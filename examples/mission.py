@@ -34,7 +34,8 @@ TURN = 1.2  # rad/s, if no wheel slipped
 MARGIN = 0.12  # m beside the hull that must be free ahead
 STOP_AT, GO_AT = 0.35, 0.8  # m free ahead: below the one it turns until there is the other
 STUCK_AFTER, BACK_OFF = 3.0, 1.5  # s: moving so long without getting on, and how long it backs off then
-GETTING_ON = 0.1  # m
+GETTING_ON, TURNING_ON = 0.1, 0.4  # m, rad: less is not getting on
+LOST_AFTER = 8.0  # s of turning without finding room
 CELL = 0.6  # m: the floor is counted in such squares
 SAME = 1.0  # m: parts seen nearer to each other are of one victim
 REPORT = 0.2  # s between two reports
@@ -92,7 +93,8 @@ class Explorer:
         self.now = self.began = self.last = -1.0
         self.pose: Place | None = None
         self.turning = 0
-        self.backs_until, self.anchor = -1.0, (math.nan, math.nan, -1.0)  # x, y and since when
+        self.turns_since = self.backs_until = -1.0
+        self.anchor, self.there_since = (math.nan, math.nan, math.nan), -1.0  # where it has not got on from
 
     def _is_there(self) -> bool:
         return any(message.kind == "STA" for message in self.robot)
@@ -144,9 +146,9 @@ class Explorer:
         """Return speed [m/s] and turning rate, clockwise [rad/s], for a scan, from right to left [m]."""
         if self.now >= self.backs_until and self._is_stuck():
             self.log.stuck += 1
-            self.backs_until = self.now + BACK_OFF
+            self.backs_until, self.there_since = self.now + BACK_OFF, self.now + BACK_OFF
         if self.now < self.backs_until:
-            return BACK, TURN / 2
+            return BACK, TURN * (0.5 if self.log.stuck % 2 else -0.5)
         angles = [fov / 2 - i * fov / (len(scan) - 1) for i in range(len(scan))]
         points = [
             (r * math.cos(a) + self.scanner, r * math.sin(a)) for r, a in zip(scan, angles, strict=True)
@@ -160,14 +162,19 @@ class Explorer:
             )
             return CRUISE, max(-TURN, min(TURN, balance)) / 2  # towards the side with more room
         if not self.turning:
+            self.turns_since = self.now
             self.turning = 1 if sum(min(r, 4.0) * a for r, a in zip(scan, angles, strict=True)) > 0 else -1
         return 0.0, TURN * self.turning
 
     def _is_stuck(self) -> bool:
-        x, y, _ = self.pose or (math.nan,) * 3
-        if self.turning or not math.dist((x, y), self.anchor[:2]) < GETTING_ON:
-            self.anchor = (x, y, self.now)
-        return self.now - self.anchor[2] > STUCK_AFTER
+        """Return whether it has neither moved nor turned for some time, or turned in vain."""
+        x, y, yaw = self.pose or (math.nan,) * 3
+        turned = abs(math.remainder(yaw - self.anchor[2], math.tau))
+        if not (math.dist((x, y), self.anchor[:2]) < GETTING_ON and turned < TURNING_ON):
+            self.anchor, self.there_since = (x, y, yaw), self.now
+        is_lost = bool(self.turning) and self.now - self.turns_since > LOST_AFTER
+        self.turns_since = self.now if is_lost else self.turns_since
+        return is_lost or self.now - self.there_since > STUCK_AFTER
 
 
 def victims_of(logs: list[Log]) -> list[tuple[float, float]]:
