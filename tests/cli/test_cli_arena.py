@@ -42,8 +42,8 @@ def room(tmp_path: Path) -> Path:
 
 
 def test_list_is_the_table_of_the_docs():
-    """After a change: `usarmjx arena list`, into docs/arenas.md, and `usarmjx arena gallery docs`."""
-    result = invoke("list")
+    """After a change: `usarmjx arena list --markdown` into docs/arenas.md, `usarmjx arena gallery docs`."""
+    result = invoke("list", "--markdown")
     assert result.exit_code == 0
     for name, arena in ARENAS:
         (row,) = re.findall(rf"^\| {re.escape(name)}\b.*$", result.output, re.MULTILINE)

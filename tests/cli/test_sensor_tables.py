@@ -32,12 +32,12 @@ def rows(title):
 
 
 def test_the_page_of_all_sensors_is_the_generated_one():
-    """After a change: `usarmjx list sensors > docs/all-sensors.md`."""
+    """After a change: `usarmjx list sensors --markdown > docs/all-sensors.md`."""
     assert PAGE.read_text(encoding="utf-8") == table() + "\n"
 
 
 def test_the_command_prints_it():
-    result = CliRunner().invoke(app, ["list", "sensors"])
+    result = CliRunner().invoke(app, ["list", "sensors", "--markdown"])
     assert result.exit_code == 0, result.output
     assert result.output == table() + "\n"
 

@@ -7,7 +7,9 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
-from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.completion import complete_kinds, complete_robots
+from usarmjx.cli.listing import JsonFlag, MarkdownFlag, check_form, show_listing
+from usarmjx.cli.tools import ArenaArgument, ErrorExit, SeedOption
 from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
@@ -23,18 +25,17 @@ LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, 
 
 
 @app.command("list")
-def list_arenas() -> None:
-    """List the arenas that ship with usarmjx, with what is in them."""
+def list_arenas(json: JsonFlag = False, markdown: MarkdownFlag = False) -> None:
+    """List the arenas that ship with usarmjx, as `usarmjx list arenas`."""
     with ErrorExit():
+        check_form(json, markdown)
         announce("reading the arenas ...")
-        from usarmjx.cli.arena_tables import arenas_table
-
-        typer.echo(arenas_table())
+        show_listing("arenas", json, markdown)
 
 
 @app.command()
 def draw(
-    arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
+    arena: ArenaArgument,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
 ) -> None:
@@ -51,8 +52,11 @@ def draw(
 
 @app.command()
 def check(
-    arena: Annotated[str, typer.Argument(help="Arena name, or a file.")],
-    robot: Annotated[str, typer.Option(help="Robot class that shall start and drive there.")] = "P2AT",
+    arena: ArenaArgument,
+    robot: Annotated[
+        str,
+        typer.Option(help="Robot class that shall start and drive there.", autocompletion=complete_robots),
+    ] = "P2AT",
     png: PngOption = None,
     perspective: PerspectiveOption = None,
 ) -> None:
@@ -74,7 +78,12 @@ def check(
 
 @app.command()
 def generate(
-    kind: Annotated[str, typer.Option(help="maze, building, rubble, steps, ramps or collapsed.")] = "maze",
+    kind: Annotated[
+        str,
+        typer.Option(
+            help="maze, building, rubble, steps, ramps or collapsed.", autocompletion=complete_kinds
+        ),
+    ] = "maze",
     size: Annotated[str, typer.Option(help="Columns and rows of cells of 1.2 m, as 12x8.")] = "8x6",
     seed: SeedOption = 0,
     difficulty: Annotated[float, typer.Option(help="How difficult in all, from 0 to 1.")] = 0.5,
@@ -83,7 +92,9 @@ def generate(
     clutter: LevelOption = None,
     dead_ends: LevelOption = None,
     radio_shadow: LevelOption = None,
-    robot: Annotated[str, typer.Option(help="Robot class that can pass.")] = "P2AT",
+    robot: Annotated[
+        str, typer.Option(help="Robot class that can pass.", autocompletion=complete_robots)
+    ] = "P2AT",
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
     victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
     png: PngOption = None,

@@ -14,9 +14,9 @@ from usarmjx.sensors.suite import suite_of
 
 TABLE_HEAD = """# All robots
 
-This page is the output of `usarmjx list robots`; a test keeps it so. The last column says where each figure
-is from: the manual's section, lines captured from a real server, the machine's data sheet, or chosen by us
-because nothing was found. What was measured on the built robots is in [robots.md](robots.md).
+This page is the output of `usarmjx list robots --markdown`; a test keeps it so. The last column says where
+each figure is from: the manual's section, lines captured from a real server, the machine's data sheet, or
+chosen by us because nothing was found. What was measured on the built robots is in [robots.md](robots.md).
 
 ![All robots, drawn by `usarmjx portraits`](robots.png)
 """
@@ -43,7 +43,7 @@ def robots_table() -> str:
             f"| {drive.top_speed:.2f} | {keys} | {sources} |"
         )
         equipment.append(
-            f"| {name} | {_joints(robot)} | {_packages(robot)} | {_sensors(robot)} "
+            f"| {name} | {_joints(robot)} | {_packages(robot)} | {sensor_names(robot)} "
             f"| {_names(robot.cameras)} | {_names(robot.effecters)} |"
         )
     return "\n".join([TABLE_HEAD, *figures, "", *equipment])
@@ -62,7 +62,8 @@ def _packages(robot: RobotSpec) -> str:
     return ", ".join(f"{package.name} ({len(package.links)})" for package in robot.packages) or "-"
 
 
-def _sensors(robot: RobotSpec) -> str:
+def sensor_names(robot: RobotSpec) -> str:
+    """Return the types of a robot's sensors, with how many there are of each."""
     kinds = [
         f"{len(sensor.mounts)} {sensor.kind}" if len(sensor.mounts) > 1 else sensor.kind
         for sensor in suite_of(robot).sensors
@@ -71,7 +72,10 @@ def _sensors(robot: RobotSpec) -> str:
 
 
 def catalogue() -> str:
-    """Return a listing of robots, arenas, sensor types and engines, one line each."""
+    """Return robots, arenas, sensor types, tasks, policies and engines, one line each."""
+    from usarmjx.train.policies import POLICIES
+    from usarmjx.train.tasks import TASKS
+
     lines = ["Robots (INIT {ClassName USARBot.<name>}):"]
     for name, robot in ROBOTS:
         length, width, height = robot.dimensions
@@ -79,22 +83,25 @@ def catalogue() -> str:
             f"  {name:10} {length:.2f} x {width:.2f} x {height:.2f} m, {robot.mass:g} kg, "
             f"{robot.drive.top_speed:.2f} m/s"
         )
-        lines.append(f"  {'':10} {_sensors(robot)}")
+        lines.append(f"  {'':10} {sensor_names(robot)}")
     lines.append("Arenas:")
     for name, arena in ARENAS:
         aliases = f" ({', '.join(arena.aliases)})" if arena.aliases else ""
         lines.append(f"  {name}{aliases}: {len(arena.shapes)} solids, {len(arena.starts)} start poses")
     lines.append(f"Sensors: {', '.join(SENSORS.names())}")
+    lines.append(f"Tasks: {', '.join(TASKS.names())}")
+    lines.append(f"Trained policies: {', '.join(POLICIES.names())}")
     lines.append("Engines:")
     for name, _ in ENGINES:
-        lines.append(f"  {name:5} {_availability(name)}")
+        lines.append(f"  {name:5} {availability(name)}")
     lines.append(
         f"  auto is {choose_engine('auto', 'serve')} for serve, {choose_engine('auto', 'train')} for bench"
     )
     return "\n".join(lines)
 
 
-def _availability(engine: str) -> str:
+def availability(engine: str) -> str:
+    """Return where an engine runs, or why it does not here."""
     if engine == "warp" and importlib.util.find_spec("warp") is None:
         return "not installed: pip install usarmjx[cuda] (NVIDIA GPU) or usarmjx[warp] (CPU, slow)"
     where = {
@@ -103,4 +110,4 @@ def _availability(engine: str) -> str:
         "warp": "NVIDIA GPU; slow on a CPU",
     }
     devices = f"; JAX sees {jax.devices()[0].device_kind}" if engine == "jax" else ""
-    return where[engine] + devices
+    return where.get(engine, "on JAX's default device") + devices

@@ -18,8 +18,14 @@ TASK_NAMES = (
     *("victim-search", "wander"),
 )
 POLICY_NAMES = ("drive-to-goal", "explore", "victim-search")
-ENGINE_NAMES = ("auto", "c", "jax", "warp")
+ENGINE_NAMES = ("auto", "c", "jax", "planar", "warp")
 KIND_NAMES = ("building", "collapsed", "maze", "ramps", "rubble", "steps")
+LISTING_NAMES = ("arenas", "commands", "engines", "everything", "policies", "robots", "sensors", "tasks")
+
+
+def complete_listings(incomplete: str) -> list[str]:
+    """Return what can be listed whose names begin so."""
+    return _beginning(LISTING_NAMES, incomplete)
 
 
 def complete_arenas(incomplete: str) -> list[str]:
@@ -53,4 +59,4 @@ def complete_kinds(incomplete: str) -> list[str]:
 
 
 def _beginning(names: tuple[str, ...], incomplete: str) -> list[str]:
-    return [name for name in names if name.lower().startswith(incomplete.lower())]
+    return [name for name in names if name.startswith(incomplete)]

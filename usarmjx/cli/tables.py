@@ -1,0 +1,158 @@
+"""What there is, as tables: one form for people, pipes, documents and programs.
+
+`listing` says which of them is asked for.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Listing:
+    """Things of one kind.
+
+    Attributes:
+        columns: Names of the columns, the first that of the things' names.
+        rows: Their cells, texts or numbers (rows, columns).
+        title: What stands over them.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    title: str = ""
+
+    def as_json(self) -> str:
+        """Return a JSON list with an object for each row."""
+        return json.dumps([dict(zip(self.columns, row, strict=True)) for row in self.rows], indent=1)
+
+    def as_markdown(self) -> str:
+        """Return a Markdown table."""
+        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
+        return "\n".join(f"| {' | '.join(str(cell).replace('|', '/') for cell in line)} |" for line in lines)
+
+    def as_text(self) -> str:
+        """Return lines whose columns stand below each other; for pipes, so nothing is cut off."""
+        lines = [list(map(str, row)) for row in (self.columns, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        padded = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines
+        ]
+        return "\n".join(line.rstrip() for line in padded)
+
+    def show(self, console: Console) -> None:
+        """Show it on a terminal."""
+        table = Table(title=self.title or None, title_justify="left")
+        for number, column in enumerate(self.columns):
+            table.add_column(column, style="bold" if not number else None, no_wrap=not number)
+        for row in self.rows:
+            table.add_row(*(str(cell) for cell in row))
+        console.print(table, markup=False)
+
+
+def robots() -> Listing:
+    """Return the robot classes."""
+    from usarmjx.cli.catalogue import sensor_names
+    from usarmjx.models.robots import ROBOTS
+
+    columns = "class", "steering", "L x W x H [m]", "mass [kg]", "top speed [m/s]", "sensors"
+    rows = [
+        (
+            name,
+            f"{robot.drive.vehicle}, {robot.drive.steering}",
+            " x ".join(f"{side:.2f}" for side in robot.dimensions),
+            round(robot.mass, 3),
+            round(robot.drive.top_speed, 2),
+            sensor_names(robot),
+        )
+        for name, robot in ROBOTS
+    ]
+    return Listing(columns=columns, rows=rows, title="Robots: INIT {ClassName USARBot.<class>}")
+
+
+def sensors() -> Listing:
+    """Return the types of sensors."""
+    from usarmjx.cli.sensor_tables import describe, robots_with
+    from usarmjx.sensors.base import SENSORS
+
+    rows = [(kind, *describe(SENSORS.get(kind)), robots_with(kind)) for kind in SENSORS.names()]
+    return Listing(columns=("type", "what it does", "value", "robots"), rows=rows, title="Sensors")
+
+
+def arenas() -> Listing:
+    """Return the arenas."""
+    from usarmjx.models.arenas import ARENAS
+
+    rows = [
+        (
+            name,
+            ", ".join(arena.aliases),
+            " x ".join(f"{high - low:g}" for low, high in arena.extent),
+            len(arena.shapes),
+            len(arena.starts),
+            len(arena.victims),
+            arena.about,
+        )
+        for name, arena in ARENAS
+    ]
+    columns = "arena", "also", "size [m]", "solids", "starts", "victims", "what it is"
+    return Listing(columns=columns, rows=rows, title="Arenas: --arena NAME")
+
+
+def tasks() -> Listing:
+    """Return the tasks."""
+    from usarmjx.train.policies import POLICIES
+    from usarmjx.train.tasks import TASKS
+
+    rows = [
+        (name, task.about, task.episode_steps, "yes" if name in POLICIES else "by hand")
+        for name, task in TASKS
+    ]
+    return Listing(
+        columns=("task", "what it is", "steps", "packaged policy"),
+        rows=rows,
+        title="Tasks: usarmjx train TASK",
+    )
+
+
+def policies() -> Listing:
+    """Return the policies that come with the package: trained ones, and those written by hand."""
+    from usarmjx.train.baselines import BASELINES
+    from usarmjx.train.policies import POLICIES
+    from usarmjx.train.policies.export import NumpyPolicy
+
+    rows: list[Sequence[object]] = []
+    for name, file in POLICIES:
+        groups = ", ".join(f"{one['name']} ({len(one['agents'])})" for one in NumpyPolicy(file).groups)
+        rows.append((name, "trained", groups, f"usarmjx play {name} --view"))
+    rows += [(name, "by hand", "", f"usarmjx play --baseline {name} --view") for name in BASELINES.names()]
+    return Listing(columns=("policy", "made", "robots", "to see it"), rows=rows, title="Policies")
+
+
+def engines() -> Listing:
+    """Return the engines, and what `auto` takes."""
+    from usarmjx.cli.catalogue import availability
+    from usarmjx.engines import ENGINES, choose_engine
+
+    chosen = {purpose: choose_engine("auto", purpose) for purpose in ("serve", "train")}
+    rows = [
+        (name, availability(name), ", ".join(purpose for purpose, best in chosen.items() if best == name))
+        for name, _ in ENGINES
+    ]
+    return Listing(
+        columns=("engine", "where it runs", "auto is this for"), rows=rows, title="Engines: --engine NAME"
+    )
+
+
+LISTINGS: Mapping[str, Callable[[], Listing]] = {
+    "robots": robots,
+    "sensors": sensors,
+    "arenas": arenas,
+    "tasks": tasks,
+    "policies": policies,
+    "engines": engines,
+}
+"""The listings by what they list."""
