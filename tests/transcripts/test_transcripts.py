@@ -285,3 +285,13 @@ def test_pyros_robot_stands_where_its_world_file_says_and_drives(played):
     x, y, turned = (float(text) for text in pyro_first(pyro.last("Odometry"), "Pose"))
     assert np.array(pyro.poses[-1])[0] - start[0] > 0.15
     assert (x, -y, turned) == pytest.approx((*(np.array(pyro.poses[-1])[:2] - start[:2]), 0.0), abs=0.05)
+
+
+def test_player_reads_the_true_pose(played):
+    """Its localization that is none: from STA once, from the sensor for it in later drivers."""
+    player = played["player"]
+    line = player.last("{Type GroundTruth}")
+    x, y, _ = (float(text) for text in player_value(line, "Location").split(","))
+    yaw = float(player_value(line, "Orientation").split(",")[2])
+    assert (x, -y) == pytest.approx(player.poses[-1][:2], abs=0.006)
+    assert math.remainder(-yaw - player.poses[-1][3], math.tau) == pytest.approx(0.0, abs=0.006)
