@@ -11,7 +11,6 @@ import doctest
 import io
 import re
 import shlex
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 import dev
+import usarmjx
 
 FOLDERS = (".", "docs", "examples", "benchmarks")
 DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
@@ -202,7 +202,7 @@ def test_examples_of_a_document_share_names():
 
 
 def test_the_page_of_all_robots_is_the_generated_one():
-    """After a change: `usarmjx list robots > docs/all-robots.md`, `usarmjx portraits docs/robots.png`."""
+    """After a change: `usarmjx list robots --markdown > docs/all-robots.md`, and `usarmjx portraits`."""
     from usarmjx.cli.catalogue import robots_table
 
     assert (dev.ROOT / "docs" / "all-robots.md").read_text() == robots_table() + "\n"
@@ -213,17 +213,10 @@ def test_the_first_controller_drives_up_to_a_wall(workplace: Path):
     (script,) = re.findall(
         r"^```py drive.py\n(.*?)^```", (dev.ROOT / "docs/start.md").read_text(), re.M | re.S
     )
-    options = ["--arena", "yellow", "--port", "0", "--image-port", "0", "--no-wireless", "--no-viewer"]
-    serve = [sys.executable, "-m", "usarmjx", "serve", *options, "--realtime-factor", "4"]
-    with subprocess.Popen(serve, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
-        try:
-            assert server.stdout is not None
-            port = next(line.rpartition(":")[2] for line in server.stdout if "listening" in line)
-            assert script.count("port=3000") == 1
-            (workplace / "drive.py").write_text(script.replace("port=3000", f"port={int(port)}"))
-            done = subprocess.run([sys.executable, "drive.py"], capture_output=True, text=True, timeout=120)
-        finally:
-            server.send_signal(signal.SIGINT)
+    assert script.count("port=3000") == 1
+    with usarmjx.serve("yellow", port=0, realtime_factor=4.0) as server:
+        (workplace / "drive.py").write_text(script.replace("port=3000", f"port={server.port}"))
+        done = subprocess.run([sys.executable, "drive.py"], capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     ahead = [float(line.split()[2]) for line in done.stdout.splitlines()]
     assert ahead[0] > 1.0
