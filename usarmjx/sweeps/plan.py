@@ -6,8 +6,10 @@ Pure functions of what must be alike (`resolve.signature_of`) and of how many wo
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
-USUAL_WORLDS = {"c": 256, "jax": 1024, "warp": 8192}
+USUAL_WORLDS = {"c": 256, "warp": 8192}
 """Worlds of a batch at most, by engine, if nobody says otherwise."""
+WORLDS_ELSEWHERE = 1024
+"""... on other engines."""
 
 Signature = Mapping[str, Hashable]
 """What must be alike in a batch, by what people call it."""

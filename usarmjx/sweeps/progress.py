@@ -61,7 +61,7 @@ def _long(seconds: float) -> str:
     whole = round(seconds)
     if whole < 100:
         return f"{whole} s"
-    return f"{whole // 60} min" if whole < 6000 else f"{whole / 3600:.1f} h"
+    return f"{round(whole / 60)} min" if whole < 6000 else f"{whole / 3600:.1f} h"
 
 
 def usual_stream() -> TextIO:

@@ -221,6 +221,8 @@ def _arenas(settings: Settings, task: Task) -> Any:  # noqa: ANN401 - specs of g
     """Return the arenas of a cell's episodes, level by level in turn; or the one that it has."""
     said, named = parts_of(settings, "arena"), settings.get("arena", task.arena)
     robot = spec_of(task.robots[0]).name if task.robots else "P2AT"
+    if (kind := said.get("kind", "maze")) not in KINDS:
+        raise UsageError(f"arena.kind is {kind!r}, expected one of {', '.join(KINDS.names())}")
     recipe = named
     if isinstance(named, str):
         recipe = resolve_arenas(named, robot)

@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.plan import USUAL_WORLDS, SweepPlan, plan_batches
+from usarmjx.sweeps.plan import USUAL_WORLDS, WORLDS_ELSEWHERE, SweepPlan, plan_batches
 from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
 from usarmjx.sweeps.progress import SweepProgress
 from usarmjx.sweeps.resolve import key_of, signature_of
@@ -84,7 +84,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
         cells.append((key, settings))
         signatures.append(signature)
         engines.append(settings["engine"])
-    most = spec.worlds or USUAL_WORLDS[engines[0] if engines else "c"]
+    most = spec.worlds or USUAL_WORLDS.get(engines[0] if engines else "", WORLDS_ELSEWHERE)
     episodes = [int(settings["episodes"]) for _, settings in cells]
     clients = [resolved(settings).driver.command is not None for _, settings in cells]
     plan = plan_batches(signatures, episodes, most, clients)

@@ -1,0 +1,194 @@
+"""What is said of results: tables, differences, fronts, figures, files, other places to show them."""
+
+import csv
+import json
+import sys
+import types
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.app import app
+from usarmjx.sweeps.answers import axis_rows, front_points, policy_differences
+from usarmjx.sweeps.progress import SweepProgress
+from usarmjx.sweeps.report import compare, report
+from usarmjx.sweeps.sinks import tensorboard_sink, wandb_sink
+from usarmjx.sweeps.store import CellRecord, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.table import export_rows
+
+
+def record(key, scores, bad=(), failed=None, unlinked=0.5, **settings):
+    settings = {"task": "explore", "policy": "by-hand", "seed": 0, "episodes": len(scores), **settings}
+    flags = [number in bad for number in range(len(scores))]
+    return CellRecord(
+        key=key,
+        settings=settings,
+        engine="c",
+        scores=tuple(map(float, scores)),
+        steps=(10,) * len(scores),
+        bad=tuple(flags),
+        metrics={"unlinked": (unlinked,) * len(scores)},
+        seconds=1.0,
+        versions={"usarmjx": "0.0.1"},
+        failed=failed,
+    )
+
+
+RECORDS = (
+    record("a", [10, 20, 30], **{"radio.cutoff": -60, "policy": "by-hand"}),
+    record("b", [40, 50, 60], **{"radio.cutoff": -40, "policy": "by-hand"}, unlinked=0.9),
+    record("c", [11, 22, 33], **{"radio.cutoff": -60, "policy": "shipped"}, unlinked=0.2),
+    record("d", [41, 0, 61], bad=(1,), **{"radio.cutoff": -40, "policy": "shipped"}, unlinked=0.95),
+    record("e", [], failed="out of luck", **{"radio.cutoff": -20, "policy": "shipped"}),
+)
+
+
+def stored(folder, records=RECORDS, missing=("f",)):
+    keys = [*(one.key for one in records), *missing]
+    write_sweep(folder, "some", "What is asked.", ["radio.cutoff", "policy"], keys)
+    for one in records:
+        write_cell(folder, one)
+    return read_sweep(folder)
+
+
+@pytest.fixture
+def found(tmp_path):
+    return stored(tmp_path / "some")
+
+
+def test_what_is_kept_comes_back(found):
+    assert found.records == RECORDS
+    assert found.keys == ("a", "b", "c", "d", "e", "f")
+
+
+def test_scores_over_an_axis_are_those_of_its_cells(found):
+    rows = {(row.axis, row.value, row.policy): row for row in axis_rows(found)}
+    assert rows["", "all", "by-hand"].mean.value == 35.0
+    assert rows["radio.cutoff", "-60", "by-hand"].mean.value == 20.0
+    last = rows["radio.cutoff", "-40", "shipped"].mean
+    assert (last.value, last.count) == (51.0, 2), "an episode that went wrong does not count"
+    assert last.low <= 51.0 <= last.high
+
+
+def test_policies_are_compared_in_the_same_episodes(found):
+    (row,) = policy_differences(found)
+    assert (row.first, row.second) == ("by-hand", "shipped")
+    # Less 1, 2 and 3 in one cell; less 1 and 1 in the other, whose second episode went wrong.
+    assert row.gain.value == pytest.approx(-(1 + 2 + 3 + 1 + 1) / 5)
+    assert row.gain.count == 5
+    assert row.better == 0.0
+
+
+def test_the_front_is_between_score_and_connectivity(found):
+    best = {point.label for point in front_points(found) if point.best}
+    assert best == {
+        "radio.cutoff -60, policy shipped",  # the best linked
+        "radio.cutoff -40, policy shipped",  # the best score
+        "radio.cutoff -40, policy by-hand",
+    }
+
+
+def test_the_report_says_what_there_is_and_what_is_not(found):
+    said = report(found)
+    assert said.startswith("some: What is asked.\n4 of 6 cells, 1 failed, 1 not played yet\n")
+    assert "1 episodes left out: physics failed" in said
+    assert "failed: out of luck (1 cells, as radio.cutoff -20, policy shipped)" in said
+    assert "computed with another usarmjx: 0.0.1" in said
+    assert "| explore | -60          | by-hand | 20 (" in said
+    assert "-1.6 (" in said
+
+
+def test_two_sweeps_are_compared_cell_by_cell(found, tmp_path):
+    other = (record("x", [10, 20, 33], **{"radio.cutoff": -60}), RECORDS[1])
+    said = compare(found, stored(tmp_path / "other", other))
+    assert "2 cells in both, 2 in the first only, 0 in the second only" in said
+    assert "the same score in 1 of them" in said
+    assert "| explore | radio.cutoff -60, policy by-hand | 20    | 21     | 1 (0 to 3)" in said
+
+
+def test_tables_and_figures_are_files(found, tmp_path):
+    folder, table, figure = tmp_path / "some", tmp_path / "t.csv", tmp_path / "f.png"
+    episodes = tmp_path / "e.csv"
+    words = ["sweep", "show", folder, "--table", table, "--figure", figure, "--episodes", episodes]
+    done = CliRunner().invoke(app, list(map(str, words)))
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader(table.open()))
+    assert [row["score"] for row in rows[:4]] == ["20.0", "50.0", "22.0", "51.0"]
+    assert rows[4]["failed"] == "out of luck"
+    assert [row["bad"] for row in csv.DictReader(episodes.open())].count("True") == 1
+    picture = np.asarray(Image.open(figure).convert("L"))
+    assert picture.shape[1] > picture.shape[0] > 200
+    assert (picture < 128).sum() > 1000
+
+
+def test_parquet_needs_pyarrow_and_mixed_columns_are_text(tmp_path, monkeypatch):
+    rows = [{"a": 1, "b": "[1, 2]"}, {"a": 2.5, "b": 3.0}]
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match="Parquet needs pyarrow"):
+        export_rows(rows, tmp_path / "t.parquet")
+    seen = {}
+    parquet = types.ModuleType("pyarrow.parquet")
+    parquet.write_table = lambda table, path: path.write_text(json.dumps(seen.setdefault("table", table)))
+    pyarrow = types.ModuleType("pyarrow")
+    pyarrow.table, pyarrow.parquet = dict, parquet
+    monkeypatch.setitem(sys.modules, "pyarrow", pyarrow)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", parquet)
+    export_rows(rows, tmp_path / "t.parquet")
+    assert seen["table"] == {"a": [1, 2.5], "b": ["[1, 2]", "3.0"]}
+    with pytest.raises(UsageError, match=r"tables end in .csv, .parquet"):
+        export_rows(rows, tmp_path / "t.xlsx")
+
+
+def test_cells_are_shown_to_tensorboard_and_to_weights_and_biases(tmp_path, monkeypatch):
+    tensorboard_sink(tmp_path)(RECORDS[0])
+    (events,) = tmp_path.glob("events*")
+    assert b"metric/unlinked" in events.read_bytes()
+    assert b"setting/radio.cutoff" in events.read_bytes()
+    calls = []
+    run = types.SimpleNamespace(log=calls.append, finish=lambda exit_code: calls.append(exit_code))
+    module = types.ModuleType("wandb")
+    module.init = lambda **given: calls.append(given) or run
+    monkeypatch.setitem(sys.modules, "wandb", module)
+    sink = wandb_sink("robots", "some")
+    sink(RECORDS[0])
+    sink(RECORDS[4])
+    assert (calls[0]["project"], calls[0]["group"], calls[0]["name"]) == ("robots", "some", "a")
+    assert calls[1] == {"score": 20.0, "metric/unlinked": 0.5}
+    assert [calls[2], calls[5]] == [0, 1]
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(UsageError, match="pip install wandb"):
+        wandb_sink("robots", "some")
+
+
+def test_progress_is_one_line_now_and_then_with_an_estimate(monkeypatch):
+    said, now = [], [0.0]
+    monkeypatch.setattr("usarmjx.sweeps.progress.time.monotonic", lambda: now[0])
+    stream = types.SimpleNamespace(write=said.append, flush=lambda: None, isatty=lambda: False)
+    progress = SweepProgress(100, stream)
+    for second in range(1, 31):
+        now[0] = float(second)
+        progress.within(10, 0.5)
+    progress.add(20, 5)
+    now[0] = 100.0
+    progress.add(0, 0)
+    assert len(said) == 4, "every 10 s where there is no terminal"
+    assert said[0] == "usarmjx: 0 of 100 cells, 10 s, about 3 min left\n"
+    assert said[3] == "usarmjx: 25 of 100 cells, 5 failed, 2 min, about 5 min left\n"
+
+
+def test_the_command_line_refuses_in_one_line(tmp_path):
+    def refused(*words):
+        done = CliRunner().invoke(app, ["sweep", *map(str, words)])
+        assert done.exit_code == 2
+        return done.output
+
+    assert "no bundled sweep; those are: robustness, teams, thousand" in refused("nothing")
+    assert "holds no sweep" in refused("show", tmp_path)
+    file = tmp_path / "x.yaml"
+    file.write_text("common: {task: explore}\nproduct: {seed: [0]}\n")
+    assert "run on 'moon': expected here, processes, ray" in refused(file, "--run-on", "moon")
+    assert "an address is for a cluster of Ray" in refused(file, "--address", "10.0.0.1:6379")
+    assert "no setting 'height'" in refused(file, "--set", "height=3")

@@ -1,0 +1,129 @@
+"""Sweeps from file to results: nothing is played twice or lost, and how it is played does not matter."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import usarmjx
+from tests.sweeps.conftest import SMALL, write
+from usarmjx.sweeps.batch import GroupRunner
+from usarmjx.sweeps.resolve import resolve
+from usarmjx.sweeps.run import run_sweep
+from usarmjx.sweeps.spec import load_spec
+from usarmjx.sweeps.store import CELLS, read_sweep
+
+BROKEN = """
+def raises(env):
+    raise RuntimeError("no good today")
+
+
+def none(env):
+    return None
+"""
+
+
+def results(found):
+    """What came of each cell, to the bit."""
+    return {
+        record.key: (record.failed, record.scores, record.steps, record.bad, record.metrics)
+        for record in found.records
+    }
+
+
+def times(folder):
+    return {file.name: file.stat().st_mtime_ns for file in (folder / CELLS).glob("*.json")}
+
+
+def test_cells_that_differ_in_data_are_played_with_one_compilation(whole):
+    _, found, said = whole
+    assert said == ["12 cells in 6 batches of 2, 1 compilation: the cells differ in data only"]
+    assert [record.failed for record in found.records] == [None] * 12
+    ways = [record.metrics["distance"] for record in found.records]
+    assert len(set(ways)) == 12, "walls, seeds and friction all matter"
+    record = found.records[0]
+    assert record.versions["mujoco"]
+    assert (record.settings["seed"], record.engine) == (0, "c")
+
+
+def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
+    _, found, _ = whole
+    record = found.records[11]
+    (alone,) = GroupRunner([resolve(record.settings)], 1, "c").run([0])
+    assert alone.metrics["distance"].tolist() == list(record.metrics["distance"])
+    assert alone.scores.tolist() == list(record.scores)
+    assert alone.steps.tolist() == list(record.steps)
+
+
+def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, tmp_path):
+    file, folder = write(tmp_path), tmp_path / "out"
+    command = [sys.executable, "-m", "usarmjx", "sweep", str(file), "--out", str(folder), "--quiet"]
+    running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        while not times(folder) and running.poll() is None:
+            time.sleep(0.005)
+        os.kill(running.pid, signal.SIGKILL)
+    finally:
+        running.kill()
+        assert running.wait() == -signal.SIGKILL, "it ended before it could be killed"
+    before = times(folder)
+    assert 1 <= len(before) < 12
+    found = run_sweep(load_spec(file), folder)
+    assert results(found) == results(whole[1])
+    after = times(folder)
+    assert {name: after[name] for name in before} == before, "what was there is not played again"
+
+
+def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nobody(whole, tmp_path):
+    folder = tmp_path / "out"
+    (folder / CELLS).mkdir(parents=True)
+    for kept in (whole[0] / CELLS).glob("*.json"):
+        os.link(kept, folder / CELLS / kept.name)
+    before = times(folder)
+    (tmp_path / "broken.py").write_text(BROKEN)
+    policies = [
+        f"{tmp_path}/broken.py:raises",
+        f"{tmp_path}/broken.py:none",
+        "lost.npz",
+        "shipped",
+        "by-hand",
+    ]
+    rows = [{"policy": policy, "seed": 7} for policy in policies]
+    rows += [{"policy": "by-hand", "seed": seed} for seed in (1, 2)]
+    product = {"arena.level": [0.9], "vary.friction": [1.0]}
+    file, said = write(tmp_path, list=rows, product=product), []
+    found = run_sweep(load_spec(file), folder, say=said.append)
+    assert said[0] == "2 of 7 cells are there already"
+    assert {name: at for name, at in times(folder).items() if name in before} == before
+    reasons = [record.failed for record in found.records]
+    assert "no good today" in reasons[0]
+    assert "returned NoneType, expected usarmjx's Policy" in reasons[1]
+    assert "lost.npz is no folder of a run" in reasons[2]
+    assert "is for robots" in reasons[3]
+    assert reasons[4:] == [None] * 3
+    assert results(found)[found.keys[5]] == results(whole[1])[found.keys[5]]
+    there = times(folder)
+    run_sweep(load_spec(file), folder)
+    assert times(folder) == there, "what has failed is not tried again"
+    (tmp_path / "broken.py").write_text(BROKEN.replace("no good today", "no good either"))
+    again = run_sweep(load_spec(write(tmp_path, list=rows[:1], product=product)), folder)
+    assert "no good either" in again.records[0].failed, "another file is another policy"
+
+
+def test_in_python_a_sweep_is_a_table(whole, monkeypatch):
+    table = usarmjx.sweep(SMALL, whole[0])
+    assert len(table) == 12
+    np.testing.assert_array_equal(table["good"], 2)
+    assert set(table["arena.level"]) == {0.1, 0.9}
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    rows = usarmjx.sweep(SMALL, whole[0])
+    assert rows[3]["metric.distance"] == table["metric.distance"][3]
+
+
+def test_a_folder_without_a_sweep_is_named(tmp_path):
+    with pytest.raises(usarmjx.UsageError, match=r"holds no sweep: sweep.json"):
+        read_sweep(tmp_path)
