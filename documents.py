@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parent
 FENCE = re.compile(r"(^```.*?^```)", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)")
 PAGES = {
+    "CHANGELOG.md": "changes.md",
     "CONTRIBUTING.md": "contributing.md",
     "benchmarks/README.md": "benchmarks.md",
     "README.md": "index.md",
@@ -99,6 +100,14 @@ def option_row(option: Any) -> str:  # noqa: ANN401 - of typer's own copy of cli
 def plain(text: str) -> str:
     """Return help as a cell of a table or a paragraph can carry it."""
     return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
+
+
+def on_config(config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
+    """Put pages of which the list of pages does not know to the others that tell how."""
+    named = set(re.findall(r"[\w-]+\.md", json.dumps(config.nav)))
+    (how_to,) = (part["How to"] for part in config.nav if "How to" in part)
+    how_to += sorted({path.name for path in (ROOT / "docs").glob("*.md")} - named)
+    return config
 
 
 def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - MkDocs' own

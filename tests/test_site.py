@@ -7,6 +7,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -58,6 +59,22 @@ def test_every_document_is_a_page(site: Path):
     names = {path.stem for path in (dev.ROOT / "docs").glob("*.md")} | {"contributing", "benchmarks"}
     assert sorted(name for name in names if not (site / f"{name}.html").is_file()) == []
     assert len(names) > 20
+
+
+def test_every_page_is_in_the_list_of_pages(site: Path):
+    start = (site / "index.html").read_text("utf-8")
+    names = [path.stem for path in (dev.ROOT / "docs").glob("*.md")]
+    assert [name for name in names if f'href="{name}.html"' not in start] == []
+
+
+def test_a_document_that_nobody_listed_is_listed_all_the_same():
+    class Config:
+        nav: ClassVar = [{"Start": ["index.md"]}, {"How to": [{"Serve worlds": "serving.md"}]}]
+
+    *_, how_to = documents.on_config(Config()).nav
+    assert how_to["How to"][0] == {"Serve worlds": "serving.md"}
+    assert {"viewing.md", "faq.md"} < set(how_to["How to"][1:])
+    assert not {"index.md", "serving.md"} & set(how_to["How to"][1:])
 
 
 def test_no_page_asks_another_host(site: Path):
