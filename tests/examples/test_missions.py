@@ -14,7 +14,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-sys.path.append(str(EXAMPLES))  # as for a script that lies there
+load("own_server")  # where the mission finds it
 mission = load("mission")
 CLEAR = (4.0,) * 181  # a scan with nothing near
 FOV = math.pi
