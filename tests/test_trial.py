@@ -8,6 +8,8 @@ import sys
 import zipfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 import dev
@@ -138,3 +140,20 @@ def test_pythons_that_do_not_run_are_not_tried(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     assert trial.usable(["python3.99", "no-such-python"]) == [sys.executable]
     assert trial.usable([sys.executable]) == [shutil.which(sys.executable)]
+
+
+def test_the_notebook_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    text = (dev.ROOT / trial.NOTEBOOK).read_text(encoding="utf-8")
+    assert "%pip install --quiet ./usarmjx-*.whl" in text
+    names: dict[str, object] = {}
+    monkeypatch.setattr(plt, "show", lambda: None)
+    exec(compile(trial.cells(text), trial.NOTEBOOK, "exec"), names)
+    shown = capsys.readouterr().out
+    assert "m before the wall" in shown
+    assert "tasks: convoy drive-to-goal" in shown
+    track = names["track"]
+    turned = track[-1, :, 1] - track[0, :, 1]  # to the right is -y of our axes
+    assert (np.diff(turned) < 0).all(), "whose right wheels are slower turn further to the right"

@@ -1,0 +1,30 @@
+# Two images: `docker build .` serves on a CPU, `docker build --target cuda .` on an NVIDIA GPU. See docs/install.md.
+ARG PYTHON=3.12
+
+FROM python:${PYTHON}-slim AS wheel
+WORKDIR /sources
+COPY pyproject.toml README.md LICENSE NOTICE ./
+COPY usarmjx usarmjx
+RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheel .
+
+# Nothing of the system is needed beside Python: MuJoCo, JAX and CUDA come as wheels, and OpenGL is not used.
+FROM python:${PYTHON}-slim AS base
+RUN useradd --create-home robot
+COPY constraints.txt /usarmjx/
+COPY --from=wheel /wheel /usarmjx/
+WORKDIR /home/robot
+# Robots, the two wireless servers, positions, pictures, the live page.
+EXPOSE 3000 5874 50000 7435 5003 8100
+ENTRYPOINT ["usarmjx"]
+
+FROM base AS cuda
+ENV NVIDIA_VISIBLE_DEVICES=all NVIDIA_DRIVER_CAPABILITIES=compute,utility
+RUN pip install --no-cache-dir -c /usarmjx/constraints.txt "$(ls /usarmjx/*.whl)[cuda,train]"
+USER robot
+CMD ["serve", "--arena", "yellow", "--host", "0.0.0.0", "--engine", "warp", "--worlds", "64"]
+
+FROM base AS cpu
+RUN pip install --no-cache-dir -c /usarmjx/constraints.txt /usarmjx/*.whl
+USER robot
+# Listens to whoever reaches the container; who that is, is said where its ports are published.
+CMD ["serve", "--arena", "yellow", "--host", "0.0.0.0"]
