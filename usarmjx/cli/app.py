@@ -13,6 +13,7 @@ from usarmjx.cli import (
     chaos,
     console,
     demo,
+    doctor,
     evaluation,
     listing,
     play,
@@ -81,4 +82,5 @@ app.command()(recordings.view)
 app.command()(recordings.plot)
 app.command()(recordings.replay)
 app.command()(demo.demo)
+app.command()(doctor.doctor)
 app.command("sensor-plots")(sensor_plots.sensor_plots)

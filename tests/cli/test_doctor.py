@@ -1,0 +1,156 @@
+"""`usarmjx doctor`: what it finds where all is well, and where something is broken."""
+
+import json
+import socket
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from usarmjx.base import threads
+from usarmjx.cli import checks, self_test
+from usarmjx.cli.app import app
+from usarmjx.cli.checks import Finding, check_cache, check_ports, check_versions, requirements, run_checks
+
+FREE = {"--port": 0}
+"""Ports of which the system picks one that is free."""
+
+
+def verdicts(findings):
+    return [(one.about, one.verdict) for one in findings]
+
+
+def invoke(*words):
+    return CliRunner().invoke(app, ["doctor", *words])
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Checks that do not depend on what else runs here."""
+    fine = [Finding("all", "ok", "well")]
+    monkeypatch.setattr(checks, "CHECKS", (check_versions, lambda: iter(fine)))
+    monkeypatch.setattr(self_test, "SELF_TEST", ())
+
+
+def test_where_all_is_well_the_exit_code_is_0_and_json_says_the_same(quick):
+    result = invoke()
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines()[-1] == "nothing is wrong"
+    result = invoke("--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert found["ok"]
+    assert {"about": "all", "verdict": "ok", "text": "well", "advice": ""} in found["findings"]
+    python = ".".join(map(str, sys.version_info[:3]))
+    assert any(one["about"] == "python" and python in one["text"] for one in found["findings"])
+
+
+def test_one_fault_is_exit_code_1_and_its_advice_is_told(monkeypatch, quick):
+    fault = Finding("ports", "wrong", "3000 is taken", "take another")
+    monkeypatch.setattr(checks, "CHECKS", (lambda: iter([fault, Finding("x", "note", "by the way")]),))
+    result = invoke()
+    assert result.exit_code == 1
+    assert result.stdout.splitlines()[-1] == "wrong: ports"
+    assert "-> take another" in result.stdout
+    result = invoke("--json")
+    assert (result.exit_code, json.loads(result.stdout)["ok"]) == (1, False)
+
+
+def test_a_taken_port_is_wrong_and_the_pages_only_noted():
+    assert verdicts(check_ports(FREE, 0)) == [("ports", "ok")] * 2
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        first, page = check_ports({"--image-port": port}, port)
+    assert (first.verdict, first.text) == ("wrong", f"{port} is taken")
+    assert "--image-port" in first.advice
+    assert page.verdict == "note"
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    assert "wrong" not in dict(verdicts(check_versions())).values()
+    needed, extras = requirements()
+    assert {"jax", "mujoco", "viser", "typer"} <= {*needed}
+    assert extras.keys() == {*checks.USERS_EXTRAS}
+    there = checks.version_of
+    monkeypatch.setattr(checks, "version_of", lambda name: None if name == "viser" else there(name))
+    (fault,) = (one for one in check_versions() if one.verdict == "wrong")
+    assert fault.text == "missing: viser"
+    assert "pip install viser" in fault.advice
+
+
+def test_an_old_python_is_wrong(monkeypatch):
+    monkeypatch.setattr(checks, "OLDEST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
+    assert ("python", "wrong") in verdicts(check_versions())
+
+
+def test_the_cache_is_told_with_its_size_or_why_nothing_is_kept(tmp_path):
+    folder = tmp_path / "cache"
+    (folder / "jax").mkdir(parents=True)
+    (folder / "jax" / "program").write_bytes(bytes(3_000_000))
+    (found,) = check_cache({"USARMJX_CACHE": str(folder)})
+    assert (found.verdict, found.text) == ("ok", f"{folder}, 3 MB of compiled programs")
+    (found,) = check_cache({"USARMJX_CACHE": "off"})
+    assert found.verdict == "note"
+    (tmp_path / "file").touch()
+    (found,) = check_cache({"USARMJX_CACHE": str(tmp_path / "file" / "cache")})
+    assert found.verdict == "wrong"
+    assert "not kept" in found.text
+
+
+def test_a_pool_that_is_too_small_is_wrong(monkeypatch):
+    assert verdicts(checks.check_threads()) == [("threads", "ok")]
+    monkeypatch.setattr(threads, "_started_before_us", True)
+    (found,) = checks.check_threads()
+    assert (found.verdict, "NPROC=8" in found.advice) == ("wrong", True)
+
+
+def test_a_gpu_that_jax_does_not_use_is_noted(monkeypatch):
+    monkeypatch.setattr(checks, "has_nvidia", lambda: True)
+    assert ("devices", "note") in verdicts(checks.check_devices())
+    monkeypatch.setattr(checks, "has_nvidia", lambda: False)
+    assert verdicts(checks.check_devices()) == [("devices", "ok")]
+
+
+def test_what_auto_takes_and_why():
+    (found,) = checks.check_engines()
+    assert found.text.startswith("auto is c to serve, jax to train: ")
+
+
+def test_a_check_that_breaks_is_a_finding_and_the_others_go_on():
+    def check_that():
+        raise RuntimeError("driver too old")
+        yield
+
+    found = run_checks([check_that, lambda: iter([Finding("x", "ok", "")])])
+    assert verdicts(found) == [("that", "wrong"), ("x", "ok")]
+    assert found[0].text == "RuntimeError: driver too old"
+
+
+# The self-test
+
+
+def test_a_small_batch_steps_and_sees_its_wall():
+    engine, rays = self_test.try_c()
+    assert (engine.verdict, rays.verdict) == ("ok", "ok"), (engine, rays)
+    assert rays.about == "rays"
+
+
+def test_a_batch_that_stands_still_is_found(monkeypatch):
+    monkeypatch.setattr(self_test, "TURNED", np.inf)
+    (engine,) = self_test.try_c()
+    assert (engine.verdict, engine.about) == ("wrong", "engine c")
+    assert "turned" in engine.text
+
+
+def test_a_client_gets_its_report():
+    (found,) = self_test.try_client()
+    assert (found.about, found.verdict) == ("client", "ok"), found
+    assert "STA" in found.text
+
+
+def test_a_server_that_does_not_start_is_told(monkeypatch):
+    monkeypatch.setattr(self_test, "ARENA", "nowhere")
+    (found,) = self_test.try_client()
+    assert (found.about, found.verdict) == ("client", "wrong")
+    assert "unknown arena 'nowhere'" in found.text
