@@ -21,6 +21,11 @@ MIRROR_DISTANCE = 0.09
 """How far the mirror's focus is in front of the camera (manual 10.15.2: Z=0.09) [m]."""
 
 
+NEWTON_STEPS, LEAST_SLOPE, FLATTEST, BEND_ERROR = 12, 0.02, 20.0, 1e-4
+"""Of the search for what a lens has bent: how many, the least slope, the largest result, and how far that may
+be off [focal lengths]."""
+
+
 class CameraRays(NamedTuple):
     """The rays of a picture's pixels, tile by tile.
 
@@ -57,7 +62,7 @@ def untiled(values: Array, width: int, height: int) -> Array:
     return cut.reshape(rows * TILE, columns * TILE, *values.shape[1:])[:height, :width]
 
 
-def pinhole_rays(width: int, height: int, fov: Array) -> CameraRays:
+def pinhole_rays(width: int, height: int, fov: Array, distortion: Array | None = None) -> CameraRays:
     """Return the rays of a pinhole camera.
 
     With f = (width / 2) / tan(fov / 2) the pixel in column c and row r looks along
@@ -66,13 +71,41 @@ def pinhole_rays(width: int, height: int, fov: Array) -> CameraRays:
     Args:
         width: Pixels along a row.
         height: Rows; pixels are square.
-        fov: Horizontal field of view [rad] ().
+        fov: Horizontal field of view, of the undistorted picture [rad] ().
+        distortion: k1 and k2 of Brown's radial distortion (2,); None: straight lines stay straight.
     """
     right, up = pixel_offsets(width, height)
     focal = width / 2 / xp.tan(fov / 2)
+    inside = xp.ones(len(right), bool)
+    if distortion is not None:
+        seen = xp.asarray(np.hypot(right, up)) / focal
+        straight = undistorted(seen, distortion)
+        inside = xp.isfinite(straight)
+        scale = xp.where(inside, straight, 0.0) / xp.maximum(seen, 1e-9)
+        right, up = right * scale, up * scale
     along = xp.stack([xp.broadcast_to(focal, right.shape), -right, up], -1)
     along /= xp.sqrt((along * along).sum(-1, keepdims=True))
-    return CameraRays(along, along[:, 0], xp.ones(len(right), bool))
+    return CameraRays(along, along[:, 0], inside)
+
+
+def undistorted(seen: Array, distortion: Array) -> Array:
+    """Return how far from the middle rays meet a plane 1 m away, r, that are seen at r (1 + k1 r2 + k2 r4).
+
+    By Newton's method, from r = seen. Infinite where there is no such ray: a lens that bulges has an edge.
+
+    Args:
+        seen: Distances from the middle, in focal lengths (...,).
+        distortion: k1 and k2 (2,).
+    """
+    k1, k2 = distortion[0], distortion[1]
+    r = seen
+    for _ in range(NEWTON_STEPS):
+        square = r * r
+        slope = xp.maximum(1 + square * (3 * k1 + 5 * k2 * square), LEAST_SLOPE)
+        r = xp.clip(r - (r * (1 + square * (k1 + k2 * square)) - seen) / slope, 0.0, FLATTEST)
+    square = r * r
+    error = xp.abs(r * (1 + square * (k1 + k2 * square)) - seen)
+    return xp.where((error < BEND_ERROR) & (1 + square * (3 * k1 + 5 * k2 * square) > 0), r, xp.inf)
 
 
 def omni_rays(width: int, height: int, zoom: Array) -> CameraRays:

@@ -15,6 +15,8 @@ AMBIENT, DIFFUSE = 0.45, 0.6
 """Daylight from everywhere, and that of the sun on what faces it."""
 INDOOR_AMBIENT = 0.3
 """Light from everywhere in an arena with lamps."""
+INDOOR_GAIN = 2.5
+"""By how much cameras brighten what is dark where there are lamps (chosen); see `developed`."""
 SUN_DIRECTION: Vec3 = (0.45, 0.35, 0.82)
 """Direction to the sun; need not be a unit vector."""
 AMBIENT_GRADIENT = np.array([0.12, -0.08, 0.2], np.float32) / AMBIENT
@@ -73,6 +75,16 @@ def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
 def daylight(lamps: PointLights) -> Array:
     """Return 1 where the sun lights the arena, 0 where it has lamps ()."""
     return 1.0 - (xp.asarray(lamps.rgb) > 0).any().astype(xp.float32)
+
+
+def shadow_gain(lamps: PointLights) -> Array:
+    """Return by how much cameras brighten what is dark in the light of an arena ()."""
+    return xp.where(daylight(lamps) > 0, 1.0, INDOOR_GAIN)
+
+
+def developed(rgb: Array, gain: Array | float) -> Array:
+    """Return colours that are `gain` times as bright near black and the same at white, in [0, 1] as they."""
+    return gain * rgb / (1 + (gain - 1) * rgb)
 
 
 def falloff(distance: Array) -> Array:

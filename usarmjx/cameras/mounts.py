@@ -10,6 +10,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles
+from usarmjx.cameras.imaging import PLAIN_IMAGING, Imaging, imaging_of
 from usarmjx.cameras.lens_cover import covering_geoms
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.effecters import effecters_of
@@ -38,6 +39,7 @@ class Camera:
             one [m] (n, 3).
         hidden_geoms: Geoms of its robot that it does not see, as they would cover its lens (`lens_cover`):
             captured mounts leave the original's finer bodies free, and lie on or in our solids (geoms,).
+        imaging: What becomes of the light behind the lens.
     """
 
     mount: Mount
@@ -50,6 +52,7 @@ class Camera:
     lens: Literal["pinhole", "omni"]
     eye_offsets: np.ndarray
     hidden_geoms: np.ndarray
+    imaging: Imaging = PLAIN_IMAGING
 
     def clamp(self, fov: Array, xp: ModuleType = np) -> Array:
         """Return what field of view it has when told one [rad] (...,): 0 is the default (manual 9.4)."""
@@ -88,6 +91,7 @@ def _camera(robot: RobotSpec, mount: Mount) -> Camera:
         lens="omni" if settings.omni or mount.parent.rsplit("_Link", 1)[0] in OMNI_PACKAGES else "pinhole",
         eye_offsets=_eyes(where, settings),
         hidden_geoms=covering_geoms(plan, body, at),
+        imaging=imaging_of(settings),
     )
 
 

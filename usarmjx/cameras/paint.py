@@ -1,5 +1,7 @@
 """What geoms look like: colours and labels, beside what rays meet."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -28,6 +30,8 @@ which no pixel has, since it lets light through."""
 ROBOT_LABEL = 16
 """The robot in roster slot k has the label `ROBOT_LABEL` + k."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+INSTANCES = 1 << 16
+"""An instance is its class's label times this, plus which one it is of its class; see `instances`."""
 MAX_ROBOT_GEOMS = 1 << 16
 """More than any robot has geoms."""
 GLASS_TRANSPARENCY = 0.65
@@ -45,12 +49,23 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
         transparency: Share of what is behind that is seen through them (n,).
         reflectance: Share of what they reflect in how they look (n,).
         label: What they are in a segmentation (n,).
+        instance: Which one of its class each belongs to, see `instances` (n,); None: not told apart.
     """
 
     rgb: Array
     transparency: Array
     reflectance: Array
     label: Array
+    instance: Array | None = None
+
+
+def instances(label: Any, index: Any) -> Any:  # noqa: ANN401 - whole numbers or arrays of them
+    """Return the instances of the things of a class (n,) that are the first, the second ... of theirs (n,).
+
+    Robots have the class `ROBOT_LABEL`, and are told apart by their slots. `instance // INSTANCES` gives the
+    class back, and `instance % INSTANCES` which one it is.
+    """
+    return label * INSTANCES + index
 
 
 def robot_geom_owner(slot: Array, geom: Array) -> Array:

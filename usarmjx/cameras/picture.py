@@ -1,6 +1,7 @@
 """A picture that a robot's camera takes: colours, depths, and what every pixel shows."""
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -10,7 +11,9 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.cameras.casters import Caster
+from usarmjx.cameras.imaging import levels, smoothed
 from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
+from usarmjx.cameras.light import shadow_gain
 from usarmjx.cameras.mounts import Camera
 from usarmjx.cameras.paint import OUTSIDE_LABEL, camera_owners
 from usarmjx.cameras.shading import RenderScene, Shaded, shade
@@ -35,7 +38,11 @@ class Viewpoint(struct.PyTreeNode, kw_only=True):
         default_fov: That which it starts with [rad] ().
         slot: Its robot's slot in the roster ().
         hidden_geoms: Geoms of its robot that it does not see: `Camera.hidden_geoms`, then False (geoms,).
+        exposure: Factor on the brightness of its pictures ().
+        distortion: k1 and k2 of its lens, see `lenses.undistorted` (2,); None: none.
+        noise: Standard deviation of each colour of a pixel, of 255 (); None: none.
         lens: What it looks through; static.
+        supersampling: Rays along each side of a pixel; static.
     """
 
     pos: Array
@@ -46,6 +53,10 @@ class Viewpoint(struct.PyTreeNode, kw_only=True):
     slot: Array
     hidden_geoms: Array
     lens: str = struct.field(pytree_node=False)
+    exposure: Array | float = 1.0
+    distortion: Array | None = None
+    noise: Array | None = None
+    supersampling: int = struct.field(pytree_node=False, default=1)
 
 
 def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array) -> Viewpoint:
@@ -67,6 +78,10 @@ def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array)
         slot=slot,
         hidden_geoms=np.pad(camera.hidden_geoms, (0, -len(camera.hidden_geoms) % HIDDEN_GEOMS_MULTIPLE)),
         lens=camera.lens,
+        exposure=np.array(camera.imaging.exposure, np.float32),
+        distortion=camera.imaging.distortion,
+        noise=None if camera.imaging.noise is None else np.array(camera.imaging.noise, np.float32),
+        supersampling=camera.imaging.supersampling,
     )
 
 
@@ -119,30 +134,61 @@ def render_picture(
         height: Rows.
         caster: What casts this camera's rays, on NumPy; None: JAX does.
     """
+    view = camera_view(viewpoint, width, height)
+    exposed = render_scene.replace(exposure=viewpoint.exposure, gain=shadow_gain(render_scene.lights))
+    seen = _see(exposed, viewpoint, view.start, view.along, caster)
+    times, inside = viewpoint.supersampling, view.inside
+    rgb = view.picture(xp.where(inside[:, None], seen.rgb, 0.0))
+    depth = view.picture(xp.where(inside, seen.distance * view.depth_scale, xp.inf).astype(xp.float32))
+    label = view.picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32))
+    if times > 1:
+        middle = slice(times // 2, None, times)
+        rgb, depth, label = smoothed(rgb, times), depth[middle, middle], label[middle, middle]
+    return Picture(
+        rgb=levels(rgb, viewpoint.noise, render_scene.seed, viewpoint.slot), depth=depth, segmentation=label
+    )
+
+
+class CameraView(NamedTuple):
+    """The rays of all eyes of a camera, and how pictures are made of what they meet.
+
+    Attributes:
+        start: Where they start [m] (rays, 3).
+        along: Unit vectors (rays, 3).
+        depth_scale: What a ray's length is multiplied by to be a depth (rays,).
+        inside: Whether its pixel shows anything at all (rays,).
+        eyes: How many eyes there are.
+        size: Width and height of each one's picture, in rays.
+    """
+
+    start: Array
+    along: Array
+    depth_scale: Array
+    inside: Array
+    eyes: int
+    size: tuple[int, int]
+
+    def picture(self, values: Array) -> Array:
+        """Return values of rays (rays, ...) as a picture (rows, columns, ...), the left eye's on the left."""
+        return xp.concatenate([untiled(one, *self.size) for one in xp.split(values, self.eyes)], 1)
+
+
+def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
+    """Return the rays of a camera's picture of so many pixels, those of an eye one after the other."""
     offsets = xp.asarray(viewpoint.eye_offsets)
-    eyes, wide = len(offsets), width // len(offsets)
+    eyes, times = len(offsets), viewpoint.supersampling
+    size = width // eyes * times, height * times
     if viewpoint.lens == "omni":
-        rays = omni_rays(wide, height, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
+        rays = omni_rays(*size, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
         offsets = offsets + xp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
-        rays = pinhole_rays(wide, height, viewpoint.fov)
+        rays = pinhole_rays(*size, viewpoint.fov, viewpoint.distortion)
     along = xp.stack(
         [sum(viewpoint.mat[i, j] * rays.direction[:, j] for j in range(3)) for i in range(3)], -1
     )
     start = xp.repeat(viewpoint.pos + offsets @ viewpoint.mat.T, len(along), 0)
-    seen = _see(render_scene, viewpoint, start, xp.tile(along, (eyes, 1)), caster)
-    inside, depth = xp.tile(rays.inside, eyes), seen.distance * xp.tile(rays.depth_scale, eyes)
-    levels = xp.where(inside[:, None], xp.floor(255 * seen.rgb + 0.5), 0.0).astype(xp.uint8)
-
-    def picture(values: Array) -> Array:
-        views = [untiled(view, wide, height) for view in xp.split(values, eyes)]
-        return xp.concatenate(views, 1)
-
-    return Picture(
-        rgb=picture(levels),
-        depth=picture(xp.where(inside, depth, xp.inf).astype(xp.float32)),
-        segmentation=picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32)),
-    )
+    columns = (xp.tile(along, (eyes, 1)), xp.tile(rays.depth_scale, eyes), xp.tile(rays.inside, eyes))
+    return CameraView(start, *columns, eyes, size)
 
 
 def _see(

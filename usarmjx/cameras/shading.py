@@ -25,6 +25,7 @@ from usarmjx.cameras.light import (
     Headlights,
     PointLights,
     daylight,
+    developed,
     falloff,
     spot_falloff,
 )
@@ -58,6 +59,9 @@ class RenderScene(struct.PyTreeNode, kw_only=True):
         headlights: The robots' headlights.
         checker_size: Side of the floor's checkers [m] ().
         checker_bounds: Where the floor has checkers: least and largest x and y [m] (2, 2).
+        exposure: Factor on all light that surfaces throw back ().
+        gain: By how much what is dark is brightened, see `light.developed` ().
+        seed: Of the noise of pictures, another one for each world and moment ().
     """
 
     geoms: Geoms
@@ -67,6 +71,9 @@ class RenderScene(struct.PyTreeNode, kw_only=True):
     headlights: Headlights
     checker_size: Array
     checker_bounds: Array
+    exposure: Array | float = 1.0
+    gain: Array | float = 1.0
+    seed: Array | int = 0
 
 
 Darkness = Callable[[Beams], Array]
@@ -224,7 +231,8 @@ def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadow
         on = xp.asarray(render_scene.headlights.on).any()
         light = _if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
     sky = xp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
-    return xp.where(surface.met, xp.clip(surface.rgb * light, 0, 1), sky)
+    lit = xp.clip(surface.rgb * (light * render_scene.exposure), 0, 1)
+    return xp.where(surface.met, developed(lit, render_scene.gain), sky)
 
 
 def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: Darkness | None) -> Array:

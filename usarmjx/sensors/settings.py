@@ -2,12 +2,23 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import field_name, resolve_settings
+from usarmjx.models.spec.settings import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    NumberLimits,
+    field_name,
+    resolve_settings,
+)
 
 __all__ = ["CameraSettings", "field_name", "resolve_camera", "resolve_settings"]
+
+BEND = NumberLimits(low=-0.3, high=1.0)
+MAX_SUPERSAMPLING = 4
+"""More rays along each side of a pixel are a slip."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +33,12 @@ class CameraSettings:
         is_stereo: Whether it has two eyes.
         stereo_spacing: Half the way from the left eye to the right one, in USARSim's axes [m].
         omni: Whether it looks into a parabolic mirror; those on the packages of manual 10.15 do anyway.
+        exposure: Factor on the brightness of its pictures. Ours, as the following.
+        distortion_k1: How the lens bends straight lines: coefficient of the square of the distance from the
+            middle, in focal lengths, of Brown's radial distortion; negative bulges.
+        distortion_k2: That of the fourth power.
+        image_noise: Standard deviation of the noise of each colour of each pixel, of 255.
+        supersampling: Rays along each side of a pixel: edges are as smooth as there are more.
     """
 
     weight: float = 0.4
@@ -31,6 +48,11 @@ class CameraSettings:
     is_stereo: bool = False
     stereo_spacing: tuple[tuple[str, float], ...] = (("Y", 0.05),)
     omni: bool = False
+    exposure: Annotated[float, POSITIVE] = 1.0
+    distortion_k1: Annotated[float, BEND] = 0.0
+    distortion_k2: Annotated[float, BEND] = 0.0
+    image_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    supersampling: Annotated[int, NumberLimits(low=1, high=MAX_SUPERSAMPLING)] = 1
 
 
 def resolve_camera(mount: Mount, owner: str) -> CameraSettings:

@@ -1,11 +1,12 @@
 """What the cameras of a world's robots see. Pure functions of one world."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import named_scope, xp
 from usarmjx.cameras.light import SUN_DIRECTION, Headlights, PointLights, point_lights
@@ -24,12 +25,15 @@ from usarmjx.sim.visible import (
     visible_robots,
     visible_water,
 )
-from usarmjx.sim.world import World, powered, robot_states, time_of
+from usarmjx.sim.world import Stream, World, episode_key, powered, robot_states, time_of
 
+Shown = TypeVar("Shown")
 GroupCamera = tuple[int, Camera, int]
 """Index of a group, one of its robots' cameras, and its index among them."""
 CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
+PICTURES = 2**31 - 1
+"""In place of a robot's slot, for keys of what all cameras of a world share."""
 UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 
 
@@ -84,8 +88,15 @@ def build_render_scene(
         headlights=_headlights(scene, world, bodies),
         checker_size=np.asarray(CHECKER_SIZE, np.float32),
         checker_bounds=np.array(UNBOUNDED_EXTENT, np.float32),
+        seed=_picture_seed(world),
     )
     return render_scene, bodies
+
+
+def _picture_seed(world: World) -> Array:
+    """Return the seed of the noise in pictures of this moment ()."""
+    key = random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
+    return random.randint(random.fold_in(key, PICTURES), 0, 2**31 - 1)
 
 
 def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
@@ -151,15 +162,15 @@ def render_groups(
     return map_pictures(one, worlds, physics)
 
 
-def map_pictures(function: Callable[..., Picture], *values: Any) -> Picture:  # noqa: ANN401 - PyTrees
-    """Return a function's pictures for each row of some values.
+def map_pictures(function: Callable[..., Shown], *values: Any) -> Shown:  # noqa: ANN401 - PyTrees
+    """Return a function's pictures, or what else it makes of them, for each row of some values.
 
     On a CPU one after the other: then what a picture does not need, as mirrors where none are in sight, is
     left out, which is three times as fast.
     """
     if jax.default_backend() == "cpu":
 
-        def one(row: tuple[Any, ...]) -> Picture:
+        def one(row: tuple[Any, ...]) -> Shown:
             return function(*row)
 
         return jax.lax.map(one, values)

@@ -17,6 +17,7 @@ from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.cameras.paint import (
     DOOR_LABEL,
     FALSE_ALARM_LABEL,
+    LOOSE_LABEL,
     ROBOT_LABEL,
     VICTIM_LABEL,
     WATER_LABEL,
@@ -24,6 +25,7 @@ from usarmjx.cameras.paint import (
     WATER_TRANSPARENCY,
     GeomAppearance,
     bone_labels,
+    instances,
     reflectances,
     robot_geom_owner,
     transparencies,
@@ -58,6 +60,8 @@ class VisibleGeoms(NamedTuple):
         geom_index: Place of each in its robot's `KinematicTree`; 0 for what is no robot's (n,).
         transparency: How much of the light they let through (n,).
         compact: As in `targets.Geoms`, of all of them.
+        instance: What they are parts of, as `cameras.paint.instances` has it (n,); None: one thing for each
+            label.
     """
 
     kind: np.ndarray
@@ -71,6 +75,7 @@ class VisibleGeoms(NamedTuple):
     geom_index: np.ndarray
     transparency: np.ndarray
     compact: bool = False
+    instance: Array | None = None
 
 
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
@@ -83,7 +88,9 @@ def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
 def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     """Return rows as what cameras look at: owners are those of `paint.robot_geom_owner`."""
     kind, material, compact = _sorting_keys(rows)
-    pos, mat, size, owner, rgb, label = _joined(rows, "pos", "mat", "size", "owner", "rgb", "label")
+    rows = [row if row.instance is not None else _one_of_each(row) for row in rows]
+    names = ("pos", "mat", "size", "owner", "rgb", "label", "instance")
+    pos, mat, size, owner, rgb, label, instance = _joined(rows, *names)
     geom_index = np.concatenate([row.geom_index for row in rows])
     owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
@@ -93,8 +100,13 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
         transparency=np.concatenate([row.transparency for row in rows])[order],
         reflectance=reflectances(np.array(material, object)[order]),
         label=label[order],
+        instance=instance[order],
     )
     return geoms, appearance
+
+
+def _one_of_each(row: VisibleGeoms) -> VisibleGeoms:
+    return row._replace(instance=instances(xp.asarray(row.label), 0))
 
 
 def _joined(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
@@ -147,7 +159,8 @@ def visible_arena(
 
 def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     """Return the rows at some places (m,)."""
-    columns = {name: column[which] for name, column in rows._asdict().items() if name != "compact"}
+    fields = {name: column for name, column in rows._asdict().items() if name not in ("compact", "instance")}
+    columns = {name: column[which] for name, column in fields.items()}
     return rows._replace(**columns)
 
 
@@ -172,7 +185,16 @@ def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) ->
         geom_index=np.zeros(len(which), int),
         transparency=np.zeros(len(which), np.float32),
         compact=True,
+        instance=xp.repeat(_people(table), slots)[which],
     )
+
+
+def _people(table: VictimTable) -> Array:
+    """Return whose each box of victims is, as instances (boxes,); a false alarm is one box."""
+    owner = xp.asarray(table.owner)
+    alarm = xp.cumsum(owner < 0) - 1
+    index = xp.where(owner >= 0, owner, alarm)
+    return instances(bone_labels(owner, xp), index).astype(xp.int32)
 
 
 def drawn_limbs(table: VictimTable, boxes: np.ndarray) -> list[VisibleGeoms]:
@@ -205,14 +227,17 @@ def visible_loose(scene: Scene, physics: PhysicsState) -> VisibleGeoms:
     root = physics.qpos[loose.root_qposadr]
     turn = mat_from_quat(root[:, 3:])[loose.owner]
     pos = root[loose.owner, :3] + matvec(turn, loose.local.pos)
-    return _visible(loose.local, pos, matmul(turn, loose.local.mat))._replace(compact=True)
+    instance = instances(LOOSE_LABEL, np.asarray(loose.owner, np.int32))
+    rows = _visible(loose.local, pos, matmul(turn, loose.local.mat))
+    return rows._replace(compact=True, instance=instance)
 
 
 def visible_doors(scene: Scene, physics: PhysicsState) -> VisibleGeoms:
     """Return the doors as they stand."""
     pos, mat, size = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
     rgb = np.array([door.rgba[:3] for door in scene.arena.doors], np.float32).reshape(-1, 3)
-    return _boxes(pos, mat, size, rgb, DOOR_LABEL)
+    instance = instances(DOOR_LABEL, np.arange(len(rgb), dtype=np.int32))
+    return _boxes(pos, mat, size, rgb, DOOR_LABEL)._replace(instance=instance)
 
 
 def visible_water(scene: Scene) -> VisibleGeoms:
@@ -261,6 +286,7 @@ def visible_robots(
                 geom_index=np.tile(np.arange(g), n),
                 transparency=np.zeros(n * g, np.float32),
                 compact=True,
+                instance=instances(ROBOT_LABEL, np.asarray(slot, np.int32)),
             )
         )
     return rows

@@ -1,0 +1,86 @@
+"""What cameras of a batch's robots see, pixel by pixel: instances, normals and optical flow."""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from usarmjx.base.arrays import Array
+from usarmjx.cameras.annotation import Annotation, annotate
+from usarmjx.cameras.picture import camera_viewpoint
+from usarmjx.cameras.shading import RenderScene
+from usarmjx.engines.base import PhysicsState
+from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.views import GroupCamera, build_render_scene, find_camera, map_pictures
+from usarmjx.sim.world import World
+
+Moment = tuple[World, PhysicsState]
+"""Worlds, and where everything is in them."""
+Member = tuple[BodyPoses, Array, Array]
+"""Bodies of robots, their slots, and the fields of view of a camera [rad]."""
+
+
+class Annotator:
+    """Annotates what the cameras of a batch see; compiled once for each camera and size.
+
+    Args:
+        batch: The batch.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self._batch = batch
+        exact = jax.default_matmul_precision("highest")(partial(_annotate_worlds, batch.scene))
+        self._annotate: Callable[..., Annotation] = jax.jit(exact, static_argnums=(2, 3))
+
+    def annotate(
+        self,
+        state: BatchState,
+        group: int,
+        camera: str | int | None = None,
+        width: int = 64,
+        height: int = 64,
+        *,
+        later: BatchState | None = None,
+    ) -> Annotation:
+        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
+
+        Args:
+            state: The batch.
+            group: Index into `scene.groups`.
+            camera: Name or index of a camera of the class; None: the main one.
+            width: Pixels along a row.
+            height: Rows.
+            later: The batch at the moment up to which the flow is; None: nothing moves.
+
+        Raises:
+            UnknownNameError: The robots have no such camera; lists those they have.
+            UsageError: A picture of that size cannot be taken.
+        """
+        then, size = state if later is None else later, (width, height)
+        moments = [(one.worlds, self._batch.physics(one)) for one in (state, then)]
+        return self._annotate(*moments, find_camera(self._batch.scene, group, camera, size), size)
+
+
+def _annotate_worlds(
+    scene: Scene, now: Moment, then: Moment, group_camera: GroupCamera, size: tuple[int, int]
+) -> Annotation:
+    group, camera, place = group_camera
+    slots = jnp.asarray(scene.groups[group].slots)
+
+    def looked_at(moment: Moment) -> tuple[RenderScene, Member]:
+        render_scene, bodies = build_render_scene(scene, *moment)
+        return render_scene, (bodies[group], slots, moment[0].groups[group].fov[:, place])
+
+    def of_world(now: Moment, then: Moment) -> Annotation:
+        (before, here), (after, there) = looked_at(now), looked_at(then)
+
+        def of_robot(here: Member, there: Member) -> Annotation:
+            views = [camera_viewpoint(camera, *member) for member in (here, there)]
+            return annotate(before, views[0], after, views[1], *size)
+
+        return map_pictures(of_robot, here, there)
+
+    return map_pictures(of_world, now, then)
