@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from usarmjx.sim.scene import Scene as Scene
     from usarmjx.sim.scene import build_scene as build_scene
     from usarmjx.sweeps.run import sweep as sweep
+    from usarmjx.sweeps.workers import Workers as Workers
     from usarmjx.train.envs.env import Env as Env
     from usarmjx.train.envs.policy import Policy as Policy
     from usarmjx.train.make import make as make
@@ -77,6 +78,7 @@ _WHERE = {
     "UnknownNameError": "usarmjx.base.errors",
     "UsageError": "usarmjx.base.errors",
     "UsarmjxError": "usarmjx.base.errors",
+    "Workers": "usarmjx.sweeps.workers",
     "build_scene": "usarmjx.sim.scene",
     "load_policy": "usarmjx.train.policies.sources:find_source",
     "make": "usarmjx.train.make",
