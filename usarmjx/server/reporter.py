@@ -7,6 +7,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
+from usarmjx.models.drives.state import RobotState
 from usarmjx.server.messages.sensors import package_report, robot_report, sensor_report
 from usarmjx.server.protocol.session import RobotSession
 from usarmjx.server.worlds.robot import Robot
@@ -35,7 +36,8 @@ class Reporter:
         """Send STA, the sensors with fresh readings, and MISSTA, in the original's order."""
         world, time = self._world, self._world.time
         robot.next_report += robot.spec.msg_timer
-        joints, battery = world.state(robot).joint_pos, battery_left(world, robot)
+        state, battery = world.state(robot), battery_left(world, robot)
+        joints = state.joint_pos
         self._session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
         if battery <= 0:
             robot.pending.clear()
@@ -44,7 +46,7 @@ class Reporter:
             if index in robot.pending:
                 self._tell(robot, index, robot.pending.pop(index))
         if robot.spec.packages:
-            for message in package_report(robot.plan, joints, self._efforts(robot), time):
+            for message in package_report(robot.plan, joints, self._efforts(robot, state), time):
                 self._session.send(message)
 
     def _tell(self, robot: Robot, index: int, reading: np.ndarray) -> None:
@@ -65,7 +67,7 @@ class Reporter:
                 name = sensor.mounts[0].name
                 self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not told: {error}")
 
-    def _efforts(self, robot: Robot) -> Array:
+    def _efforts(self, robot: Robot, state: RobotState) -> Array:
         """Return what acts on each of the robot's joints [N m or N] (joints,)."""
         (group, member), (world, physics) = self._world.scene.group_of(robot.slot), self._world.one_world()
         act, hold = (
@@ -73,4 +75,4 @@ class Reporter:
             world.groups[group].hold[member],
         )
         with numpy_backend():
-            return joint_efforts(robot.plan, self._world.state(robot), act, hold)
+            return joint_efforts(robot.plan, state, act, hold)

@@ -21,7 +21,8 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     here, servos = actuated_servos(plan)
     pos, vel = state.joint_pos[..., here], state.joint_vel[..., here]
     wanted = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
-    exerted = xp.clip(wanted, -servos.torque, servos.torque)
+    most = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
+    exerted = xp.clip(wanted, -most, most)
     places = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
     places[np.arange(len(plan.actuated)), plan.actuated] = 1.0
     return exerted @ places
