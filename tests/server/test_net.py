@@ -32,6 +32,7 @@ from usarmjx.models.spec.robot import Mount, options
 from usarmjx.server.bot_server import BotServerSettings
 from usarmjx.server.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
 from usarmjx.server.net import BotServer
+from usarmjx.server.protocol.dialects import UDK
 from usarmjx.server.reporter import Reporter
 from usarmjx.server.signals import StopSignals
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -162,6 +163,14 @@ def test_a_sensor_that_cannot_be_told_is_left_out(world, caplog):
         assert server.faults == 1
         peer.close()
     assert "Wild's INS Adrift is not told: nan cannot be reported" in caplog.text
+
+
+def test_a_server_speaks_as_it_is_told(world):
+    with serving(world, dialect=UDK) as (port, _):
+        peer = Peer(port, "INIT {ClassName USARBot.P3AT} {Name R1} {Start S0}")
+        assert peer.until(b"SEN {Time").endswith(b"{Type Sonar} {Name F1} {Range 5.0000}")
+        assert peer.until(b"ASTA", b"MISSTA").startswith(b"ASTA {Time")
+        peer.close()
 
 
 def test_who_cannot_be_reported_to_is_dropped_and_others_are_not(port, bystander, monkeypatch):
@@ -314,6 +323,8 @@ def test_port_3000_and_16_connections_unless_the_ini_or_an_option_says_otherwise
     assert (told.port, told.max_connections) == (4711, 2)
     told = asked("--ini", str(ini), "--port", "4712", "--init-timeout", "5")
     assert (told.port, told.max_connections, told.init_timeout) == (4712, 2, 5.0)
+    assert asked("--dialect", "udk").dialect is UDK
+    assert asked("--dialect", "dutch") == "usarmjx: unknown dialect 'dutch'; known: manual, udk\n"
     for line, problem in (
         ("ListenPort=70000", "ListenPort is 70000; expected a whole number from 0 to 65535"),
         ("MaxConnections=0", "MaxConnections is 0; expected a whole number from 1 to 4096"),

@@ -69,10 +69,8 @@ class Reporter:
 
     def _efforts(self, robot: Robot, state: RobotState) -> Array:
         """Return what acts on each of the robot's joints [N m or N] (joints,)."""
-        (group, member), (world, physics) = self._world.scene.group_of(robot.slot), self._world.one_world()
-        act, hold = (
-            physics.act[self._world.scene.groups[group].actadr[member]],
-            world.groups[group].hold[member],
-        )
+        scene, (world, physics) = self._world.scene, self._world.one_world()
+        group, member = scene.group_of(robot.slot)
+        act, hold = physics.act[scene.groups[group].actadr[member]], world.groups[group].hold[member]
         with numpy_backend():
             return joint_efforts(robot.plan, state, act, hold)
