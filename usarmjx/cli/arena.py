@@ -21,6 +21,8 @@ PngOption = Annotated[Path | None, typer.Option(help="Write the floor plan to th
 PerspectiveOption = Annotated[
     Path | None, typer.Option("--perspective", help="Write a picture from a corner above to this PNG file.")
 ]
+MOST_MINUTES = 60.0
+"""Of a test in a lane."""
 LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, from 0 to 1.")]
 
 
@@ -57,6 +59,9 @@ def check(
         str,
         typer.Option(help="Robot class that shall start and drive there.", autocompletion=complete_robots),
     ] = "P2AT",
+    drive: Annotated[
+        bool, typer.Option("--drive", help="Also drive the robot to every start pose and victim it reaches.")
+    ] = False,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
 ) -> None:
@@ -68,6 +73,15 @@ def check(
 
         found = find_arena(arena)
         faults = check_arena(found, robot)
+        if drive:
+            from usarmjx.bench.trials.ways import drive_arena
+            from usarmjx.models.robots import ROBOTS
+
+            announce(f"driving a {robot} ...")
+            tour = drive_arena(found, ROBOTS.get(robot))
+            made = tour.legs - len(tour.faults)
+            typer.echo(f"driven: {made} of {tour.legs} ways, {tour.metres:.1f} m in {tour.seconds:.0f} s")
+            faults += tour.faults
         _draw(found, png, perspective)
         for fault in faults:
             typer.echo(fault)
@@ -92,6 +106,9 @@ def generate(
     clutter: LevelOption = None,
     dead_ends: LevelOption = None,
     radio_shadow: LevelOption = None,
+    obstacles: Annotated[
+        float, typer.Option(help="Share of the rings round the base that are crossed over obstacles only.")
+    ] = 0.0,
     robot: Annotated[
         str, typer.Option(help="Robot class that can pass.", autocompletion=complete_robots)
     ] = "P2AT",
@@ -118,7 +135,8 @@ def generate(
             "dead_ends": dead_ends,
             "radio_shadow": radio_shadow,
         }
-        level = Difficulty(**{name: difficulty if own is None else own for name, own in levels.items()})
+        own_levels = {name: difficulty if own is None else own for name, own in levels.items()}
+        level = Difficulty(**own_levels, obstacles=obstacles)
         arena = make(kind, _read_size(size), seed, level, robot, reachable, victims)
         typer.echo(summary(arena))
         _draw(arena, png, perspective)
@@ -130,6 +148,57 @@ def generate(
             with write_beside(xml) as fresh:
                 fresh.write_text(spec.to_xml(), encoding="utf-8")
             typer.echo(f"wrote {xml}")
+
+
+LaneRobotOption = Annotated[
+    str, typer.Option("--robot", help="Robot class that is driven.", autocompletion=complete_robots)
+]
+SpeedOption = Annotated[float, typer.Option(help="Share of its top speed, above 0 and up to 1.")]
+
+
+@app.command()
+def lane(
+    name: Annotated[str, typer.Argument(help="Lane; `usarmjx arena lanes` lists them.")],
+    robot: LaneRobotOption = "P2AT",
+    minutes: Annotated[float, typer.Option(help="Simulated time of the test [min].")] = 5.0,
+    speed: SpeedOption = 1.0,
+) -> None:
+    """Drive a robot to and fro in a lane; its score is repetitions and metres per minute."""
+    with ErrorExit():
+        announce(f"driving a {robot} in lane {name} ...")
+        from usarmjx.bench.trials.lanes import run_lane
+        from usarmjx.models.arenas.lanes import LANES
+        from usarmjx.models.robots import ROBOTS
+
+        if not (0.0 < speed <= 1.0 and 0.0 < minutes <= MOST_MINUTES):
+            raise UsageError(f"speed is above 0 and up to 1, minutes above 0 and up to {MOST_MINUTES:g}")
+        score = run_lane(LANES.get(name), ROBOTS.get(robot), minutes, speed)
+        typer.echo(score)
+        for fault in score.faults:
+            typer.echo(f"fault: {fault}")
+
+
+@app.command()
+def lanes() -> None:
+    """List the lanes: single elements of the test methods for response robots."""
+    with ErrorExit():
+        announce("reading the lanes ...")
+        from usarmjx.cli.arena_tables import lanes_table
+
+        typer.echo(lanes_table())
+
+
+@app.command()
+def obstacles(
+    robot: LaneRobotOption = "P2AT",
+    tries: Annotated[int, typer.Option(help="Lanes that each number is measured in.", min=1)] = 4,
+) -> None:
+    """Measure how a robot gets over the obstacles of generated arenas that are sized to it."""
+    with ErrorExit():
+        announce(f"driving a {robot} over obstacles ...")
+        from usarmjx.cli.arena_tables import obstacles_table
+
+        typer.echo(obstacles_table(robot, tries))
 
 
 @app.command()

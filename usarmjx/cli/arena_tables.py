@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arenas.lanes import LANES
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import MATERIALS, OPAQUE
 
@@ -33,6 +34,33 @@ def arena_row(arena: ArenaSpec) -> str:
         ", ".join(arena.robots) or "-",
     ]
     return f"| {' | '.join(str(cell) for cell in cells)} |"
+
+
+def lanes_table() -> str:
+    """Return a Markdown table of the lanes."""
+    head = "| lane | test method | what it is | length [m] | a repetition is |\n|---|---|---|---|---|"
+    rows = [
+        f"| {name} | {lane.method} | {lane.arena.about.rpartition(' (')[0]} | {lane.length:.2g} "
+        f"| {'there and back' if lane.round_trip else 'one way'} |"
+        for name, lane in LANES
+    ]
+    return "\n".join([head, *rows])
+
+
+def obstacles_table(robot: str, tries: int) -> str:
+    """Return a Markdown table: how often, and how fast, a class gets over obstacles sized to it."""
+    from usarmjx.bench.trials.obstacles import measure_crossings
+    from usarmjx.models.generate.obstacles import OBSTACLES
+    from usarmjx.models.robots import ROBOTS
+
+    levels, spec = (0.0, 0.5, 1.0), ROBOTS.get(robot)
+    head = " | ".join(f"roughness {level:g}" for level in levels)
+    rows = [f"| obstacle, for a {spec.name} | {head} |", "|---|" + "---|" * len(levels)]
+    for kind in OBSTACLES.names():
+        found = [measure_crossings(kind, spec, level, tries) for level in levels]
+        cells = " | ".join(f"{one.crossed} of {one.tries}, {one.seconds:.1f} s" for one in found)
+        rows.append(f"| {kind} | {cells} |")
+    return "\n".join(rows)
 
 
 def _solids(arena: ArenaSpec) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY, Content
 from usarmjx.models.files.images import image_size
 from usarmjx.models.files.maps import is_map, occupancy_grid_content
@@ -68,7 +69,7 @@ def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
 
 
 def find_arena(arena: str | Path) -> ArenaSpec:
-    """Return a registered arena by its name, or the one in a file.
+    """Return a registered arena or lane by its name, as lane_stairs, or the one in a file.
 
     Raises:
         UnknownNameError: Neither a known name nor the name of a file.
@@ -77,6 +78,8 @@ def find_arena(arena: str | Path) -> ArenaSpec:
     name = str(arena)
     if name in ARENAS:
         return ARENAS.get(name)
+    if name.lower().startswith(LANE_PREFIX) and name in LANES:
+        return LANES.get(name).arena
     path = Path(name)
     if path.suffix.lower() in SUFFIXES or path.is_file():
         return load_arena(path)

@@ -11,6 +11,7 @@ from usarmjx.models.generate.contents import ArenaBuilder, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.kinds import KINDS, budget
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, CellGrid, doubled, edge
+from usarmjx.models.generate.rings import place_obstacles
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
@@ -125,8 +126,9 @@ def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
         kind.layout(plan, builder.random_stream("plan"), builder.difficulty)
     contents.place_victims(builder, count, reachable)
     contents.place_structures(builder, kind.structures(plan.size))
+    place_obstacles(builder)
     boards = contents.place_boards(builder)
-    free = [cell for cell in plan.tree if cell not in boards]
+    free = [cell for cell in plan.tree if cell not in boards and cell not in builder.obstructed]
     if _passes(builder.footprint, SQUARES[0], contents.STRIP):
         draw = builder.random_stream("corner")
         builder.corner = (draw.choice((-1, 1)), draw.choice((-1, 1)))

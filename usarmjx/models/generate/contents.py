@@ -79,6 +79,7 @@ class ArenaBuilder:
         shapes: Solids other than walls.
         corner: The sides of cells along which things lie, along x and y; 0: none do.
         clear: Cells where nothing lies: victims, or a second floor, are reached from there.
+        obstructed: Cells with obstacles that must be crossed.
     """
 
     plan: CellGrid
@@ -89,6 +90,7 @@ class ArenaBuilder:
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
     clear: set[Cell] = field(default_factory=set)
+    obstructed: set[Cell] = field(default_factory=set)
     victims: list[Victim] = field(default_factory=list)
     loose: list[LooseObject] = field(default_factory=list)
     tags: list[Tag] = field(default_factory=list)
@@ -194,8 +196,10 @@ def place_structures(builder: ArenaBuilder, count: int) -> None:
 def place_boards(builder: ArenaBuilder) -> set[Cell]:
     """Put boards across the ways, which the robot can drive over; return their cells."""
     draw = builder.random_stream("boards")
-    cells = [cell for cell in builder.plan.tree if cell != START_CELL and cell not in builder.clear]
-    count = max(0, min(builder.max_count("boards"), len(builder.plan.tree) - ENOUGH))
+    barred = {START_CELL, *builder.clear, *builder.obstructed}
+    cells = [cell for cell in builder.plan.tree if cell not in barred]
+    spare = len(builder.plan.tree) - len(builder.obstructed) - ENOUGH
+    count = max(0, min(builder.max_count("boards"), spare))
     height = lerp(0.25, 0.95, builder.difficulty.roughness) * builder.footprint.step
     taken = draw.shuffled(cells)[:count]
     for cell in taken:

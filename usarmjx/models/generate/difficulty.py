@@ -18,6 +18,8 @@ class Difficulty:
         dead_ends: Share of the dead ends that are kept: without, ways lead around in circles. In buildings:
             share of the walls between rooms with only one doorway.
         radio_shadow: Share of the inner walls that are two sheets, which the radio counts as two walls.
+        obstacles: Share of the rings of cells round the base that can only be crossed over obstacles; see
+            `generate.rings`. Asked for by itself: `of` leaves it at 0.
     """
 
     wall_density: float = 0.5
@@ -25,6 +27,7 @@ class Difficulty:
     clutter: float = 0.5
     dead_ends: float = 0.5
     radio_shadow: float = 0.5
+    obstacles: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range."""
@@ -35,5 +38,5 @@ class Difficulty:
 
     @classmethod
     def of(cls, level: float) -> "Difficulty":
-        """Return the difficulty with all numbers at one level, for curricula."""
-        return cls(**{field.name: level for field in fields(cls)})
+        """Return the difficulty with all numbers but the obstacles at one level, for curricula."""
+        return cls(**{field.name: level for field in fields(cls) if field.name != "obstacles"})

@@ -1,0 +1,108 @@
+"""Obstacles that are made to be crossed: each covers a cell from wall to wall.
+
+How high they are goes with the robot's step and the roughness; `usarmjx arena check --drive` proves them
+passable. `rings` puts them where nobody gets round them.
+"""
+
+import math
+from collections.abc import Callable
+
+from usarmjx.base.registry import Registry
+from usarmjx.models.build.reach import RobotFootprint
+from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.plan import CELL, DIRECTIONS
+from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slope
+from usarmjx.models.spec.shapes import Position2D, Shape
+
+LOWEST, HIGHEST = 0.3, 0.95
+"""Height of what must be stepped onto at roughness 0 and 1, over the robot's step."""
+SLOPE, STEEPEST = math.radians(350), math.radians(25)
+"""Slope of a ridge over the height of a step [rad/m], and the steepest."""
+POSTS = 3
+"""Posts along each side of a step field."""
+BARS = 3
+"""Bars across a way."""
+MOST_SOLIDS = POSTS**2
+"""Of one obstacle."""
+
+Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
+"""From draws, the cell's middle [m], a height [m] and the way across in quarter turns."""
+
+
+def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
+    """Beams from wall to wall, the highest of that height."""
+    ahead, yaw = DIRECTIONS[toward], toward * math.pi / 2
+    shares = draw.shuffled((1.0, 0.8, 0.6))
+    return [
+        block(
+            (at[0] + offset * ahead[0], at[1] + offset * ahead[1]),
+            (0.09, CELL, share * height),
+            yaw=yaw,
+            rgba=WOOD,
+        )
+        for offset, share in zip((-0.4, 0.0, 0.4), shares, strict=True)
+    ]
+
+
+def slabs(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
+    """Four slabs of broken floor, each tilted about a random axis so that an edge is that high."""
+    side, thick = CELL / 2, 0.3
+    shapes: list[Shape] = []
+    for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        rise = height * draw.randint_between(70, 100) / 100
+        tilt = math.asin(rise / side)
+        yaw = draw.randint(4) * math.pi / 2
+        # The middle of the upper face lies at half the rise.
+        lift = rise / 2 - thick / 2 * math.cos(tilt)
+        back = thick / 2 * math.sin(tilt)
+        spot = (at[0] + sx * side / 2 + back * math.cos(yaw), at[1] + sy * side / 2 + back * math.sin(yaw))
+        shapes.append(
+            Shape(
+                kind="box",
+                size=(side / 2, side / 2, thick / 2),
+                at=(*spot, lift),
+                rotation=(0.0, -tilt, yaw),
+                surface="ground",
+                rgba=CONCRETE,
+            )
+        )
+    return shapes
+
+
+def posts(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
+    """A step field whose neighbouring posts differ by no more than that height."""
+    pitch = CELL / POSTS
+    shapes: list[Shape] = []
+    for i in range(POSTS):
+        for j in range(POSTS):
+            middle_post = i == j == POSTS // 2
+            top = height * (draw.randint_between(55, 100) / 100 + 0.45 * middle_post)
+            spot = (at[0] + (i - (POSTS - 1) / 2) * pitch, at[1] + (j - (POSTS - 1) / 2) * pitch)
+            shapes.append(block(spot, (pitch, pitch, top), rgba=WOOD))
+    return shapes
+
+
+def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
+    """A hill from wall to wall: a ramp up, a level top and a ramp down, as steep as the height is high."""
+    angle, run = min(STEEPEST, SLOPE * height), CELL / 3
+    top = block(at, (run, CELL, run * math.tan(angle)), yaw=toward * math.pi / 2, rgba=WOOD)
+    return [
+        top,
+        *(
+            slope((at[0] - run * dx, at[1] - run * dy), run, CELL, angle, way)
+            for way in (toward, (toward + 2) % 4)
+            for dx, dy in (DIRECTIONS[way],)
+        ),
+    ]
+
+
+def obstacle_height(robot: RobotFootprint, roughness: float) -> float:
+    """Return how high obstacles are for a robot [m]."""
+    return lerp(LOWEST, HIGHEST, roughness) * robot.step
+
+
+OBSTACLES: Registry[Obstacle] = Registry("kind of obstacle")
+OBSTACLES.add("bars", bars)
+OBSTACLES.add("slabs", slabs)
+OBSTACLES.add("posts", posts)
+OBSTACLES.add("ridge", ridge)
