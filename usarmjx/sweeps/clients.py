@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,11 +26,14 @@ from usarmjx.server.loop import ServerLoop
 from usarmjx.server.net import BotServer
 from usarmjx.server.ports import bound_ports, count_up
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
+from usarmjx.sim.streams import Stream
+from usarmjx.sim.world import episode_key
 from usarmjx.sweeps.batch import CellEpisodes
 from usarmjx.sweeps.drivers import Driver
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import TaskView
 
 HOST = "127.0.0.1"
 PATIENCE = 60.0
@@ -58,6 +62,11 @@ class _Served(PolicyBatch):
         ended = np.isnan(self.scores) & (state.episode > 0)
         self.scores[ended] = state.score[ended]
         self.lengths[ended] = self.steps // self.env.task.repeat
+
+    def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - its memory
+        """Begin as the episodes of a batch do, with what the world draws."""
+        del key, episode
+        return self.env.task.start(view, jnp.asarray(episode_key(view.world, Stream.TASK_START)))
 
     @property
     def over(self) -> bool:
