@@ -14,7 +14,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.cameras.lenses import TILE
 from usarmjx.cameras.paint import PLANE, GeomAppearance
 from usarmjx.models.spec.shapes import GLASS, MATERIALS, SKY
-from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, nearest_hits, normals
+from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, concatenated, nearest_hits, normals
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms
 
 TILE_BUNDLE_SIZE = TILE * TILE
@@ -102,6 +102,13 @@ class Caster(Protocol):
         """Return the unit normals of the surfaces that rays meet, towards the rays (rays, 3)."""
         ...
 
+    def frames(self, which: Array) -> tuple[Array, Array, Array]:
+        """Return where geoms are [m] (rays, 3), how they are turned (rays, 3, 3), and their sizes (rays, 3).
+
+        Only those with a sign on them need be known.
+        """
+        ...
+
 
 class GeomCaster:
     """Casts rays with JAX.
@@ -143,6 +150,11 @@ class GeomCaster:
         """As `Caster` says."""
         met_arrays = GeomHits(jnp.asarray(met.distance), jnp.asarray(met.geom_index))
         return normals(self._geoms, met_arrays, jnp.asarray(origin), jnp.asarray(direction))
+
+    def frames(self, which: Array) -> tuple[Array, Array, Array]:
+        """As `Caster` says."""
+        geom = jax.tree.map(lambda column: jnp.asarray(column)[which], concatenated(self._geoms))
+        return geom.pos, geom.mat, geom.size
 
 
 def _padded(values: jax.Array, missing: int) -> jax.Array:

@@ -50,6 +50,8 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
         reflectance: Share of what they reflect in how they look (n,).
         label: What they are in a segmentation (n,).
         instance: Which one of its class each belongs to, see `instances` (n,); None: not told apart.
+        texture: Codes of what is on them, see `models.spec.textures` (n,); None: nothing is.
+        textures: Names of all textures that there are; static.
     """
 
     rgb: Array
@@ -57,6 +59,8 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
     reflectance: Array
     label: Array
     instance: Array | None = None
+    texture: Array | None = None
+    textures: frozenset[str] = struct.field(pytree_node=False, default=frozenset())
 
 
 def instances(label: Any, index: Any) -> Any:  # noqa: ANN401 - whole numbers or arrays of them

@@ -30,7 +30,9 @@ from usarmjx.cameras.light import (
     spot_falloff,
 )
 from usarmjx.cameras.paint import ARENA_LABEL, SKY_LABEL, GeomAppearance
+from usarmjx.cameras.textures import on_face, textured
 from usarmjx.models.spec.shapes import GLASS, MIRROR
+from usarmjx.models.spec.textures import SIGNS
 from usarmjx.sensors.rays.targets import Geoms
 
 SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
@@ -195,7 +197,21 @@ def _surface(render_scene: RenderScene, caster: Caster, first: Met, start: Array
     shade = xp.where(bricks, 1 + BRICK_CONTRAST * _bricks(render_scene, point, normal), 1.0)
     rgb = xp.asarray(look.rgb).T[:, which] * shade
     rgb = xp.where(of_floor, _checkers(render_scene, point), rgb)
+    if look.texture is not None:
+        rgb = _with_textures(caster, first, point, normal, rgb)
     return _Surface(met, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
+
+
+def _with_textures(caster: Caster, first: Met, point: Array, normal: Array, rgb: Array) -> Array:
+    """Return colours (3, rays) with what is on surfaces, in place of their bricks."""
+    look, which = caster.appearance, xp.maximum(first.geom_index, 0)
+    code = xp.where(first.geom_index >= 0, xp.asarray(look.texture)[which], 0)
+    plain = xp.asarray(look.rgb).T[:, which]
+    level = xp.abs(normal[2]) > 0.7
+    side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
+    place = xp.where(level, point[0], side), xp.where(level, point[1], point[2])
+    sign = on_face(*caster.frames(which), point, normal) if SIGNS.keys() & look.textures else place
+    return xp.where(code > 0, textured(look.textures, code, plain, place, sign), rgb)
 
 
 def _checkers(render_scene: RenderScene, point: Array) -> Array:

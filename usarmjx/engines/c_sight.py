@@ -65,12 +65,17 @@ class CSight:
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
     @cached_property
-    def targets(self) -> list[CameraTarget]:
-        """What rays are cast at; made when it is looked at first, in the thread that does so."""
-        data, model = mujoco.MjData(self.model), self.model
+    def _data(self) -> mujoco.MjData:
+        data = mujoco.MjData(self.model)
         for name, values in self._places.items():
             getattr(data, name)[:] = values
-        mujoco.mj_kinematics(model, data)
+        mujoco.mj_kinematics(self.model, data)
+        return data
+
+    @cached_property
+    def targets(self) -> list[CameraTarget]:
+        """What rays are cast at; made when it is looked at first, in the thread that does so."""
+        data, model = self._data, self.model
         caster = CRayCaster(model, data, self.looks.materials, {})
         model.geom_group[self.looks.replaced] = HIDDEN_GROUP
         radius = np.where(model.geom_rbound > 0, model.geom_rbound + MARGIN, np.inf)  # planes have no bound
@@ -80,6 +85,13 @@ class CSight:
             found.append(worn.posed(data, first))
             first += worn.figure.model.ngeom
         return found
+
+    @cached_property
+    def frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the model's geoms are [m] (n, 3), how they are turned (n, 3, 3), and how large (n, 3)."""
+        data, size = self._data, self.model.geom_size
+        mat = data.geom_xmat.reshape(-1, 3, 3)
+        return data.geom_xpos.astype(np.float32), mat.astype(np.float32), size.astype(np.float32)
 
     def render(self, render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
         """Return what a camera sees; its light and its floor are those of `render_scene`."""
@@ -111,7 +123,7 @@ class CameraCaster:
 
     def __init__(self, sight: CSight, slot: int, hidden: np.ndarray) -> None:
         (self._world, *self._figures), self._looks = sight.targets, sight.looks
-        self._slot, self._hidden = slot, hidden
+        self._slot, self._hidden, self._sight = slot, hidden, sight
         rest = np.zeros(len(sight.looks.appearance.label) - sight.model.ngeom, bool)
         self.is_plane = np.concatenate([sight.model.geom_type == PLANE, rest])
 
@@ -181,6 +193,12 @@ class CameraCaster:
         del origin, direction  # it was found with what they met
         assert met.normal is not None
         return met.normal
+
+    def frames(self, which: Array) -> tuple[Array, Array, Array]:
+        """Return poses and sizes of the model's geoms; of water and figures, which have no signs, any."""
+        pos, mat, size = self._sight.frames
+        place = np.minimum(which, len(pos) - 1)
+        return pos[place], mat[place], size[place]
 
     def _meet(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery

@@ -1,5 +1,7 @@
 """How what is in a scene looks to cameras: the geoms of its model in their order, and its figures."""
 
+from typing import Any
+
 import numpy as np
 
 from usarmjx.cameras.paint import (
@@ -13,8 +15,9 @@ from usarmjx.cameras.paint import (
 from usarmjx.engines.c_figures import WornFigure
 from usarmjx.engines.c_sight import Looks
 from usarmjx.models.build.compose_arena import VICTIM_PREFIX
-from usarmjx.models.build.materials import materials_of
+from usarmjx.models.build.materials import materials_of, textures_of
 from usarmjx.models.build.victim_looks import victim_figure
+from usarmjx.models.spec.textures import names_of
 from usarmjx.sensors.rays.targets import GeomBlock
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.visible import visible_water
@@ -34,12 +37,19 @@ def looks_of(scene: Scene) -> Looks:
         transparency=np.concatenate([transparencies(made_of), water.transparency, plain]),
         reflectance=np.concatenate([reflectances(np.concatenate([made_of, water.material])), plain]),
         label=np.concatenate([label, np.asarray(water.label), worn]).astype(np.int32),
+        **_textures(scene, len(water.rgb) + len(rgb)),
     )
     replaced = np.zeros(model.ngeom, bool)
     for one in figures:
         replaced |= np.isin(np.arange(model.ngeom) if one.of_geoms else model.geom_bodyid, one.frames)
     boxes = GeomBlock(pos=water.pos, mat=water.mat, size=water.size, owner=water.owner)
     return Looks(appearance, materials, boxes, figures, np.flatnonzero(replaced))
+
+
+def _textures(scene: Scene, others: int) -> dict[str, Any]:
+    """Return what is on the model's geoms, and nothing on so many others, as fields of `GeomAppearance`."""
+    code = np.concatenate([textures_of(scene.model, scene.arena), np.zeros(others, np.int32)])
+    return {"texture": code, "textures": names_of(code)} if code.any() else {}
 
 
 def _robots(scene: Scene) -> list[WornFigure]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from usarmjx.cameras.paint import labels_of
 from usarmjx.models.build.compose_arena import DOOR, LOOSE_PREFIX
-from usarmjx.models.build.materials import materials_of
+from usarmjx.models.build.materials import materials_of, textures_of
 from usarmjx.models.build.pieces import ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
 
@@ -26,6 +26,7 @@ class GeomTable:
         material: What they are made of; members of `spec.MATERIALS` (n,).
         rgb: Their colours (n, 3).
         label: What they are in a segmentation, see `cameras.paint` (n,).
+        texture: Codes of what is on them, see `models.spec.textures` (n,).
     """
 
     geom: np.ndarray
@@ -36,6 +37,7 @@ class GeomTable:
     material: np.ndarray
     rgb: np.ndarray
     label: np.ndarray
+    texture: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,4 +114,5 @@ def _geom_table(
         material=pieces.material,
         rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
         label=labels_of(model, arena)[geoms[pieces.geom]],
+        texture=textures_of(model, arena)[geoms[pieces.geom]],
     )

@@ -5,7 +5,7 @@ too, and the geoms of a robot can be told apart.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -37,6 +37,7 @@ from usarmjx.models.build.doors import door_boxes
 from usarmjx.models.build.victim_looks import SLOTS, drawn_bones, used_slots
 from usarmjx.models.build.victims import VictimTable, segment_poses
 from usarmjx.models.spec.shapes import GLASS, OPAQUE
+from usarmjx.models.spec.textures import names_of
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms, indices_by_key, make_geoms
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.scene_geoms import GeomTable
@@ -62,6 +63,7 @@ class VisibleGeoms(NamedTuple):
         compact: As in `targets.Geoms`, of all of them.
         instance: What they are parts of, as `cameras.paint.instances` has it (n,); None: one thing for each
             label.
+        texture: Codes of what is on them (n,); None: nothing is.
     """
 
     kind: np.ndarray
@@ -76,6 +78,7 @@ class VisibleGeoms(NamedTuple):
     transparency: np.ndarray
     compact: bool = False
     instance: Array | None = None
+    texture: np.ndarray | None = None
 
 
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
@@ -101,8 +104,16 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
         reflectance=reflectances(np.array(material, object)[order]),
         label=label[order],
         instance=instance[order],
+        **_texture(rows, order),
     )
     return geoms, appearance
+
+
+def _texture(rows: Sequence[VisibleGeoms], order: np.ndarray) -> dict[str, Any]:
+    """Return what is on geoms, as fields of `GeomAppearance`; nothing where nothing is on any."""
+    codes = [np.zeros(len(row.kind), np.int32) if row.texture is None else row.texture for row in rows]
+    code = np.concatenate(codes)
+    return {"texture": code[order], "textures": names_of(code)} if code.any() else {}
 
 
 def _one_of_each(row: VisibleGeoms) -> VisibleGeoms:
@@ -159,8 +170,8 @@ def visible_arena(
 
 def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     """Return the rows at some places (m,)."""
-    fields = {name: column for name, column in rows._asdict().items() if name not in ("compact", "instance")}
-    columns = {name: column[which] for name, column in fields.items()}
+    fields = {name: column for name, column in rows._asdict().items() if column is not None}
+    columns = {name: column[which] for name, column in fields.items() if name != "compact"}
     return rows._replace(**columns)
 
 
@@ -327,4 +338,5 @@ def _visible(
         label=table.label,
         geom_index=np.zeros(len(table.kind), int),
         transparency=transparencies(table.material),
+        texture=table.texture,
     )

@@ -6,6 +6,7 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.spec.shapes import FENDER, MATERIALS, SKY, SURFACES, Shape
+from usarmjx.models.spec.textures import texture_problem
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -66,6 +67,8 @@ def add_geom(
 def _check(name: str, shape: Shape) -> None:
     if shape.material not in MATERIALS:
         raise SpecError(f"{name}: no material {shape.material!r}; there is: {', '.join(MATERIALS)}")
+    if problem := texture_problem(shape.texture):
+        raise SpecError(f"{name}: {problem}")
     if shape.material == FENDER and shape.kind != "box":
         raise SpecError(f"{name}: a fender is a box, not a {shape.kind}")
     for kind, data in (("mesh", shape.mesh), ("hfield", shape.heights)):

@@ -1,10 +1,12 @@
-"""What the geoms of a compiled model are made of (manual 14.1.2)."""
+"""What the geoms of a compiled model are made of (manual 14.1.2), and what is on them in pictures."""
 
 import mujoco
+import numpy as np
 
 from usarmjx.models.build.compose_arena import ARENA, LOOSE_PREFIX
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import OPAQUE
+from usarmjx.models.spec.textures import code_of
 
 
 def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
@@ -17,3 +19,11 @@ def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
     for loose in arena.loose:
         known |= {f"{LOOSE_PREFIX}{loose.name}/{i}": shape.material for i, shape in enumerate(loose.shapes)}
     return [known.get(model.geom(i).name, OPAQUE) for i in range(model.ngeom)]
+
+
+def textures_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
+    """Return the codes of the textures of a model's geoms (ngeom,): those of the arena's fixed solids."""
+    known = {f"{ARENA}{i}": code_of(shape.texture) for i, shape in enumerate(arena.shapes) if shape.texture}
+    if not known:
+        return np.zeros(model.ngeom, np.int32)
+    return np.array([known.get(model.geom(i).name, 0) for i in range(model.ngeom)], np.int32)

@@ -9,6 +9,7 @@ from usarmjx.models.build.victim_table import build_table, check
 from usarmjx.models.files.values import FARTHEST
 from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
 from usarmjx.models.spec.shapes import FENDER, MATERIALS, SURFACES, Shape
+from usarmjx.models.spec.textures import texture_problem
 
 SIZES = {
     "box": (3, "half lengths along x, y and z"),
@@ -46,7 +47,7 @@ def _shape(shape: Shape) -> str:
         count, meaning = SIZES[shape.kind]
         if len(shape.size) != count or min(shape.size) <= 0:
             return f"size {list(shape.size)} of a {shape.kind}: wants {count} above zero, {meaning} [m]"
-    return _colour(shape.rgba)
+    return texture_problem(shape.texture) or _colour(shape.rgba)
 
 
 def _colour(rgba: tuple[float, ...]) -> str:

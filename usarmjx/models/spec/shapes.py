@@ -183,6 +183,7 @@ class Shape:
         mesh: The solid of kind mesh.
         heights: The terrain of kind hfield.
         rgba: Colour, for pictures.
+        texture: What is on it in pictures, of the arena's fixed solids; see `spec.textures`.
     """
 
     kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield"]
@@ -196,3 +197,4 @@ class Shape:
     mesh: Mesh | None = None
     heights: HeightField | None = None
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
+    texture: str = ""

@@ -1,0 +1,38 @@
+"""Names of what a surface has on it, for pictures alone; `cameras.textures` draws it."""
+
+from typing import Any
+
+TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag")
+"""All there are: patterns of walls and floors, and signs."""
+SIGNS = {"chart": 999, "hazmat": 5, "tag": 9}
+"""Textures that are signs in the middle of each face of a box, and their largest numbers (`tag:7`)."""
+KINDS = 16
+"""A code is the texture's place plus this times its number."""
+
+
+def texture_problem(texture: str) -> str:
+    """Return what is wrong with a texture, "" if nothing is; "" is none."""
+    name, colon, number = texture.partition(":")
+    if not texture or (name in TEXTURES and not colon):
+        return ""
+    if name in SIGNS and number.isdecimal() and int(number) <= SIGNS[name]:
+        return ""
+    signs = ", ".join(f"{name}:0 to {name}:{last}" for name, last in SIGNS.items())
+    plain = ", ".join(name for name in TEXTURES if name not in SIGNS)
+    return f"no texture {texture!r}; there is: {plain}, {signs}"
+
+
+def code_of(texture: str) -> int:
+    """Return the code of a texture; 0 is none."""
+    name, _, number = texture.partition(":")
+    return TEXTURES.index(name) + 1 + KINDS * int(number or 0) if name else 0
+
+
+def numbers_of(code: Any) -> tuple[Any, Any]:  # noqa: ANN401 - a whole number, or an array of them
+    """Return which texture, counting from 1, and which number some codes are."""
+    return code % KINDS, code // KINDS
+
+
+def names_of(codes: Any) -> frozenset[str]:  # noqa: ANN401 - whole numbers
+    """Return the names of the textures of some codes."""
+    return frozenset(TEXTURES[int(code) % KINDS - 1] for code in codes if code)
