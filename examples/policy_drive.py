@@ -1,6 +1,6 @@
 """Drive a robot to a place with a trained policy, or with the one written by hand.
 
-    python -m usarmjx export runs/x goal.npz
+    python -m usarmjx export runs/x --out goal.npz
     python -m usarmjx serve --arena yellow &
     python examples/policy_drive.py goal.npz --to 6.0,1.9
     python examples/policy_drive.py --baseline --to 6.0,1.9

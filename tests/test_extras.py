@@ -49,10 +49,10 @@ told = {"actions": actions.tolist()}
 with open("runs.jsonl", "w") as file:
     file.write("")
 for name, words in {
-    "export": ["export", "drive-to-goal", "goal.npz"],
+    "export": ["export", "drive-to-goal", "--out", "goal.npz"],
     "curves": ["curves", "runs.jsonl"],
     "train": ["train", "--task", "drive-to-goal", "--out", "run", "--worlds", "2"],
-    "export a run": ["export", "run", "run.npz"],
+    "export a run": ["export", "run", "--out", "run.npz"],
 }.items():
     os.makedirs("run", exist_ok=True)
     told[name] = command(*words)

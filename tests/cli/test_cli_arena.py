@@ -42,7 +42,7 @@ def room(tmp_path: Path) -> Path:
 
 
 def test_list_is_the_table_of_the_docs():
-    """After a change: `usarmjx arena list --markdown` into docs/arenas.md, `usarmjx arena gallery docs`."""
+    """After a change: `usarmjx arena list --markdown` into docs/arenas.md, `usarmjx arena gallery --out docs`."""
     result = invoke("list", "--markdown")
     assert result.exit_code == 0
     for name, arena in ARENAS:
@@ -109,7 +109,7 @@ def test_generate_makes_the_same_arena_as_the_library(tmp_path: Path):
 
 def test_radio_map_takes_a_file(tmp_path: Path, room: Path):
     out = tmp_path / "map.png"
-    result = CliRunner().invoke(app, ["radio-map", str(room), str(out), "--from", "0,0"])
+    result = CliRunner().invoke(app, ["radio-map", str(room), "--out", str(out), "--from", "0,0"])
     assert result.exit_code == 0, result.output
     assert out.exists()
 

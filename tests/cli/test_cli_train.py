@@ -44,7 +44,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     assert settings["overrides"] == {"episode_steps": "7"}
     assert settings["config"]["layers"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
-    result = invoke("export", out, tmp_path / "policy.npz", "--checkpoint", "last")
+    result = invoke("export", out, "--out", tmp_path / "policy.npz", "--checkpoint", "last")
     assert result.exit_code == 0, result.output
     policy = NumpyPolicy(tmp_path / "policy.npz")
     group = policy.groups[policy.group("P2AT")]
@@ -65,7 +65,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
             "needs a value of type int",
         ),
         (["train", "--task", "drive-to-goal", "--out", "x", "--resume"], "nothing to resume in x"),
-        (["export", "nowhere", "x.npz"], "nowhere is no run"),
+        (["export", "nowhere", "--out", "x.npz"], "nowhere is no run"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(words, message, tmp_path, monkeypatch):

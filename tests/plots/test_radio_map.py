@@ -95,13 +95,24 @@ def test_steps_that_are_too_fine_are_refused(step: float):
 def test_the_command_draws_with_the_constants_of_an_ini(tmp_path: Path):
     out, ini = tmp_path / "map.png", tmp_path / "USARComServer.ini"
     ini.write_text("[USARBotAPI.ComConnection]\neCutoff=-70\n")
-    words = ["radio-map", "yellow", str(out), "--from", "-1.8,-1.2,1.6", "--height", "0.5", "--ini", str(ini)]
+    words = [
+        "radio-map",
+        "yellow",
+        "--out",
+        str(out),
+        "--from",
+        "-1.8,-1.2,1.6",
+        "--height",
+        "0.5",
+        "--radio-ini",
+        str(ini),
+    ]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert result.output == f"wrote {out}\n"
     with_line = imread(out)
     rgb = [int(CUTOFF_LINE[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     assert (np.abs(with_line[..., :3] - rgb).max(-1) < 0.02).sum() > 500
-    result = CliRunner().invoke(app, ["radio-map", "yellow", str(out), "--from", "here"])
+    result = CliRunner().invoke(app, ["radio-map", "yellow", "--out", str(out), "--from", "here"])
     assert result.exit_code == 2
     assert "'here' is not of the form x,y or x,y,z" in result.output

@@ -24,7 +24,7 @@ def table(path):
 
 def test_tables_have_what_happened(mission, tmp_path):
     path, places = mission
-    result = run("export", path, tmp_path / "out.csv")
+    result = run("export", path, "--out", tmp_path / "out.csv")
     assert result.exit_code == 0, result.output
     poses = table(tmp_path / "out-poses.csv")
     for row in poses:
@@ -44,7 +44,7 @@ def test_tables_have_what_happened(mission, tmp_path):
 
 def test_what_parquet_needs_is_said(mission, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    result = run("export", mission[0], tmp_path / "out.parquet")
+    result = run("export", mission[0], "--out", tmp_path / "out.parquet")
     assert result.exit_code == 2
     assert "pip install pyarrow" in result.output
     assert not [*tmp_path.iterdir()]
@@ -52,14 +52,14 @@ def test_what_parquet_needs_is_said(mission, tmp_path, monkeypatch):
 
 def test_parquet_has_the_same_rows(mission, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
-    assert run("export", mission[0], tmp_path / "out.parquet").exit_code == 0
+    assert run("export", mission[0], "--out", tmp_path / "out.parquet").exit_code == 0
     rows = parquet.read_table(tmp_path / "out-poses.parquet").to_pylist()
-    assert run("export", mission[0], tmp_path / "out.csv").exit_code == 0
+    assert run("export", mission[0], "--out", tmp_path / "out.csv").exit_code == 0
     assert [row["x"] for row in rows] == [float(row["x"]) for row in table(tmp_path / "out-poses.csv")]
 
 
 def test_films_move(mission, tmp_path):
-    result = run("export", mission[0], tmp_path / "out.gif", "--speed", "1")
+    result = run("export", mission[0], "--out", tmp_path / "out.gif", "--speed", "1")
     assert result.exit_code == 0, result.output
     with Image.open(tmp_path / "out.gif") as film:
         assert film.n_frames == 6
@@ -71,14 +71,14 @@ def test_films_move(mission, tmp_path):
 def test_what_an_mp4_needs_is_said(mission, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     monkeypatch.setenv("PATH", "")
-    result = run("export", mission[0], tmp_path / "out.mp4")
+    result = run("export", mission[0], "--out", tmp_path / "out.mp4")
     assert result.exit_code == 2
     assert "imageio-ffmpeg" in result.output
     assert not [*tmp_path.iterdir()]
 
 
 def test_other_files_are_refused_by_name(mission, tmp_path):
-    result = run("export", mission[0], tmp_path / "out.avi")
+    result = run("export", mission[0], "--out", tmp_path / "out.avi")
     assert result.exit_code == 2
     assert ".csv, .parquet, .gif, .mp4" in " ".join(result.output.split())
 

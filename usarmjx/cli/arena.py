@@ -9,7 +9,14 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
 from usarmjx.cli.completion import complete_kinds, complete_robots
 from usarmjx.cli.listing import JsonFlag, MarkdownFlag, check_form, show_listing
-from usarmjx.cli.tools import ArenaArgument, ErrorExit, SeedOption
+from usarmjx.cli.tools import (
+    ArenaArgument,
+    ErrorExit,
+    OldOutArgument,
+    OutFolderOption,
+    SeedOption,
+    chosen_out,
+)
 from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
@@ -202,9 +209,10 @@ def obstacles(
 
 
 @app.command()
-def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")]) -> None:
+def gallery(out: OutFolderOption = None, old_out: OldOutArgument = None) -> None:
     """Draw the pictures of docs/arenas.md: all arenas, and a generated one of each kind."""
     with ErrorExit():
+        where = chosen_out(out, old_out)
         announce("drawing all arenas ...")
         from usarmjx.models.arenas import ARENAS
         from usarmjx.models.generate import KINDS
@@ -217,8 +225,8 @@ def gallery(out: Annotated[Path, typer.Argument(help="Folder for the pictures.")
             (view_sheet, "arenas-view.png", arenas),
             (both_sheet, "generated.png", [make(kind, seed=7) for kind in KINDS.names()]),
         ):
-            write(shown, out / name)
-            typer.echo(f"wrote {out / name}")
+            write(shown, where / name)
+            typer.echo(f"wrote {where / name}")
 
 
 def _draw(arena: "ArenaSpec", png: Path | None, perspective: Path | None) -> None:

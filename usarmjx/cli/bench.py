@@ -6,8 +6,32 @@ from typing import Annotated, Any
 
 import typer
 
-from usarmjx.cli.tools import EngineOption, ErrorExit, IniOption, SeedOption, UnitOption, configure_from
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.tools import (
+    ArenaOption,
+    EngineOption,
+    ErrorExit,
+    IniOption,
+    SeedOption,
+    UnitOption,
+    configure_from,
+)
 from usarmjx.cli.waiting import announce
+
+
+def one_class(roster: str) -> tuple[str, int]:
+    """Return the class of a roster's robots, and how many there are.
+
+    Raises:
+        UsageError: They are of several classes, or there are none.
+    """
+    from usarmjx.server.worlds.make import parse_roster
+
+    names = parse_roster(roster)
+    if len({*names}) != 1:
+        raise UsageError(f"--roster: expected robots of one class, as P2AT:16; got {roster!r}")
+    return names[0], len(names)
+
 
 app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
 
@@ -34,8 +58,9 @@ def bench_radio(
 @app.command("rays")
 def bench_rays(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds at once.")] = 4,
-    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them scan.")] = 16,
-    robot: Annotated[str, typer.Option(help="Their class, which needs a range scanner.")] = "P2AT",
+    roster: Annotated[
+        str, typer.Option(help="Robots in each, of a class with a range scanner; all of them scan.")
+    ] = "P2AT:16",
     walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100,
     steps: Annotated[int, typer.Option(min=1, help="Scans per repeat.")] = 10,
     repeats: Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")] = 5,
@@ -47,6 +72,7 @@ def bench_rays(
         announce("measuring rays ...", keep=False)
         from usarmjx.bench.rays import RayCase, measure_rays
 
+        robot, robots = one_class(roster)
         size = {"worlds": worlds, "robots": robots, "walls": walls, "steps": steps, "repeats": repeats}
         typer.echo(measure_rays(RayCase(robot=robot, seed=seed, **size), json))
 
@@ -54,9 +80,8 @@ def bench_rays(
 @app.command("camera")
 def bench_camera(
     worlds: Annotated[int, typer.Option(min=1, help="Worlds in the batch.")] = 16,
-    robots: Annotated[int, typer.Option(min=1, help="Robots in each; all of them look.")] = 1,
-    robot: Annotated[str, typer.Option(help="Their class.")] = "P2AT",
-    arena: Annotated[str, typer.Option(help="Arena name, or a file.")] = "yellow",
+    roster: Annotated[str, typer.Option(help="Robots in each, of one class; all of them look.")] = "P2AT:1",
+    arena: ArenaOption = "yellow",
     size: Annotated[str, typer.Option(help="Width and height of a picture, as 64x64.")] = "64x64",
     engine: EngineOption = "auto",
     steps: Annotated[int, typer.Option(min=1, help="Rounds of pictures per repeat.")] = 5,
@@ -72,6 +97,7 @@ def bench_camera(
         from usarmjx.server.protocol.images import parse_size
 
         width, height = parse_size(size)
+        robot, robots = one_class(roster)
         case = CameraCase(
             worlds=worlds,
             robots=robots,
@@ -90,11 +116,13 @@ def bench_camera(
 
 @app.command("viewer")
 def bench_viewer(
-    robots: Annotated[
-        list[int] | None,
-        typer.Option(min=1, help="Robots whose updates are measured; may be repeated. Else 1, 16."),
+    roster: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Robots whose updates are measured, as P2AT:16; may be repeated, with one class. "
+            "Else P2AT:1 and P2AT:16."
+        ),
     ] = None,
-    robot: Annotated[str, typer.Option(help="Their class.")] = "P2AT",
     updates: Annotated[int, typer.Option(min=1, help="Updates of the page for each number.")] = 100,
     served: Annotated[
         int, typer.Option(min=0, help="Robots of a server, whose pace is measured with a page and without.")
@@ -109,9 +137,12 @@ def bench_viewer(
         announce("measuring the live page ...", keep=False)
         from usarmjx.bench.viewer import ViewerCase, measure_viewer
 
+        given = [one_class(one) for one in roster or ("P2AT:1", "P2AT:16")]
+        if len({robot for robot, _ in given}) > 1:
+            raise UsageError(f"--roster: robots of one class are measured; got {', '.join(roster or ())}")
         case = ViewerCase(
-            robots=tuple(robots or (1, 16)),
-            robot=robot,
+            robots=tuple(count for _, count in given),
+            robot=given[0][0],
             updates=updates,
             served=served,
             seconds=seconds,

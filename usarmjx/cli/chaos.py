@@ -31,7 +31,7 @@ def chaos(
     volume: Annotated[
         float, typer.Option(min=0.001, max=100.0, help="Most that one attacker sends in an attack, in MB.")
     ] = 4.0,
-    page_port: Annotated[
+    spectator_port: Annotated[
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of the server's page; else it is spared.")
     ] = None,
     metrics_port: Annotated[
@@ -64,7 +64,7 @@ def chaos(
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; what
     was sent, how often attackers came and were hung up on; and whether all seats were free again.
     """
-    with ErrorExit(), _target(address, own, arena, own_server, page_port, metrics_port, pid) as target:
+    with ErrorExit(), _target(address, own, arena, own_server, spectator_port, metrics_port, pid) as target:
         say = partial(typer.echo, err=True)
         if soak is not None:
             from usarmjx.bench.chaos.soak import SoakCase

@@ -52,7 +52,8 @@ def run(
     address: Annotated[str | None, typer.Option(help="With ray: address of a cluster.")] = None,
     engine: Annotated[str | None, typer.Option(help="Physics of all cells: warp, jax, c, or auto.")] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="A setting of all cells, key=value; may be repeated.")
+        list[str] | None,
+        typer.Option("--set", "-c", help="A setting of all cells, key=value; repeatable."),
     ] = None,
     retry: Annotated[bool, typer.Option("--retry", help="Play again what has failed.")] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")] = False,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.base.errors import UsarmjxError
+from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.files import disk_fault
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 
@@ -32,6 +32,10 @@ class ErrorExit:
         raise typer.Exit(2)
 
 
+OutOption = Annotated[Path | None, typer.Option("--out", help="File to write; needed.", show_default=False)]
+OutFolderOption = Annotated[
+    Path | None, typer.Option("--out", help="Folder for the pictures; needed.", show_default=False)
+]
 SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
 EngineOption = Annotated[
     str,
@@ -57,6 +61,30 @@ PortOffsetOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Added to this port and all others, for a second server.")
 ]
 UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
+
+
+OldOutArgument = Annotated[Path | None, typer.Argument(hidden=True)]
+"""Where to write to, as it was once said: by its place."""
+
+
+def chosen_out(out: Path | None, old: Path | None) -> Path:
+    """Return where to write to.
+
+    Args:
+        out: What `--out` says.
+        old: What stands at the place where it once stood; that is told.
+
+    Raises:
+        UsageError: Neither says it, or both do.
+    """
+    if out is not None and old is not None:
+        raise UsageError(f"{old} is too much: --out says where to write to")
+    if old is not None:
+        typer.echo(f"usarmjx: where to write to is --out now: --out {old}", err=True)
+    where = out or old
+    if where is None:
+        raise UsageError("say where to write to: --out PATH")
+    return where
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.completion import complete_tasks
+from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
-from usarmjx.cli.tools import ErrorExit, SeedOption
+from usarmjx.cli.tools import ErrorExit, OldOutArgument, SeedOption, chosen_out
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce
 from usarmjx.server.signals import PARENT_PIPE
@@ -29,19 +32,27 @@ app = typer.Typer()
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", help="A setting of the training or a field of the task, key=value; may be repeated."
+        "--set",
+        "-c",
+        help="A setting of the training or a field of the task, key=value; may be repeated.",
     ),
 ]
 
 
 @app.command()
 def train(
-    task: Annotated[str, typer.Option(help="Name of the task.")],
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
+    named: Annotated[
+        str | None,
+        typer.Argument(metavar="TASK", help="Name of the task.", autocompletion=complete_tasks),
+    ] = None,
+    task: Annotated[
+        str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)
+    ] = None,
     worlds: Annotated[int | None, typer.Option(min=1, help="Worlds in all.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent steps in all.")] = None,
     seed: SeedOption = 0,
-    engine: Annotated[str, typer.Option(help="warp, jax, c, or auto: the best for this here.")] = "auto",
+    engine: PolicyEngineOption = "auto",
     settings: SetOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where the run in the folder was left.")
@@ -64,6 +75,7 @@ def train(
 ) -> None:
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
+        task = _task_of(named, task)
         from usarmjx.train.processes.launch import process_info, spawn
 
         joined = process_info(os.environ)
@@ -87,6 +99,18 @@ def train(
             score = _train(task, chosen, settings or [], how, watchers)
             if process.index == 0:
                 typer.echo(score)
+
+
+def _task_of(named: str | None, task: str | None) -> str:
+    """Return the task, which is named by its place or by an option.
+
+    Raises:
+        UsageError: By neither, or by both.
+    """
+    chosen = [name for name in (named, task) if name is not None]
+    if len(chosen) != 1:
+        raise UsageError("name one task, as usarmjx train explore; `usarmjx list tasks` shows them all")
+    return chosen[0]
 
 
 @contextmanager
@@ -253,8 +277,13 @@ def export(
         Path, typer.Argument(help="Folder of the run, or task of a packaged policy; or a recording, .mcap.")
     ],
     out: Annotated[
-        Path, typer.Argument(help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4.")
-    ],
+        Path | None,
+        typer.Option(
+            help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4; needed.",
+            show_default=False,
+        ),
+    ] = None,
+    old_out: OldOutArgument = None,
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
     world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
@@ -262,14 +291,15 @@ def export(
 ) -> None:
     """Write a policy to a file that NumPy alone can run; or a recording as tables or as a film."""
     with ErrorExit():
+        where = chosen_out(out, old_out)
         announce(f"reading {run} ...")
         if run.is_file():
-            export_recording(run, out, world, speed)
+            export_recording(run, where, world, speed)
             return
         from usarmjx.train.policies.export import export_run
 
-        export_run(run, out, checkpoint, half)
-        typer.echo(f"wrote {out}, {out.stat().st_size / 1024:.0f} KB")
+        export_run(run, where, checkpoint, half)
+        typer.echo(f"wrote {where}, {where.stat().st_size / 1024:.0f} KB")
 
 
 @app.command()
