@@ -172,7 +172,8 @@ class Blimp(Drive):
     direction, positive upward; TailPropeller is the turning rate, positive to the left (manual 12.21.3's
     example turns right with -0.3). It takes the keys of other flying robots too. Manual 12.21.1 gives the
     same top speed forward and upward, though the hull has many times the drag upward: so the thrust is
-    governed to hold the speed. Both forces act through the centre of gravity.
+    governed to hold the speed, and takes away what it drifts to the side (chosen). All forces act through
+    the centre of gravity.
 
     Attributes:
         hull: What the air acts on.
@@ -182,6 +183,7 @@ class Blimp(Drive):
         max_thrust: Of both thrusters [N].
         max_torque: Of the tail propeller [N m].
         response: Time in which the governors close an error [s].
+        leeway: Time in which its governors take two thirds of a drift to the side [s].
     """
 
     hull: Hull
@@ -191,6 +193,7 @@ class Blimp(Drive):
     max_thrust: float
     max_torque: float
     response: float = 2.0
+    leeway: float = 4.0
 
     @property
     def vehicle(self) -> VehicleType:
@@ -257,6 +260,8 @@ class Blimp(Drive):
         thrust = thrust + xp.cross(state.angular, mass * linear)  # what a turn takes from the speed ahead
         thrust = thrust * np.array([1.0, 0.0, 1.0])
         thrust = thrust * (self.max_thrust / xp.maximum(_length(thrust), self.max_thrust))
+        aside = np.array([0.0, 1.0, 0.0], np.float32) * mass / self.leeway
+        thrust = thrust - xp.clip(aside * linear, -self.max_thrust, self.max_thrust)
         error = turn - state.angular[..., 2:]
         torque = about[2] * xp.abs(turn) * turn + inertia[2] / self.response * error
         torque = xp.clip(torque, -self.max_torque, self.max_torque) * np.array([0.0, 0.0, 1.0])

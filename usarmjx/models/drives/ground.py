@@ -1,11 +1,13 @@
 """Drives of ground vehicles whose wheels do not steer, and of things that do not move."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
 from usarmjx.models.drives.base import Drive, JointControl, VehicleType
 
 
@@ -18,6 +20,9 @@ class SkidSteer(Drive):
         right: Names of the right wheels' joints.
         max_spin: Highest wheel speed [rad/s].
         radius: Of the wheels [m].
+        max_turn: Highest turning rate that its controller asks for [rad/s].
+        lever: What the difference of both sides' speeds over the turning rate comes to [m]: the distance of
+            two wheels; more where wheels skid.
     """
 
     is_wheeled: ClassVar[bool] = True
@@ -26,6 +31,8 @@ class SkidSteer(Drive):
     right: tuple[str, ...]
     max_spin: float
     radius: float
+    max_turn: float = math.inf
+    lever: float = 0.0
 
     @property
     def steering(self) -> str:
@@ -43,7 +50,12 @@ class SkidSteer(Drive):
         return tuple(JointControl(joint=name) for name in (*self.left, *self.right))
 
     def targets(self, setpoint: Array) -> Array:
-        """Every wheel turns as fast as its side."""
+        """Every wheel turns as fast as its side; what turns it too fast is taken from both sides alike."""
+        if self.lever and math.isfinite(self.max_turn):
+            most = self.max_turn * self.lever / self.radius
+            over = setpoint[..., 1] - setpoint[..., 0]
+            over = (over - xp.clip(over, -most, most)) / 2
+            setpoint = xp.stack([setpoint[..., 0] + over, setpoint[..., 1] - over], -1)
         return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
 
     @property

@@ -58,6 +58,7 @@ P2AT_WIDTH = 0.4968  # captured GEO; the tyres' outer faces, which gives their w
 P2AT_SCANNER = (0.1439, 0.0, -0.0920)  # captured
 # Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground (chosen).
 P2AT_MOTOR = Motor(max_speed=5.385, torque=4.0, armature=0.15)
+P2AT_LEVER = 0.70  # measured here: it turns at 114 deg/s at full speed
 
 P2AT = RobotSpec(
     name="P2AT",
@@ -100,6 +101,8 @@ P2AT = RobotSpec(
         right=("RightFWheel", "RightRWheel"),
         max_spin=P2AT_MOTOR.max_speed,
         radius=P2AT_WHEEL,
+        max_turn=math.radians(140),  # manual 12.1.1
+        lever=P2AT_LEVER,
     ),
     packages=(pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
     sensors=(
@@ -126,7 +129,9 @@ P2DX_WHEEL = 0.0825  # manual 12.3.1: diameter 16.5 cm
 P2DX_TRACK = 0.38 - 0.037  # chosen: manual's width less a wheel's width
 P2DX_SCANNER = (0.05, 0.0, -0.11)  # chosen: on the deck
 P2DX_CASTER = 0.0375  # chosen radius
-P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03)
+# Chosen: more torque than the 1.9 N m with which a wheel begins to climb an edge of 2 cm; inertia that makes
+# of it 2 m/s2 on the flat, so that neither a start nor a stop lifts the caster.
+P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=3.0, armature=0.09)
 
 P2DX = RobotSpec(
     name="P2DX",
@@ -153,7 +158,12 @@ P2DX = RobotSpec(
         for name, y in (("LeftFWheel", -P2DX_TRACK / 2), ("RightFWheel", P2DX_TRACK / 2))
     ),
     drive=SkidSteer(
-        left=("LeftFWheel",), right=("RightFWheel",), max_spin=P2DX_MOTOR.max_speed, radius=P2DX_WHEEL
+        left=("LeftFWheel",),
+        right=("RightFWheel",),
+        max_spin=P2DX_MOTOR.max_speed,
+        radius=P2DX_WHEEL,
+        max_turn=math.radians(300),  # manual 12.3.1
+        lever=P2DX_TRACK,
     ),
     packages=(pan_tilt((0.05, 0.0, -0.23)),),  # chosen: on the scanner, as on the P2AT
     sensors=(

@@ -1,5 +1,7 @@
 """The Soryu: three cars on two tracks each, with a joint to pan and one to tilt between them (12.15)."""
 
+from dataclasses import replace
+
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
 from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, block, drum, lens, rod
@@ -23,6 +25,11 @@ BELT = Belt(
     cleat=0.007,
     trim=YELLOW,
 )
+CROWN = 0.006
+"""How much the end cars' axles are smaller: on the flat it stands on its middle car, and so can turn."""
+END_BELT = replace(
+    BELT, radius=BELT.radius - CROWN, max_spin=BELT.max_spin * BELT.radius / (BELT.radius - CROWN)
+)
 SEPARATION = WIDTH - BELT.width
 CAR = 0.38  # length of a car
 PITCH = (LENGTH - CAR) / 2  # from car to car
@@ -39,9 +46,9 @@ def _body(mass: float, at: Vec3 = (0.0, 0.0, 0.0)) -> tuple[Shape, ...]:
     return (Shape(kind="box", size=half, at=at, mass=mass, rgba=YELLOW),)
 
 
-def _car_looks(x: float) -> tuple[Shape, ...]:
+def _car_looks(x: float, belt: Belt = END_BELT) -> tuple[Shape, ...]:
     """A car with its middle at x: two belts and a hull between, with a lid on top as below."""
-    belts = (BELT.looks((x + AXLE, y, 0.0), (x - AXLE, y, 0.0)) for y in (-SEPARATION / 2, SEPARATION / 2))
+    belts = (belt.looks((x + AXLE, y, 0.0), (x - AXLE, y, 0.0)) for y in (-SEPARATION / 2, SEPARATION / 2))
     return (
         *(solid for track_looks in belts for solid in track_looks),
         block((CAR / 2 - 0.015, 0.0115, 0.05), (x, 0.0, 0.0), YELLOW),
@@ -99,7 +106,9 @@ def soryu(wheels: int = 4) -> RobotSpec:
     for side, y in (("Left", -SEPARATION / 2), ("Right", SEPARATION / 2)):
         names = track_names(side, wheels * len(cars))
         for (parent, x), some in zip(cars, zip(*[iter(names)] * wheels, strict=True), strict=True):
-            tracks += track(BELT, some, (x + AXLE, y, 0.0), (x - AXLE, y, 0.0), parent)
+            belt = BELT if parent == CHASSIS else END_BELT
+            out = CAR / 2 - belt.radius
+            tracks += track(belt, some, (x + out, y, 0.0), (x - out, y, 0.0), parent)
     parts = (*joints, *tracks)
     return RobotSpec(
         name="Soryu",
@@ -107,7 +116,7 @@ def soryu(wheels: int = 4) -> RobotSpec:
         mass=MASS,
         origin_height=BELT.radius,
         chassis=_body(MASS - mass_of(parts)),
-        looks=_car_looks(0.0),
+        looks=_car_looks(0.0, BELT),
         parts=parts,
         drive=drive_tracks(parts, BELT),
         sensors=POSE_SENSORS,

@@ -47,6 +47,9 @@ TALON_BELT = Belt(
     trim=OLIVE,
 )
 TALON_SEPARATION = TALON_WIDTH - TALON_BELT.width
+TALON_BUMPER = 0.004
+"""How far its bumpers stand out before and behind its tracks, above the steps that it climbs [m]: they are
+what meets a wall, which it would climb with its tracks, and turn over."""
 TALON_AXLE = TALON_LENGTH / 2 - TALON_BELT.radius
 TALON_AXLE_HEIGHT = TALON_ORIGIN - TALON_BELT.radius  # z down: the axles are 1 cm above the origin
 
@@ -140,6 +143,12 @@ def talon(wheels: int = 10) -> RobotSpec:
         origin_height=TALON_ORIGIN,
         chassis=(
             Shape(kind="box", size=(0.38, TALON_WIDTH / 2, 0.05), at=(0.0, 0.0, top + 0.05), rgba=OLIVE),
+            Shape(
+                kind="box",
+                size=(TALON_LENGTH / 2 + TALON_BUMPER, TALON_WIDTH / 2, 0.015),
+                at=(0.0, 0.0, -0.1),
+                rgba=OLIVE,
+            ),
             Shape(
                 kind="box",
                 size=(0.35, 0.14, 0.05),

@@ -1,0 +1,169 @@
+"""What keeps robots within their data sheets and on their wheels: rotation limits, boards, walls, drift."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.drives import SkidSteer
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.shapes import Shape
+from usarmjx.sim.control import CommandUpdate, update_command
+from usarmjx.sim.scene import build_scene
+from usarmjx.sim.single_world import SingleWorld
+
+PERIOD = 0.02
+
+
+class Course:
+    """One robot among some solids on a floor, on C MuJoCo."""
+
+    def __init__(self, name, *solids, at=(0.0, 0.0, 0.3), turn=(0.0, 0.0, 0.0)):
+        self.world = SingleWorld(build_scene(replace(FLAT, shapes=solids), ()), seed=0, seats=1)
+        self.world.add(ROBOTS.get(name), name, [(at, np.array(quat_from_angles(*turn)))])
+        group, member = self.world.scene.group_of(0)
+        self.group = self.world.scene.groups[group]
+        self.index = self.group.indices[member]
+
+    def tell(self, flip_until=None, **keys):
+        with numpy_backend():
+            update = CommandUpdate(drive=keys, flip_until=flip_until)
+            self.world.edit(
+                0, command=update_command(self.group.plan, self.world.state_of(0).command, update)
+            )
+        return self
+
+    def run(self, seconds):
+        """Return pose and velocity of the root, and the speeds of its joints, after each step."""
+        data, rows = self.world.engine.data, []
+        root, dof = self.index.root_qposadr, self.index.root_dofadr
+        for _ in range(round(seconds / PERIOD)):
+            self.world.step()
+            rows.append((*data.qpos[root : root + 7], *data.qvel[dof : dof + 6]))
+        return np.array(rows)
+
+    @property
+    def wheels(self):
+        """Speeds of the wheels [rad/s]."""
+        return self.world.engine.data.qvel[list(self.index.dofadr)][: len(self.group.robot.wheels)]
+
+
+def upright(rows):
+    return 1 - 2 * (rows[:, 4] ** 2 + rows[:, 5] ** 2)
+
+
+def heading(rows):
+    w, x, y, z = rows[:, 3:7].T
+    return np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+# Rotation limits
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"), [("P2AT", 140), ("StereoP2AT", 140), ("P2DX", 300), ("ATRVJr", 120)]
+)
+def test_no_command_asks_for_more_than_the_data_sheets_rotation(name, limit):
+    """Manual 12.1.1, 12.3.1, 12.4: what is too much is taken from both sides alike."""
+    drive = ROBOTS.get(name).drive
+    assert isinstance(drive, SkidSteer)
+    fast = replace(drive, max_spin=100.0)  # as maxSpinSpeed makes it
+    sides = np.array([[-100.0, 100.0], [100.0, -100.0], [20.0, 100.0], [50.0, 50.0], [1.0, 1.5]], np.float32)
+    told = fast.targets(sides)
+    left, right = told[:, 0], told[:, -1]
+    rate = np.degrees((right - left) * fast.radius / fast.lever)
+    assert rate == pytest.approx(
+        [limit, -limit, limit, 0.0, math.degrees(0.5 * fast.radius / fast.lever)], rel=1e-5
+    )
+    assert (left + right) / 2 == pytest.approx(sides.mean(1), abs=1e-4)
+    assert told[3:, [0, -1]].tolist() == sides[3:].tolist(), "to the last bit"
+
+
+def test_a_p2dx_turns_at_its_data_sheets_300_degrees_a_second():
+    spin = Course("P2DX").tell(Left=-21.8, Right=21.8).run(3.0)
+    assert np.degrees(spin[100:, 12].mean()) == pytest.approx(300.0, rel=0.02)
+
+
+def test_a_p2dx_starts_stops_and_reverses_with_its_caster_on_the_ground():
+    course = Course("P2DX")
+    course.run(0.5)
+    for speed in (21.8, 0.0, 21.8, -21.8, 0.0):
+        assert upright(course.tell(Left=speed, Right=speed).run(2.0)).min() > math.cos(math.radians(1.0))
+
+
+# Boards, walls
+
+
+def board(height):
+    """One of yellow's, 9 cm wide."""
+    return Shape(kind="box", size=(0.045, 0.5, height / 2), at=(0.0, 0.0, height / 2), surface="ground")
+
+
+@pytest.mark.parametrize("height", [0.02, 0.03, 0.04])
+def test_the_wheels_of_a_p2dx_that_turns_on_a_board_do_not_stall(height):
+    """In yellow, at 7.80,0.57, they stood still at 1.5 N m: an edge of 2 cm takes 1.9 N m."""
+    for x, yaw in ((0.0, 20.0), (0.05, 120.0), (0.1, 60.0)):
+        for rate in (3.0, -3.0):
+            course = Course(
+                "P2DX", board(height), at=(x, 0.0, 0.21 + height), turn=(0.0, 0.0, math.radians(yaw))
+            )
+            course.run(0.6)
+            course.tell(Left=-rate, Right=rate).run(1.5)
+            speeds = []
+            for _ in range(50):
+                course.run(PERIOD)
+                speeds.append(np.abs(course.wheels).mean())
+            assert np.mean(speeds) > 0.5, (x, yaw, rate)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 60.0, 120.0])
+def test_a_p2dx_on_a_board_of_2_cm_turns_itself_free(yaw):
+    course = Course("P2DX", board(0.02), at=(0.05, 0.0, 0.23), turn=(0.0, 0.0, math.radians(yaw)))
+    course.run(0.6)
+    turned = 0.0
+    for rate in (3.0, -3.0):
+        path = heading(course.tell(Left=-rate, Right=rate).run(4.0))
+        turned = max(turned, abs(path[-1] - path[0]))
+    assert turned > math.pi
+
+
+@pytest.mark.parametrize("yaw", [0.0, 180.0, 200.0])
+def test_a_talon_that_is_driven_at_a_wall_stays_on_its_tracks(yaw):
+    wall = Shape(kind="box", size=(0.025, 2.0, 0.6), at=(0.9, 0.0, 0.6), surface="wall")
+    speed = -6.43 if yaw > 90.0 else 6.43
+    course = Course("Talon", wall, at=(0.0, 0.0, 0.14), turn=(0.0, 0.0, math.radians(yaw)))
+    path = course.tell(Left=speed, Right=speed).run(4.0)
+    assert path[-1, 0] > 0.2, "it is at the wall, with its gripper or its tracks"
+    assert upright(path).min() > math.cos(math.radians(15))
+
+
+# Soryu, Passarola
+
+
+def test_a_soryu_turns_on_the_flat():
+    """A crowned body stands on its middle car; flat on the ground it made 4 to 6 degrees a second."""
+    course = Course("Soryu", at=(0.0, 0.0, 0.08))
+    path = course.tell(Left=-5.1, Right=5.1).run(4.0)
+    turned = heading(path)
+    assert math.degrees(turned[-1] - turned[50]) / 3.0 > 12.0
+    assert upright(path).min() > 0.95
+
+
+@pytest.mark.parametrize("roll", [90.0, 180.0])
+def test_a_soryu_is_righted_from_its_side_and_its_back(roll):
+    course = Course("Soryu", at=(0.0, 0.0, 0.1), turn=(math.radians(roll), 0.0, 0.0))
+    assert upright(course.run(0.5))[-1] < 0.1
+    assert upright(course.tell(flip_until=3.6).run(3.0))[-1] > 0.99
+
+
+def test_a_passarola_loses_its_drift_to_the_side():
+    """After a turn at speed it went on sideways, by 0.30 m/s 12 s after it was told to stop."""
+    course = Course("Passarola", at=(0.0, 0.0, 6.0)).tell(ThrustPropeller=2.0, TailPropeller=0.6)
+    course.run(12.0)
+    path = course.tell(ThrustPropeller=0.0, TailPropeller=0.0).run(12.0)
+    assert np.linalg.norm(path[0, 7:9]) > 0.5
+    assert np.linalg.norm(path[-1, 7:9]) < 0.05
