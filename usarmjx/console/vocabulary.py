@@ -18,7 +18,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *("WheelNumber", "WheelSpeed", "WheelSteer"),
     ),
     "MULTIDRIVE": (),
-    "MISPKG": ("Name", "Link", "Value", "Order"),
+    "MISPKG": ("Name", "Link", "Value", "Order", "Rotation"),
     "SET": ("Type", "Name", "Opcode", "Params", "FOV", "Robot", "Client", "Config", *VIEWPORTS),
     "TRACE": ("On", "Interval", "Color"),
     "GETGEO": ("Type", "Name"),

@@ -252,7 +252,7 @@ def test_silent_strangers_are_dropped_and_robots_may_be_silent(world):
 
 
 def test_a_robot_that_does_not_take_the_call_fails_the_opening(radio, control):
-    with client().Door(True) as door:
+    with client().RadioDoor(True) as door:
         control.order(f"LISTEN Base1 {door.port}")
     with pytest.raises(client().RadioError, match="Could not establish connection"):
         control.order(f"OPEN Base0 1 Base1 {door.port}")
@@ -285,7 +285,7 @@ def test_another_address_is_dialled_only_if_allowed(world):
                     control.order("REGISTER Base1 127.0.0.2")
                 continue
             control.order("REGISTER Base1 127.0.0.2")
-            door = radio.keep(client().Door(True, host="127.0.0.2"))
+            door = radio.keep(client().RadioDoor(True, host="127.0.0.2"))
             control.listen_again("Base1", door)
             near = radio.keep(control.connect("Base0", "Base1", door.port))
             near.send(b"hello")

@@ -8,6 +8,7 @@ import dataclasses
 import hashlib
 import math
 import re
+import socket
 import struct
 import threading
 import time
@@ -292,7 +293,7 @@ def test_a_closed_number_opens_by_itself(radio):
 
     def answers():
         try:
-            client().socket.create_connection(("127.0.0.1", number), 60.0).close()
+            socket.create_connection(("127.0.0.1", number), 60.0).close()
         except ConnectionRefusedError:
             return False
         return True
@@ -343,7 +344,7 @@ def test_who_leaves_dialect_b_frees_his_name_and_numbers(radio):
     other.close()
     assert near.receive(60.0) == far.receive(60.0) == b""
     with pytest.raises(ConnectionRefusedError):
-        client().socket.create_connection(("127.0.0.1", number), 60.0)
+        socket.create_connection(("127.0.0.1", number), 60.0)
     radio.pipe_b(radio.control_b("Base2"), base, "Base")
 
 
