@@ -35,6 +35,7 @@ SENSOR_TYPES = (
     *("Sonar", "IR", "RangeScanner", "IRScanner", "RangeScanner3D"),
     *("Odometry", "INS", "Encoder", "GroundTruth", "GPS"),
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
+    *("IMU", "Magnetometer", "Battery", "Lidar"),
 )
 """Types of sensors: some of them say nothing until there is something to say."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")

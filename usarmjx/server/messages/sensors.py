@@ -130,18 +130,20 @@ _SCANNER_FIELDS = (
     ("Paning", "yaw"),
     ("Tilting", "pitch"),
 )
+_SCANNER_3D_FIELDS = (
+    ("MaxRange", "max_range"),
+    ("MinRange", "min_range"),
+    ("Resolution", "resolution"),
+    ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
+)
 # CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
 CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
     "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
     "RangeScanner": _SCANNER_FIELDS,
     "IRScanner": _SCANNER_FIELDS,
-    "RangeScanner3D": (
-        ("MaxRange", "max_range"),
-        ("MinRange", "min_range"),
-        ("Resolution", "resolution"),
-        ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
-    ),
+    "RangeScanner3D": _SCANNER_3D_FIELDS,
+    "Lidar": _SCANNER_3D_FIELDS,
     "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
     "GPS": (("ScanInterval", "scan_interval"),),
     "INS": (("ScanInterval", "scan_interval"),),
