@@ -69,10 +69,15 @@ def heading(quat):
 
 
 @pytest.fixture(scope="module")
-def played():
+def world():
     world = DynamicWorld(COURSE, Physics(), 1, max_robots=4)
     for name in ("P2AT", "P2DX"):
         world.prepare(ROBOTS.get(name))
+    return world
+
+
+@pytest.fixture(scope="module")
+def played(world):
     return {name: Played(House(world), name) for name in NAMES}
 
 
@@ -295,3 +300,35 @@ def test_player_reads_the_true_pose(played):
     yaw = float(player_value(line, "Orientation").split(",")[2])
     assert (x, -y) == pytest.approx(player.poses[-1][:2], abs=0.006)
     assert math.remainder(-yaw - player.poses[-1][3], math.tau) == pytest.approx(0.0, abs=0.006)
+
+
+def test_two_simulation_devices_of_player_are_two_robots(world):
+    """Each has its own connection; what the drivers of one say moves that one alone."""
+    house, said = House(world), [step.say for step in read_transcript("player").steps if step.say]
+    one, other = (
+        house.connect(said[0].replace("robot1", name).replace("-4.0", f"{y}.0"))
+        for name, y in (("robot1", -4), ("robot2", -6))
+    )
+    house.run(10)
+    places = [world.state(client.robot).pos.copy() for client in (one, other)]
+    house.say(one, next(line for line in said if line.startswith("DRIVE")))
+    house.run(50)
+    ways = [np.linalg.norm(world.state(c.robot).pos - at) for c, at in zip((one, other), places, strict=True)]
+    assert ways == pytest.approx([0.26, 0.0], abs=0.05)
+    for client in (one, other):
+        assert player_value(next(line for line in heard(client) if "{Type Odometry}" in line), "Pose")
+        house.leave(client)
+
+
+def test_pyro_drives_a_p2at_as_well(world):
+    house, transcript = House(world), read_transcript("pyro")
+    client = house.connect()
+    for step in transcript.steps:
+        lines = (
+            house.say(client, step.say.replace("P2DX", "P2AT").encode() + transcript.ends) if step.say else []
+        )
+        house.run(round(step.wait / world.period))
+        assert all(pyro_segments(line) for line in lines + heard(client))
+    assert client.robot.spec.name == "P2AT"
+    assert world.state(client.robot).pos[0] > 0.15
+    house.leave(client)
