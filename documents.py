@@ -65,43 +65,6 @@ def source_page(path: str) -> str:
     return f"{settings}\n# {path}\n\n````{language}\n{body}\n````\n"
 
 
-def commands_page() -> str:
-    """Return every command of usarmjx with its options, as `--help` has them."""
-    import typer.main
-
-    from usarmjx.cli.app import app
-
-    lines = ["\n## Every option\n"]
-
-    def tell(command: Any, words: str) -> None:  # noqa: ANN401 - of typer's own copy of click
-        if hasattr(command, "commands"):
-            for name, child in command.commands.items():
-                tell(child, f"{words} {name}")
-            return
-        lines.append(f"### {words}\n\n{plain(command.help or '')}\n")
-        rows = [option_row(option) for option in command.params if not getattr(option, "hidden", False)]
-        lines.append("\n".join(["| option | what | without it |", "|---|---|---|", *rows]) + "\n")
-
-    tell(typer.main.get_command(app), "usarmjx")
-    return "\n".join(lines)
-
-
-def option_row(option: Any) -> str:  # noqa: ANN401 - of typer's own copy of click
-    """Return the line of an option or argument in the table of its command."""
-    names = (
-        [*option.opts, *option.secondary_opts] if option.opts[0].startswith("-") else [option.name.upper()]
-    )
-    told = ", ".join(f"`{name}`" for name in names)
-    default = option.default
-    usual = "must be given" if option.required else "" if default in (None, False, ()) else f"`{default}`"
-    return f"| {told} | {plain(getattr(option, 'help', None) or '')} | {usual} |"
-
-
-def plain(text: str) -> str:
-    """Return help as a cell of a table or a paragraph can carry it."""
-    return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
-
-
 def on_config(config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
     """Put pages of which the list of pages does not know to the others that tell how."""
     named = set(re.findall(r"[\w-]+\.md", json.dumps(config.nav)))
@@ -129,9 +92,7 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:  # noqa: ANN401 - MkDocs' own
-    """Turn links out of docs into links to the pages of these files; tell all options of all commands."""
-    if page.file.src_uri == "commands.md":
-        markdown += commands_page()
+    """Turn links out of docs into links to the pages of these files."""
     if page.file.generated_by:
         return markdown
     return with_links_of_site(markdown, f"docs/{page.file.src_uri}")

@@ -42,7 +42,7 @@ def room(tmp_path: Path) -> Path:
 
 
 def test_list_is_the_table_of_the_docs():
-    """After a change: `usarmjx arena list --markdown` into docs/arenas.md, `usarmjx arena gallery --out docs`."""
+    """After a change: its output with --markdown into docs/arenas.md, `usarmjx arena gallery --out docs`."""
     result = invoke("list", "--markdown")
     assert result.exit_code == 0
     for name, arena in ARENAS:

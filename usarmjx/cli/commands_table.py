@@ -17,7 +17,8 @@ def commands_page(app: typer.Typer) -> str:
     """Return a table of options for each command, as Markdown."""
     parts = [HEAD]
     for path, command in commands_of(app):
-        rows = [f"| {names} | {what} | {default} |" for names, what, default in options_of(command)]
+        cells = [(names, _plain(what), default) for names, what, default in options_of(command)]
+        rows = [f"| {names} | {what} | {default} |" for names, what, default in cells]
         about = _first_paragraph(command.help or "")
         table = ["", "| option | what | unless given |", "|---|---|---|", *rows] if rows else []
         parts.append("\n".join([f"### usarmjx {path}", "", about, *table, ""]))
@@ -63,9 +64,14 @@ def options_of(command: Any) -> list[tuple[str, str, str]]:  # noqa: ANN401 - cl
             names = (one.metavar or one.name.upper()) + ("..." if one.nargs < 0 else "")
         else:
             names = ", ".join([*one.opts, *one.secondary_opts])
-        what = " ".join((one.help or "").split()).replace("|", "/")
+        what = " ".join((one.help or "").split())
         rows.append((f"`{names}`", what, _default(one)))
     return rows
+
+
+def _plain(text: str) -> str:
+    """Return a text as a cell of a Markdown table."""
+    return text.replace("|", "/").replace("<", "&lt;")
 
 
 def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own copy

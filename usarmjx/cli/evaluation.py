@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from usarmjx.base.files import write_beside
+from usarmjx.base.progress import Seldom
 from usarmjx.cli.grouping import grouped
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.waiting import announce, say
 
 
 @grouped
@@ -35,7 +36,8 @@ def evaluate_policy(
 
         found, many = driver.source(), min(worlds, episodes)
         env, policy = driver.env(found, many, engine)
-        result = evaluate_episodes(env, policy, episodes, range(driver.seed, driver.seed + seeds), level)
+        numbers = range(driver.seed, driver.seed + seeds)
+        result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
         score, count = result.score, sum(len(run.scores) for run in result.episodes)
         bad = sum(run.bad for run in result.episodes)
         over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"

@@ -10,10 +10,14 @@ from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.files import disk_fault
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+"""Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""
+
 
 class ErrorExit:
-    """Turns our own exceptions, and a disk's, into one line and exit code 2; anything else is a bug.
+    """Turns our own exceptions, and a disk's, into one line and an exit code; anything else is a bug.
 
+    The code is `BAD_INPUT` where the caller can do something about it, else `FAILED`.
     A disk is met here where what a command shows goes to a file.
     """
 
@@ -29,7 +33,7 @@ class ErrorExit:
             return False
         with suppress(OSError):  # the error stream may go to the same disk
             typer.echo(f"usarmjx: {text}", err=True)
-        raise typer.Exit(2)
+        raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
 
 
 OutOption = Annotated[Path | None, typer.Option("--out", help="File to write; needed.", show_default=False)]

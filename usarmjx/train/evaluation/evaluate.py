@@ -1,6 +1,6 @@
 """How good a policy is: the scores of whole episodes, their mean and how sure that is."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -79,7 +79,12 @@ def interval(values: np.ndarray) -> Interval:
 
 
 def run_episodes(
-    env: Env, policy: Policy, episodes: int, seed: int = 0, level: float | None = None
+    env: Env,
+    policy: Policy,
+    episodes: int,
+    seed: int = 0,
+    level: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Episodes:
     """Return whole episodes of a policy: as many of each world, so that short ones do not count more often.
 
@@ -89,6 +94,7 @@ def run_episodes(
         episodes: How many at least: rounded up to a multiple of the worlds.
         seed: Of the environment and of the policy's random numbers.
         level: How difficult generated arenas are at most, from 0 to 1; None: any.
+        tell: Is told after each step how far it is.
 
     Raises:
         UsageError: No episodes asked for.
@@ -105,6 +111,7 @@ def run_episodes(
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state = env.step(state, actions)
         step, length = step + 1, length + 1
+        tell(f"seed {seed}: {np.minimum(ended, each).sum()} of {each * env.worlds} episodes, step {step}")
         done = np.asarray(state.done)
         if not done.any():
             continue
@@ -120,7 +127,12 @@ def run_episodes(
 
 
 def evaluate_episodes(
-    env: Env, policy: Policy, episodes: int = 100, seeds: Sequence[int] = (0,), level: float | None = None
+    env: Env,
+    policy: Policy,
+    episodes: int = 100,
+    seeds: Sequence[int] = (0,),
+    level: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Evaluation:
     """Return what a policy scores in so many episodes of each seed; see `run_episodes`.
 
@@ -129,7 +141,7 @@ def evaluate_episodes(
     """
     if not seeds:
         raise UsageError("an evaluation needs at least one seed")
-    runs = tuple(run_episodes(env, policy, episodes, seed, level) for seed in seeds)
+    runs = tuple(run_episodes(env, policy, episodes, seed, level, tell) for seed in seeds)
     rows = tuple(interval(run.scores) for run in runs)
     score = rows[0] if len(rows) == 1 else interval(np.array([row.mean for row in rows]))
     return Evaluation(score=score, episodes=runs, seed_scores=rows)

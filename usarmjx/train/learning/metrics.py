@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.files import AppendedFile, write_beside
+from usarmjx.base.progress import Seldom
 
 PER_EPISODE = ("return", "score", "length")
 
@@ -64,7 +65,7 @@ class Log:
         folder: Of the run.
         iterations: In all.
         after: Iterations that are behind already; what was written of later ones is dropped.
-        bar: Show a bar in the terminal.
+        bar: Show a bar in the terminal; where there is none, a line now and then.
         console: Where; None: the standard error stream.
 
     Raises:
@@ -91,6 +92,9 @@ class Log:
             console=console or Console(stderr=True),
             disable=not bar,
         )
+        # A file or a pipe gets a line now and then in its place.
+        shown = bar and not self._bar.console.is_terminal
+        self._far, self._total = Seldom(self.say) if shown else None, iterations
         self._task: TaskID = self._bar.add_task("compiling", total=iterations, completed=after)
 
     def __enter__(self) -> "Log":
@@ -122,6 +126,8 @@ class Log:
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
         with suppress(OSError):
             self._bar.update(self._task, completed=iteration, description=text.format(**shown))
+        if self._far is not None:
+            self._far(f"{iteration}/{self._total} iterations  {text.format(**shown)}")
 
     def _try(self, file: AppendedFile, write: Callable[[], None]) -> None:
         try:
