@@ -151,7 +151,7 @@ def packaged_policies(room: Room) -> None:
 
 def names_what_is_missing(room: Room) -> None:
     """What needs an extra says so in its last line."""
-    said = room.run("usarmjx", "train", "--task", "drive-to-goal", "--out", "run", "--worlds", "2", status=2)
+    said = room.run("usarmjx", "train", "--task", "drive-to-goal", "--out", "run", "--worlds", "4", status=2)
     expect(said.strip().endswith('pip install "usarmjx[train]"'), f"train says:\n{said}")
 
 

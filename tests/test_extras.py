@@ -65,6 +65,13 @@ print(json.dumps(told))
 """
 
 
+def test_training_names_the_extra_before_it_builds_anything():
+    """Of what it needs, optax and orbax are there all the same, as flax brings them."""
+    code = WITHOUT % (ALL - {"optax", "orbax"}) + "import usarmjx.train.learning.trainer"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.endswith('this needs brax: pip install "usarmjx[train]"\n')
+
+
 def test_the_base_installation_runs_packaged_policies_and_names_the_extra_for_the_rest(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT % ALL + USE], capture_output=True, text=True, cwd=tmp_path

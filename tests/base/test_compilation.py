@@ -2,17 +2,21 @@
 
 import os
 import warnings
+from importlib import metadata
 
 import pytest
 
 from usarmjx.base.compilation import (
     JAX_FOLDER,
     MIN_COMPILE_TIME,
+    OLDER_EMITTERS,
+    QUICKLY,
     VARIABLE,
     WARP_FOLDER,
     keep_compilations,
     processor,
     prune,
+    quick_flags,
     tell_once_of_broken_entries,
 )
 
@@ -100,3 +104,10 @@ def test_of_broken_entries_one_line_is_said_and_they_go(complaints, tmp_path):
     assert good.exists()
     warnings.showwarning("something else", None)
     assert complaints[1:] == ["something else"]
+
+
+def test_quick_compilation_asks_only_for_flags_that_jaxlib_knows():
+    """XLA ends the process over another one: of 0.11.2 with the older emitters `play` did not start."""
+    assert quick_flags("0.10.2") == [QUICKLY, OLDER_EMITTERS]
+    assert [quick_flags(version) for version in ("0.11.0", "0.11.2", "0.12.0.1", "1.0")] == [[QUICKLY]] * 4
+    assert quick_flags() == quick_flags(metadata.version("jaxlib"))

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, MutableMapping
+from importlib import metadata
 from pathlib import Path
 
 VARIABLE = "USARMJX_CACHE"
@@ -23,8 +24,10 @@ MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 MAX_SIZE = 2_000_000_000
 """At a start what was not used for longest goes until the cache is no larger than this [bytes]. JAX can see
 to that, too; but then a process that is killed while it writes leaves a cache that is never written again."""
-QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+QUICKLY, OLDER_EMITTERS = "--xla_backend_optimization_level=0", "--xla_cpu_use_fusion_emitters=false"
 """Flags with which XLA compiles what a task observes in a quarter of the time."""
+WITHOUT_OLDER_EMITTERS = (0, 11)
+"""From this version on jaxlib has no such flag, and XLA ends a process over a flag that it does not know."""
 JAX_COMPLAINT = re.compile(r"persistent compilation cache entry for '([^']+)'")
 
 
@@ -65,9 +68,16 @@ def keep_compilations(environment: MutableMapping[str, str] = os.environ, most: 
     return None
 
 
+def quick_flags(version: str | None = None) -> list[str]:
+    """Return the flags of quick compilation that a version of jaxlib has; None: the one that is installed."""
+    numbers = (version or metadata.version("jaxlib")).split(".")
+    older = (int(numbers[0]), int(numbers[1])) < WITHOUT_OLDER_EMITTERS
+    return [QUICKLY, OLDER_EMITTERS] if older else [QUICKLY]
+
+
 def compile_quickly(environment: MutableMapping[str, str] = os.environ) -> None:
     """Have XLA compile without optimisation: for what runs once. Call it before JAX is imported."""
-    environment.setdefault("XLA_FLAGS", QUICKLY)
+    environment.setdefault("XLA_FLAGS", " ".join(quick_flags()))
 
 
 def processor() -> str:

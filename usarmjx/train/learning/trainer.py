@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import jax
 from jax.sharding import PartitionSpec
 
 from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
@@ -34,6 +36,10 @@ from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.processes.launch import check_parent
 from usarmjx.train.processes.lock import run_lock
+
+with extra("train"):  # said before anything is built, although it is needed only later
+    import_module("brax")
+    import_module("tensorboardX")
 
 EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
