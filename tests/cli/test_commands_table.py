@@ -36,7 +36,7 @@ def test_options_are_told_with_what_they_are_unless_given():
     assert rows["`--view, --no-view`"][1] == "`--view`"
     assert rows["`--log-json`"] == ("Log a JSON object per line.", "")
     checked = {names: default for names, _, default in options_of(dict(commands_of(app))["arena check"])}
-    assert checked["`ARENA`"] == "needed"
+    assert checked["ARENA"] == "needed"
 
 
 def test_programs_get_it_as_json():

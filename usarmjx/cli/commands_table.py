@@ -61,11 +61,11 @@ def options_of(command: Any) -> list[tuple[str, str, str]]:  # noqa: ANN401 - cl
         if getattr(one, "hidden", False) or one.name == "help":
             continue
         if one.param_type_name == "argument":
-            names = (one.metavar or one.name.upper()) + ("..." if one.nargs < 0 else "")
+            names = (one.metavar or one.name.upper()).strip("[].") + (" ..." if one.nargs < 0 else "")
         else:
-            names = ", ".join([*one.opts, *one.secondary_opts])
+            names = f"`{', '.join([*one.opts, *one.secondary_opts])}`"
         what = " ".join((one.help or "").split())
-        rows.append((f"`{names}`", what, _default(one)))
+        rows.append((names, what, _default(one)))
     return rows
 
 
