@@ -18,7 +18,7 @@ from usarmjx.models.build.body_plan import KinematicTree
 from usarmjx.models.build.parts import joint_names, parts_of
 from usarmjx.models.build.servos import actuated_servos
 from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.spec.robot import STALL_SPEED, RobotSpec
 from usarmjx.sim.torque import Joints, torque_inputs
 
 FLIP_TIME = 3.0
@@ -328,6 +328,9 @@ def _servo(
     q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
     speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
     stands = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
+    if servos.stall_limit.any():
+        slow = xp.clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
+        windup_limit = windup_limit + slow * servos.stall_limit
     if servos.has_brake.any():
         windup_limit = xp.where(stands, servos.brake_limit, windup_limit)
     if conditions.torque is not None:
@@ -344,6 +347,11 @@ def _servo(
     wanted = xp.where(mode == ControlMode.POSITION, (target - aim) / period, target)
     rate = xp.clip(wanted, -speed, speed)
     ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
+    if servos.stall_limit.any():
+        # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
+        lag, ahead = windup_limit + (aim - even), windup_limit - (aim - even)
+        bounded = xp.clip(ctrl, v - lag / period, v + ahead / period)
+        ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
     if servos.has_brake.any():
         # As long as that cannot turn it back within the step, a brake exerts exactly what it can.
         slips = stands & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)

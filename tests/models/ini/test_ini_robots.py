@@ -691,5 +691,5 @@ def test_a_car_made_of_pairs_stands_on_its_springs_and_steers_as_a_bicycle_does(
 def test_motors_of_known_tires_are_those_of_their_robot(load):
     robot = named(load(ROVER.replace(SIZE, "PartClass=class'USARBot.P2DXTire',Torque=1.0")), "Rover")
     (stock,) = motors(P2DX, "LeftFWheel")
-    assert motors(robot, "LeftFWheel") == [replace(stock, torque=1.0)]
+    assert motors(robot, "LeftFWheel") == [replace(stock, torque=1.0, stall_torque=None)]
     assert isinstance(stock, Motor)

@@ -27,6 +27,7 @@ class Servos:
             stalled wheel would have to unwind first, and a braked one would roll back.
         brake_limit: The same for a joint that is told to stand still.
         has_brake: Whether that is another torque than it moves by.
+        stall_limit: How much more of it there is at standstill.
     """
 
     speed: np.ndarray
@@ -40,6 +41,7 @@ class Servos:
     windup_limit: np.ndarray
     brake_limit: np.ndarray
     has_brake: np.ndarray
+    stall_limit: np.ndarray
 
 
 @cache
@@ -64,6 +66,7 @@ def servos_of(robot: RobotSpec) -> Servos:
         lead=row([m.damping / m.stiffness for m in motors]),
         windup_limit=row([m.torque / m.stiffness for m in motors]),
         brake_limit=row([(m.torque if m.brake is None else m.brake) / m.stiffness for m in motors]),
+        stall_limit=row([((m.stall_torque or m.torque) - m.torque) / m.stiffness for m in motors]),
         has_brake=np.array([m.brake is not None for m in motors], bool),
     )
 

@@ -224,7 +224,10 @@ def _motors(
         motor = part.motor
         if motor is None:
             return part
-        motor = replace(motor, torque=motor.torque * torque, max_speed=motor.max_speed * speed)
+        stall = motor.stall_torque and motor.stall_torque * torque
+        motor = replace(
+            motor, torque=motor.torque * torque, max_speed=motor.max_speed * speed, stall_torque=stall
+        )
         return replace(part, motor=motor)
 
     return _each_part(robot, pick, changed)

@@ -58,6 +58,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
         max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
         torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
         brake=pair.brake,
+        stall_torque=motor.stall_torque if struct.get("Torque") is None else None,
     )
     upright = steering_axis(pair)
     spring = Spring(

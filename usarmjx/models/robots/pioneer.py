@@ -129,9 +129,9 @@ P2DX_WHEEL = 0.0825  # manual 12.3.1: diameter 16.5 cm
 P2DX_TRACK = 0.38 - 0.037  # chosen: manual's width less a wheel's width
 P2DX_SCANNER = (0.05, 0.0, -0.11)  # chosen: on the deck
 P2DX_CASTER = 0.0375  # chosen radius
-# Chosen: more torque than the 1.9 N m with which a wheel begins to climb an edge of 2 cm; inertia that makes
-# of it 2 m/s2 on the flat, so that neither a start nor a stop lifts the caster.
-P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=3.0, armature=0.09)
+# Chosen: what neither a start nor a stop lifts the caster by; at standstill more than the 1.9 N m with which
+# a wheel begins to climb an edge of 2 cm.
+P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03, stall_torque=3.0)
 
 P2DX = RobotSpec(
     name="P2DX",

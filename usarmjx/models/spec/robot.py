@@ -33,6 +33,10 @@ def options(**keys: object) -> Options:
     return tuple(keys.items())
 
 
+STALL_SPEED = 2.0
+"""Speed up to which a motor with a stall torque has more than its torque [rad/s or m/s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Motor:
     """A joint's servo: MuJoCo's integrated-velocity actuator, which holds at zero speed.
@@ -44,6 +48,8 @@ class Motor:
         damping: Gain on its velocity [N m s/rad or N s/m].
         armature: Inertia of the motor seen at the joint [kg m2 or kg].
         brake: Most it can exert to stand still, told the speed 0; None: its torque [N m or N].
+        stall_torque: Most it can exert at standstill, falling to its torque at `STALL_SPEED`; None: no
+            more than that [N m or N].
     """
 
     max_speed: float
@@ -52,11 +58,12 @@ class Motor:
     damping: float = 5.0
     armature: float = 0.1
     brake: float | None = None
+    stall_torque: float | None = None
 
     @property
     def strongest(self) -> float:
         """The most it can exert, moving or standing still [N m or N]."""
-        return max(self.torque, self.brake or 0.0)
+        return max(self.torque, self.brake or 0.0, self.stall_torque or 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -114,7 +114,7 @@ class Tyre:
         return math.sqrt(min(self.roll_slip, grown) * min(self.lateral_slip, grown))
 
     def on(self, surface: Surface) -> Surface:
-        """Return how a surface touches that stands for the stock figures; a tyre also decides for the ground."""
+        """Return how a surface touches that is a stock tyre's; a tyre also decides for the ground."""
         stock = Tyre(speed=self.speed)
         grip = math.sqrt(self.roll_friction * self.lateral_friction) / stock.roll_friction
         slip = min(max(self.slip / stock.slip, 1 / MOST_SLIP), MOST_SLIP)
