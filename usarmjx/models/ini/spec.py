@@ -8,6 +8,7 @@ from usarmjx.base.errors import SpecError, UsageError, one_line
 from usarmjx.base.registry import Registry
 from usarmjx.models.build.measure import with_measurements
 from usarmjx.models.build.parts import parts_of
+from usarmjx.models.drives import SkidSteer
 from usarmjx.models.ini.classes import ItemClasses
 from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini.figures import apply_figures
@@ -120,6 +121,8 @@ def _changed_robot(
         return change_wheels(base, roles)
     parts = build_parts(pairs, base.mass, sources.robots)
     parts, drive = drive_of(pairs, parts, roles, sources.warnings)
+    if isinstance(drive, SkidSteer) and isinstance(base.drive, SkidSteer):  # its controller stays
+        drive = replace(drive, max_turn=base.drive.max_turn, lever=base.drive.lever)
     return replace(base, parts=parts, drive=drive, reported_joints=())
 
 
