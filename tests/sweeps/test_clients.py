@@ -30,6 +30,7 @@ def client_cell(command, **more):
     return resolve(cell)
 
 
+@pytest.mark.slow
 def test_a_client_drives_and_its_episodes_are_scored(tmp_path):
     file = tmp_path / "client.py"
     file.write_text(CLIENT)

@@ -44,7 +44,7 @@ def test_cells_that_differ_in_data_are_played_with_one_compilation(whole):
     assert said == ["12 cells in 6 batches of 2, 1 compilation: the cells differ in data only"]
     assert [record.failed for record in found.records] == [None] * 12
     ways = [record.metrics["distance"] for record in found.records]
-    assert len(set(ways)) == 12, "walls, seeds and friction all matter"
+    assert len(set(ways)) >= 10, "seeds and weights matter, and the walls to who meets one"
     record = found.records[0]
     assert record.versions["mujoco"]
     assert (record.settings["seed"], record.engine) == (0, "c")
@@ -59,8 +59,8 @@ def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     assert alone.steps.tolist() == list(record.steps)
 
 
-def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, tmp_path):
-    file, folder = write(tmp_path), tmp_path / "out"
+def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):
+    file, folder = write(tmp_path, list=rows), tmp_path / "out"
     command = [sys.executable, "-m", "usarmjx", "sweep", str(file), "--out", str(folder), "--quiet"]
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
@@ -78,24 +78,19 @@ def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, tmp_path):
     assert {name: after[name] for name in before} == before, "what was there is not played again"
 
 
-def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nobody(whole, tmp_path):
+def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nobody(whole, rows, tmp_path):
     folder = tmp_path / "out"
     (folder / CELLS).mkdir(parents=True)
     for kept in (whole[0] / CELLS).glob("*.json"):
         os.link(kept, folder / CELLS / kept.name)
     before = times(folder)
     (tmp_path / "broken.py").write_text(BROKEN)
-    policies = [
-        f"{tmp_path}/broken.py:raises",
-        f"{tmp_path}/broken.py:none",
-        "lost.npz",
-        "shipped",
-        "by-hand",
-    ]
-    rows = [{"policy": policy, "seed": 7} for policy in policies]
-    rows += [{"policy": "by-hand", "seed": seed} for seed in (1, 2)]
+    own = [f"{tmp_path}/broken.py:{name}" for name in ("raises", "none")]
+    policies = [*own, "lost.npz", "shipped", rows[1]["policy"]]
+    cells = [{"policy": policy, "seed": 7} for policy in policies]
+    cells += [{"policy": rows[1]["policy"], "seed": seed} for seed in (1, 2)]
     product = {"arena.level": [0.9], "vary.friction": [1.0]}
-    file, said = write(tmp_path, list=rows, product=product), []
+    file, said = write(tmp_path, list=cells, product=product), []
     found = run_sweep(load_spec(file), folder, say=said.append)
     assert said[0] == "2 of 7 cells are there already"
     assert {name: at for name, at in times(folder).items() if name in before} == before
@@ -110,18 +105,19 @@ def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nob
     run_sweep(load_spec(file), folder)
     assert times(folder) == there, "what has failed is not tried again"
     (tmp_path / "broken.py").write_text(BROKEN.replace("no good today", "no good either"))
-    again = run_sweep(load_spec(write(tmp_path, list=rows[:1], product=product)), folder)
+    again = run_sweep(load_spec(write(tmp_path, list=cells[:1], product=product)), folder)
     assert "no good either" in again.records[0].failed, "another file is another policy"
 
 
-def test_in_python_a_sweep_is_a_table(whole, monkeypatch):
-    table = usarmjx.sweep(SMALL, whole[0])
+def test_in_python_a_sweep_is_a_table(whole, rows, monkeypatch):
+    small = {**SMALL, "list": rows}
+    table = usarmjx.sweep(small, whole[0])
     assert len(table) == 12
     np.testing.assert_array_equal(table["good"], 2)
     assert set(table["arena.level"]) == {0.1, 0.9}
     monkeypatch.setitem(sys.modules, "pandas", None)
-    rows = usarmjx.sweep(SMALL, whole[0])
-    assert rows[3]["metric.distance"] == table["metric.distance"][3]
+    plain = usarmjx.sweep(small, whole[0])
+    assert plain[3]["metric.distance"] == table["metric.distance"][3]
 
 
 def test_a_folder_without_a_sweep_is_named(tmp_path):

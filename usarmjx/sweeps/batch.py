@@ -130,7 +130,7 @@ class GroupRunner:
             return self._policy(weights).act(carry, obs, key)
 
         carry, actions = jax.vmap(of_cell)(weights, carry, apart, keys)
-        return carry, jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), actions)
+        return carry, jax.tree.map(lambda one: one.reshape(self.env.worlds, *one.shape[2:]), actions)
 
     # Worlds.
 
@@ -177,7 +177,8 @@ class GroupRunner:
             done = np.asarray(state.done)
             if not done.any():
                 continue
-            flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), (begin, carry))
+            # Not -1: a policy without memory has a carry of no numbers.
+            flat = jax.tree.map(lambda one: one.reshape(env.worlds, *one.shape[2:]), (begin, carry))
             fresh = jax.tree.map(partial(select_worlds, state.done), *flat)
             carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
             now = done & ~over
