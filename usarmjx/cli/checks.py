@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import usarmjx
 from usarmjx.base import threads
 from usarmjx.base.compilation import VARIABLE, cache_folder, keep_compilations
 from usarmjx.base.errors import UsarmjxError, one_line
@@ -81,7 +82,7 @@ def check_versions() -> Iterator[Finding]:
         yield Finding("python", "ok", f"Python {python} on {platform.system()} {platform.machine()}")
     found = {name: version_of(name) for name in SHOWN}
     shown = ", ".join(f"{name} {version}" for name, version in found.items() if version)
-    yield Finding("packages", "ok", f"usarmjx {version_of('usarmjx') or '(not installed)'}, {shown}")
+    yield Finding("packages", "ok", f"usarmjx {usarmjx.__version__}, {shown}")
     needed, extras = requirements()
     missing = [name for name in needed if version_of(name) is None]
     if missing:
