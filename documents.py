@@ -14,6 +14,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 FENCE = re.compile(r"(^```.*?^```)", re.MULTILINE | re.DOTALL)
+NAMED = re.compile(r"^```(\w+) (\S+)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)")
 PAGES = {
     "CHANGELOG.md": "changes.md",
@@ -38,8 +39,8 @@ def targets(text: str, path: str) -> set[str]:
     return {posixpath.normpath(posixpath.join(folder, link)) for link in found if not re.match(r"\w+:", link)}
 
 
-def with_links_of_site(text: str, path: str) -> str:
-    """Return a document at this path of the repository with its links as the site has them."""
+def as_on_site(text: str, path: str) -> str:
+    """Return a document at this path of the repository with links and names of files as the site has them."""
     here = posixpath.dirname(place_on_site(path)) or "."
 
     def moved(match: re.Match[str]) -> str:
@@ -50,6 +51,7 @@ def with_links_of_site(text: str, path: str) -> str:
 
     parts = FENCE.split(text)
     parts[::2] = [LINK.sub(moved, part) for part in parts[::2]]
+    parts[1::2] = [NAMED.sub(r'```\1 title="\2"', part, count=1) for part in parts[1::2]]
     return "".join(parts)
 
 
@@ -83,7 +85,7 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
     for path in waiting:
         text = (ROOT / path).read_text(encoding="utf-8")
         if path in PAGES:
-            files.append(File.generated(config, PAGES[path], content=with_links_of_site(text, path)))
+            files.append(File.generated(config, PAGES[path], content=as_on_site(text, path)))
         for target in sorted(targets(text, path) - seen):
             if not target.startswith("docs/") and target not in PAGES:
                 seen.add(target)
@@ -95,7 +97,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str: 
     """Turn links out of docs into links to the pages of these files."""
     if page.file.generated_by:
         return markdown
-    return with_links_of_site(markdown, f"docs/{page.file.src_uri}")
+    return as_on_site(markdown, f"docs/{page.file.src_uri}")
 
 
 # Notebooks: a tutorial is a page whose blocks the tests execute, and the same as a notebook beside it.

@@ -90,6 +90,13 @@ def test_what_asks_another_host_is_found():
     assert len(foreign(page)) == 3
 
 
+def test_no_block_of_code_is_left_as_text(site: Path):
+    """A fence that Markdown does not understand shows its backticks."""
+    pages = {page.name: page.read_text("utf-8") for page in site.glob("*.html")}
+    assert [name for name, text in pages.items() if "```" in text] == []
+    assert '<span class="filename">drive.py</span>' in pages["start.html"]
+
+
 def test_links_inside_the_site_lead_somewhere(site: Path):
     """Also those that lead out of docs on a forge; MkDocs looks at anchors itself."""
     broken = {}
@@ -138,10 +145,11 @@ def test_search_works_without_a_server(site: Path):
         ("CONTRIBUTING.md", "[x](docs/robots.md)", "[x](robots.md)"),
         ("benchmarks/README.md", "[x](../docs/training.md#results)", "[x](training.md#results)"),
         ("docs/a.md", "```text\n[x](../dev.py)\n```\n", "```text\n[x](../dev.py)\n```\n"),
+        ("docs/a.md", "```ini a.ini\nx=1\n```\n", '```ini title="a.ini"\nx=1\n```\n'),
     ],
 )
-def test_links_of_a_forge_become_those_of_the_site(path: str, link: str, there: str):
-    assert documents.with_links_of_site(link, path) == there
+def test_pages_of_a_forge_become_those_of_the_site(path: str, link: str, there: str):
+    assert documents.as_on_site(link, path) == there
 
 
 # Notebooks
