@@ -145,7 +145,7 @@ def packaged_policies(room: Room) -> None:
     """They play, are evaluated and exported, without an extra."""
     room.run("usarmjx", "play", "drive-to-goal", "--seconds", "2", "--out", "play.png")
     room.run("usarmjx", "eval", "drive-to-goal", "--episodes", "2", "--engine", "c")
-    room.run("usarmjx", "export", "drive-to-goal", "goal.npz")
+    room.run("usarmjx", "export", "drive-to-goal", "--out", "goal.npz")
     expect((room.folder / "goal.npz").exists(), "no policy was exported")
 
 
@@ -196,7 +196,7 @@ def training(room: Room) -> None:
     small = ("--worlds", "4", "--steps", "2000", "--engine", "c", "--set", "physics=fast")
     room.run("usarmjx", "train", "--task", "drive-to-goal", *small, "--out", "run", "--quiet")
     room.run("usarmjx", "curves", "run", "--out", "curves.png")
-    room.run("usarmjx", "export", "run", "run.npz", "--checkpoint", "last")
+    room.run("usarmjx", "export", "run", "--out", "run.npz", "--checkpoint", "last")
 
 
 def other_libraries(room: Room) -> None:

@@ -11,9 +11,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from usarmjx.base.errors import WriteError
+from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.train import _served
 from usarmjx.cli.waiting import say
 from usarmjx.train.policies.export import NumpyPolicy
 
@@ -126,3 +127,11 @@ def test_several_processes_run_the_same_command(monkeypatch):
     assert result.exit_code == 3
     assert called == [(2, [sys.executable, "-m", "usarmjx", "train", "--processes", "2"])]
     assert "USARMJX_PROCESS" not in os.environ
+
+
+def test_a_system_without_posix_pipes_is_told_how_to_serve_a_run(monkeypatch):
+    with monkeypatch.context() as there:
+        there.setattr(os, "name", "nt")
+        refused = pytest.raises(UsageError, match=r"run `usarmjx play runs/x --serve --follow` beside it")
+        with refused, _served("runs/x", 3000, True):
+            pass

@@ -119,6 +119,10 @@ def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
     if not wanted:
         yield
         return
+    if os.name == "nt":
+        from usarmjx.base.errors import UsageError
+
+        raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
     # The child ends with this process, however that ends: then nobody holds the other end of its pipe.
     theirs, ours = os.pipe()
