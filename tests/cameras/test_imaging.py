@@ -88,7 +88,7 @@ def test_indoors_what_is_dark_is_brightened_and_nothing_is_lost():
 
 
 def test_the_yellow_arena_is_no_longer_dark():
-    """Of what a P2AT sees there that is not the black sky: 92 of 255 on average before, at this start."""
+    """Of what a P2AT sees there that is not the black sky: 94 of 255 on average before, at this start."""
     world = DynamicWorld(ARENAS.get("yellow"))
     start = world.scene.arena.starts[0]
     robot = world.spawn(ROBOTS.get("P2AT"), "R1", start.at, (0.0, 0.0, start.yaw))

@@ -38,7 +38,14 @@ class Annotation(struct.PyTreeNode, kw_only=True):
 
 
 class _Seen(NamedTuple):
-    """What one ray for each pixel meets."""
+    """What one ray for each pixel meets.
+
+    Attributes:
+        view: The rays.
+        met: What they meet.
+        normal: Unit normals there, towards the rays (rays, 3).
+        point: Where that is [m] (rays, 3).
+    """
 
     view: CameraView
     met: Met

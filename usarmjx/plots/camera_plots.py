@@ -1,6 +1,7 @@
 """Plots of what cameras see, for docs/sensors.md."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +22,8 @@ from usarmjx.cameras.paint import (
 )
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.plots.sensor_plots import PLOTS
 from usarmjx.plots.sensor_studies import camera_study
 
@@ -84,6 +87,29 @@ def _omni(figure: Figure) -> None:
     axes.set_axis_off()
 
 
+def _textures(figure: Figure) -> None:
+    seen = camera_study(texture_wall(), (0.0, 0.0), math.pi, "P2AT", 640, 300)
+    axes = figure.add_subplot()
+    axes.imshow(seen.rgb)
+    axes.set_axis_off()
+
+
+def texture_wall() -> ArenaSpec:
+    """Return an arena with a wall behind the origin, in the sun, that shows all textures, four to a row."""
+    names, shapes = (
+        ("brick", "wood", "concrete", "tiles", "chart:1", "hazmat:3", "tag:7", "tag:0"),
+        list[Shape](),
+    )
+    for place, name in enumerate(names):
+        row, column = divmod(place, 4)
+        colour = (0.75, 0.5, 0.35, 1.0) if place < 2 else (0.75, 0.75, 0.75, 1.0)
+        at = (-3.0, 0.81 * (2 * column / 3 - 1), 0.86 - 0.54 * row)
+        like = Shape(kind="box", size=(0.1, 0.25, 0.25), at=at, surface="wall", rgba=colour)
+        shapes.append(replace(like, texture=name))
+    return ArenaSpec(name="DM-Textures", shapes=tuple(shapes), starts=(), extent=((-4.0, 1.0), (-2.0, 2.0)))
+
+
 PLOTS.add("camera", (_camera, (10.5, 4.1)))
 PLOTS.add("stereo", (_stereo, (8.4, 3.4)))
 PLOTS.add("omni", (_omni, (4.6, 4.6)))
+PLOTS.add("textures", (_textures, (6.4, 3.0)))
