@@ -348,16 +348,15 @@ def main(argv: Sequence[str]) -> int:
         "--python", action="append", help="which to try; else those of 3.11 to 3.13 that are found"
     )
     parser.add_argument(
-        "--extra",
+        "--only",
         action="append",
-        choices=EXTRAS,
-        help="which to try; else all, cuda only where nvidia-smi is",
+        choices=("base", *EXTRAS),
+        help="try the base installation, or one with an extra; else all, cuda only where nvidia-smi is",
     )
-    parser.add_argument("--base", action="store_true", help="try no extras")
     options = parser.parse_args(argv)
     pythons = usable(options.python or PYTHONS)
-    usual = [extra for extra in EXTRAS if extra != "cuda" or shutil.which("nvidia-smi")]
-    extras = [] if options.base else options.extra or usual
+    usual = ["base", *(extra for extra in EXTRAS if extra != "cuda" or shutil.which("nvidia-smi"))]
+    wanted = options.only or usual
     account = Account()
     with tempfile.TemporaryDirectory(prefix="usarmjx-try-") as place:
         folder, wheels = Path(place), list[Path]()
@@ -366,10 +365,11 @@ def main(argv: Sequence[str]) -> int:
             account.attempt(
                 "the wheel has all it needs and no more", lambda: expect(not faults, "\n".join(faults))
             )
-            for python in pythons:
+            for python in pythons if "base" in wanted else ():
                 try_room(account, folder, python, wheels[0], "")
-            for extra in extras:
-                try_room(account, folder, pythons[-1], wheels[0], extra)
+            for extra in EXTRAS:
+                if extra in wanted:
+                    try_room(account, folder, pythons[-1], wheels[0], extra)
     print(f"{len(account.failed)} failed{': ' if account.failed else ''}{'; '.join(account.failed)}")
     return int(bool(account.failed))
 

@@ -129,8 +129,8 @@ def test_try_is_a_verb_that_needs_no_environment(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(dev.subprocess, "run", run)
     monkeypatch.setattr(dev.Environment, "ensure", lambda *_: pytest.fail("it wants .venv"))
-    assert dev.main(["try", "--base"]) == 3
-    assert calls == [[sys.executable, "trial.py", "--base"]]
+    assert dev.main(["try", "--only", "base"]) == 3
+    assert calls == [[sys.executable, "trial.py", "--only", "base"]]
 
 
 def test_pythons_that_do_not_run_are_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -157,3 +157,24 @@ def test_the_notebook_runs(
     track = names["track"]
     turned = track[-1, :, 1] - track[0, :, 1]  # to the right is -y of our axes
     assert (np.diff(turned) < 0).all(), "whose right wheels are slower turn further to the right"
+
+
+@pytest.mark.parametrize(
+    ("argv", "rooms"),
+    [([], ["base", "train", "rl", "warp"]), (["--only", "rl"], ["rl"]), (["--only", "base"], ["base"])],
+)
+def test_it_is_tried_in_rooms_of_their_own_and_failures_decide(argv, rooms, monkeypatch):
+    tried = []
+    monkeypatch.setattr(trial, "build", lambda folder, python: folder / "x.whl")
+    monkeypatch.setattr(trial, "wheel_faults", lambda wheel, files: [])
+    monkeypatch.setattr(
+        trial.shutil, "which", lambda name, **_: None if name == "nvidia-smi" else sys.executable
+    )
+
+    def try_room(account, folder, python, wheel, extra):
+        tried.append(extra or "base")
+        account.attempt(extra, lambda: trial.expect(extra != "rl", "no"))
+
+    monkeypatch.setattr(trial, "try_room", try_room)
+    assert trial.main(["--python", "this", *argv]) == int("rl" in rooms)
+    assert tried == rooms
