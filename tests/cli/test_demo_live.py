@@ -18,8 +18,6 @@ from usarmjx.cli.app import app
 from usarmjx.cli.demo_live import Guide, has_display, starting_at
 from usarmjx.client.usarsim_client import UsarsimClient
 from usarmjx.models.arenas import ARENAS
-from usarmjx.view.layers import LAYERS
-from usarmjx.view.page import ViewerPage
 
 PAGE = "http://127.0.0.1:8100/"
 TURNED = 0.3  # rad: in 20 reports, while its wheels turn it by more than that in each second
@@ -85,15 +83,6 @@ def test_the_team_starts_where_it_should():
     assert tuple(start.tag for start in moved.starts[:4]) == demo_live.STARTS
     assert {start.tag for start in moved.starts} == {start.tag for start in yellow.starts}
     assert replace(moved, starts=yellow.starts) == yellow
-
-
-def test_layers_are_switched_on_for_all():
-    page = object.__new__(ViewerPage)
-    turned = []
-    page._switches = type("Switches", (), {"turn_on": lambda self, name: turned.append(name)})()
-    page.show_layers(demo_live.LAYERS)
-    assert turned == ["Radio links"]
-    assert not LAYERS.get("Radio links").shown_at_first
 
 
 @pytest.mark.parametrize(

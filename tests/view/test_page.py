@@ -8,6 +8,7 @@ import pytest
 
 from tests.view.simple_worlds import CAMERA_AT, HandMadeSource, drawing_of
 from tests.view.visitor import until, visiting
+from usarmjx.base.errors import UnknownNameError
 from usarmjx.view import page as page_module
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.page import ViewerPage
@@ -67,6 +68,18 @@ def test_a_browser_gets_the_world_its_first_view_and_the_title(page):
         theme = visitor.of("ThemeConfigurationMessage")[-1]
         assert (theme["show_share_button"], theme["show_logo"]) == (False, False)
         assert page.server.initial_camera.position[2] > 3.0
+
+
+def test_layers_can_be_on_at_first_that_usually_are_not(page):
+    """As if by their boxes, which show it."""
+    name = "Radio links"
+    assert not LAYERS.get(name).shown_at_first
+    page.show_layers([name])
+    page.refresh()
+    assert page.layers[name] in page._switches.on
+    assert page._switches._boxes[name].value
+    with pytest.raises(UnknownNameError, match="Radio links"):
+        page.show_layers(["Rainbows"])
 
 
 def test_a_phone_looks_from_further_away(page):
