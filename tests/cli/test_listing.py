@@ -110,7 +110,7 @@ def test_names_that_are_completed_are_those_there_are():
 
 
 CASES = {
-    "usarmjx serve --arena yel": "yellow",
+    "usarmjx serve --arena soc": "soccer",
     "usarmjx eval exp": "explore",
     "usarmjx play --task hov": "hover-inspect",
     "usarmjx arena check yellow --robot Zer": "Zerg",

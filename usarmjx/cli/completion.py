@@ -5,8 +5,10 @@ A test compares them with the registries.
 
 ARENA_NAMES = (
     *("arda", "factory", "field", "orange", "outdoor", "pool", "red", "soccer", "yellow"),
+    *("orange_2025", "red_2025", "yellow_2025"),
     *("DM-ARDA", "DM-Factory", "DM-Field", "DM-Outdoor", "DM-Pool", "DM-Soccer"),
     *("DM-USAR_orange", "DM-USAR_red", "DM-USAR_yellow"),
+    *("DM-USAR_orange_2025", "DM-USAR_red_2025", "DM-USAR_yellow_2025"),
 )
 ROBOT_NAMES = (
     *("AirRobot", "ATRVJr", "ComStation", "Cooper", "ERS", "Hummer", "kenaf", "Kurt2D", "Kurt3D", "Lisa"),

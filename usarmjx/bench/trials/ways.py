@@ -10,12 +10,14 @@ import numpy as np
 
 from usarmjx.bench.trials.driver import Trial
 from usarmjx.models.build.reach import DEFAULT_CELL_SIZE, ReachMap, footprint_of, reach_map, shapes_in_arena
-from usarmjx.models.check.arena import ARM, FINE_CELL_SIZE
+from usarmjx.models.check.arena import ARM
 from usarmjx.models.check.probe import in_water
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import Position2D
 
+FINE_CELL_SIZE = 0.02
+"""Side of the squares of a plan where a robot fits narrowly [m]."""
 SPACING = 0.3
 """Distance of the points that a robot is driven along [m]."""
 SLOWEST = 0.1

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.build.compose_arena import ARENA
-from usarmjx.models.build.reach import DEFAULT_CELL_SIZE, footprint_of, reach_map, victims_reached
+from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.build.tags import MAX_RELEASED_ID
 from usarmjx.models.check.bodies import BodyProbe, check_close_starts
 from usarmjx.models.check.probe import ArenaProbe, format_position, in_water, solid_name
@@ -18,8 +18,6 @@ STICKS_OUT = 0.5
 """How far a solid may reach over the extent, as an outer wall does [m]."""
 ARM = 1.0
 """How near a robot must get to a victim [m]."""
-FINE_CELL_SIZE = 0.02
-"""Side of the squares that are looked at where a robot fits narrowly [m]."""
 BESIDE = 0.3
 """How near to another start pose [m]."""
 
@@ -93,11 +91,8 @@ def _tags(arena: ArenaSpec) -> Iterator[str]:
 def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator[str]:
     """Yield what a robot cannot reach from the first of the start poses that are not in water."""
     size = footprint_of(robot)
-    for cell in (DEFAULT_CELL_SIZE, FINE_CELL_SIZE):
-        found = reach_map(arena, size.radius, size.step, height=size.height, cell=cell, start=dry[0])
-        if found.start_area >= 0:
-            break
-    else:
+    found = reach_map(arena, size.radius, size.step, height=size.height, start=dry[0])
+    if found.start_area < 0:
         yield f"start {dry[0].tag!r}: a {robot.name} has no room to turn there"
         return
     near = [found.reaches_within(*start.at, distance=BESIDE) for start in dry[1:]]

@@ -1,0 +1,144 @@
+"""A hall with parallel lanes, as the arenas of today are laid out.
+
+Rows are lanes along x between walls, with starts before them and victims behind; the columns at both ends
+are open from side to side.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from usarmjx.models.arenas.elements import CELL, block, cell_center, deck
+from usarmjx.models.arenas.floorplan import WALL_RGBA
+from usarmjx.models.arenas.pieces import span
+from usarmjx.models.arenas.step_fields import step_field
+from usarmjx.models.arenas.targets import victim_box, wall_sign
+from usarmjx.models.build.victims import rest_height
+from usarmjx.models.spec.arena import START_ELEVATION, HelpSound, Light, StartPose, Victim
+from usarmjx.models.spec.shapes import Position2D, Shape
+
+HALL_HEIGHT, PARAPET = 1.5, 0.5
+"""Of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
+
+SIGNS = ("chart", "hazmat", "tag")
+THICKNESS = 0.05
+OFF_THE_WALL = 0.08
+"""Robots start so far from the middle of their cells, as the longest are as long as a cell [m]."""
+
+
+@dataclass(frozen=True)
+class Hall:
+    """A hall of 1.2 m cells, its lower left corner in the origin.
+
+    Attributes:
+        columns: Columns of cells.
+        first: First column of the lanes.
+        last: Column after them.
+        tops: The highest ground in each lane [m].
+    """
+
+    columns: int
+    first: int
+    last: int
+    tops: tuple[float, ...]
+
+    @property
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The x and y limits of the hall [m]."""
+        return (0.0, self.columns * CELL), (0.0, self.rows * CELL)
+
+    @property
+    def rows(self) -> int:
+        """Rows of cells, each a lane."""
+        return len(self.tops)
+
+    def at(self, column: float, row: float) -> Position2D:
+        """Return the middle of a cell [m]."""
+        return cell_center((0.0, 0.0), column, row)
+
+    def walls(self) -> tuple[Shape, ...]:
+        """Return walls round the hall and between the lanes."""
+        (_, east), (_, north) = self.extent
+        edges = (
+            ((0.0, 0.0), (east, 0.0)),
+            ((0.0, north), (east, north)),
+            ((0.0, 0.0), (0.0, north)),
+            ((east, 0.0), (east, north)),
+        )
+        outer = [_wall(low, high, HALL_HEIGHT) for low, high in edges]
+        inner = [
+            _wall((self.first * CELL, row * CELL), (self.last * CELL, row * CELL), max(beside) + PARAPET)
+            for row, beside in enumerate(itertools.pairwise(self.tops), start=1)
+        ]
+        return (*outer, *inner)
+
+    def fields(self, row: int, column: int, patterns: Sequence[str], unit: float) -> tuple[Shape, ...]:
+        """Return step fields one behind the other."""
+        return tuple(
+            shape
+            for i, pattern in enumerate(patterns)
+            for shape in step_field(self.at(column + i, row), pattern, unit=unit)
+        )
+
+    def deck(self, row: int, x0: float, x1: float, top: float) -> Shape:
+        """Return a deck across a lane, closed below [m]."""
+        return deck((x0, row * CELL), (x1, (row + 1) * CELL), top, thickness=top)
+
+    def seats(self, rows: Sequence[int]) -> tuple[Position2D, ...]:
+        """Return where victims sit at the far wall [m]."""
+        return tuple((self.columns * CELL - 0.3, self.at(0, row)[1]) for row in rows)
+
+    def boxes(self, rows: Sequence[int]) -> tuple[Shape, ...]:
+        """Return boxes over victims at the far wall."""
+        return tuple(shape for seat in self.seats(rows) for shape in victim_box(seat, math.pi))
+
+    def victims(self, names: Sequence[str], rows: Sequence[int]) -> tuple[Victim, ...]:
+        """Return victims that sit at the far wall in boxes; every other one cries."""
+        return tuple(
+            Victim(
+                name=name,
+                at=(*seat, rest_height("sitting")),
+                rotation=(0.0, 0.0, math.pi),
+                posture="sitting",
+                help_sound=HelpSound(loudness=0.7) if i % 2 == 0 else None,
+                state="sits in a box with a hole",
+            )
+            for i, (name, seat) in enumerate(zip(names, self.seats(rows), strict=True))
+        )
+
+    def signs(self, rows: Sequence[int]) -> tuple[Shape, ...]:
+        """Return signs of all sorts on the far wall."""
+        x = self.columns * CELL - 0.03
+        return tuple(
+            wall_sign((x, self.at(0, row)[1]), math.pi, f"{SIGNS[i % len(SIGNS)]}:{i}")
+            for i, row in enumerate(rows)
+        )
+
+    def starts(self, behind: Sequence[int]) -> tuple[StartPose, ...]:
+        """Return start poses in the cells before the lanes, and behind them in some rows."""
+        rows = (1, 0, *range(2, self.rows))  # the first one away from walls
+        cells = [(column, row) for row in rows for column in range(self.first)]
+        cells += [(self.last, row) for row in behind]
+        return tuple(
+            StartPose(tag=f"Start{i}" if i else "PlayerStart", at=(x + OFF_THE_WALL, y, START_ELEVATION))
+            for i, (x, y) in enumerate(self.at(*cell) for cell in cells)
+        )
+
+    def lights(self) -> tuple[Light, ...]:
+        """Return four lamps."""
+        return tuple(
+            Light(at=(*self.at(x * self.columns - 0.5, y * self.rows - 0.5), 3.0), brightness=5.0)
+            for x in (0.25, 0.75)
+            for y in (0.25, 0.75)
+        )
+
+
+def _wall(low: Position2D, high: Position2D, height: float) -> Shape:
+    half = THICKNESS / 2
+    return span((low[0] - half, low[1] - half, 0.0), (high[0] + half, high[1] + half, height), WALL_RGBA)
+
+
+def ceiling(at: Position2D, length: float, height: float) -> Shape:
+    """Return a slab over a lane under which there is `height` [m] of room."""
+    return block(at, (length, CELL, 0.1), z=height, surface="wall")
