@@ -49,7 +49,7 @@ def plot_sweep(found: StoredSweep, out: Path) -> None:
             _axis_panel(panel, axis, mine, colours)
         _profile_panel(line[-2], found, task, colours)
         _front_panel(line[-1], found, task)
-        line[0].set_ylabel(f"{task}: score")
+        line[0].set_title(f"{task}: score", loc="left", fontsize=10)
     panels[0][-2].legend(fontsize=7)
     FigureCanvasAgg(figure)
     with write_beside(out) as fresh:
@@ -64,6 +64,9 @@ def _numbers(values: list[str]) -> list[float] | None:
 
 
 def _axis_panel(panel: Axes, axis: str, rows: list[AxisRow], colours: dict[str, str]) -> None:
+    if not rows:
+        panel.set_axis_off()
+        return
     values = list(dict.fromkeys(row.value for row in rows))
     numbers = _numbers(values)
     places = dict(zip(values, range(len(values)) if numbers is None else numbers, strict=True))
