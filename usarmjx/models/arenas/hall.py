@@ -22,6 +22,8 @@ HALL_HEIGHT, PARAPET = 1.5, 0.5
 """Of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
 
 SIGNS = ("chart", "hazmat", "tag")
+SPARE = 0.15
+"""By so much the first lane, which is bare, is wider, for robots as large as a Talon [m]."""
 THICKNESS = 0.05
 OFF_THE_WALL = 0.08
 """Robots start so far from the middle of their cells, as the longest are as long as a cell [m]."""
@@ -32,7 +34,7 @@ class Hall:
     """A hall of 1.2 m cells, its lower left corner in the origin.
 
     Attributes:
-        columns: Columns of cells.
+        columns: Columns of cells, from x = 0 on; rows begin at y = 0.
         first: First column of the lanes.
         last: Column after them.
         tops: The highest ground in each lane [m].
@@ -46,7 +48,7 @@ class Hall:
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """The x and y limits of the hall [m]."""
-        return (0.0, self.columns * CELL), (0.0, self.rows * CELL)
+        return (0.0, self.columns * CELL), (-SPARE, self.rows * CELL)
 
     @property
     def rows(self) -> int:
@@ -59,12 +61,12 @@ class Hall:
 
     def walls(self) -> tuple[Shape, ...]:
         """Return walls round the hall and between the lanes."""
-        (_, east), (_, north) = self.extent
+        (_, east), (south, north) = self.extent
         edges = (
-            ((0.0, 0.0), (east, 0.0)),
+            ((0.0, south), (east, south)),
             ((0.0, north), (east, north)),
-            ((0.0, 0.0), (0.0, north)),
-            ((east, 0.0), (east, north)),
+            ((0.0, south), (0.0, north)),
+            ((east, south), (east, north)),
         )
         outer = [_wall(low, high, HALL_HEIGHT) for low, high in edges]
         inner = [

@@ -20,7 +20,7 @@ FLIGHT = 5
 UPPER, STEPS, LOW = FLIGHT * RISE, 0.4, 0.3
 """Height of the decks behind the stairs and the pipe steps, and beside the gap [m]."""
 RIDGE = CELL * math.tan(RAMP_ANGLE)
-HALL = Hall(columns=10, first=2, last=8, tops=(0.0, RIDGE / 2, RIDGE, 0.1, 0.2, UPPER, STEPS, LOW))
+HALL = Hall(columns=11, first=2, last=8, tops=(0.0, RIDGE / 2, RIDGE, 0.1, 0.2, UPPER, STEPS, LOW))
 WEST, EAST = HALL.first * CELL, HALL.last * CELL
 """Ends of the lanes [m]."""
 GAP = 0.2

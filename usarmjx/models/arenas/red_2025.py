@@ -20,7 +20,7 @@ FLIGHT = 5
 """Rises of the stairs."""
 UPPER, PIPES, ROOM = FLIGHT * RISE, 0.8, 0.75
 """Height of the deck between the stairs and of four pipe steps, room under the ceiling (chosen) [m]."""
-HALL = Hall(columns=10, first=2, last=8, tops=(0.0, 0.4, 0.4, 0.2, UPPER, PIPES, 0.45, ROOM - 0.4))
+HALL = Hall(columns=11, first=2, last=8, tops=(0.0, 0.4, 0.4, 0.2, UPPER, PIPES, 0.45, ROOM - 0.4))
 WEST, EAST = HALL.first * CELL, HALL.last * CELL
 """Ends of the lanes [m]."""
 STAIR_ANGLE = math.radians(45)
