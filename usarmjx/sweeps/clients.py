@@ -29,7 +29,7 @@ from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import episode_key
 from usarmjx.sweeps.batch import CellEpisodes
-from usarmjx.sweeps.drivers import Driver
+from usarmjx.sweeps.drivers import CellDriver
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
@@ -87,7 +87,7 @@ def _idle(env: Env) -> Policy:
     return Policy(initial_carry=lambda worlds: (), act=act)
 
 
-def play_client(cell: Resolved, driver: Driver, engine: str) -> CellEpisodes:
+def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes:
     """Serve a cell's episodes, each a world with a port of its own, until all are over.
 
     Args:
@@ -121,7 +121,9 @@ def play_client(cell: Resolved, driver: Driver, engine: str) -> CellEpisodes:
     )
 
 
-async def _serve(servers: Sequence[BotServer], shared: _Served, driver: Driver, ports: Sequence[int]) -> None:
+async def _serve(
+    servers: Sequence[BotServer], shared: _Served, driver: CellDriver, ports: Sequence[int]
+) -> None:
     """Serve until the episodes are over."""
     clock = StepClock(driver.speed)
     clock.pause(True)

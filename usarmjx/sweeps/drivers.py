@@ -23,7 +23,7 @@ KINDS = ("by-hand", "run", "file", "python", "client")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Driver:
+class CellDriver:
     """What drives the robots of a cell.
 
     Attributes:
@@ -64,7 +64,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
     )
 
 
-def find_driver(policy: object, task: str) -> Driver:
+def find_driver(policy: object, task: str) -> CellDriver:
     """Return what a setting `policy` stands for.
 
     Args:
@@ -79,13 +79,13 @@ def find_driver(policy: object, task: str) -> Driver:
         speed = more.get("speed", 1.0)
         if isinstance(speed, bool) or not isinstance(speed, int | float) or speed <= 0:
             raise UsageError(f"policy: speed is {speed!r}, expected simulated seconds per second, above 0")
-        return Driver(shape=("client", what), command=what, speed=float(speed))
+        return CellDriver(shape=("client", what), command=what, speed=float(speed))
     if kind == "python":
-        return Driver(shape=("python", what), make=lambda env, _: _own(what, env))
+        return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
     if kind == BY_HAND:
         name = what or task
         by_hand = BASELINES.get(name)
-        return Driver(shape=("by hand", name.lower()), make=lambda env, _: by_hand(env))
+        return CellDriver(shape=("by hand", name.lower()), make=lambda env, _: by_hand(env))
     if kind == SHIPPED and task not in POLICIES:
         raise UsageError(
             f"no policy for {task} comes with the package; there are: {', '.join(POLICIES.names())}"
@@ -100,7 +100,7 @@ def find_driver(policy: object, task: str) -> Driver:
         return learned.as_policy(weights)
 
     shape = ("trained", learned.groups, learned.layers, learned.memory)
-    return Driver(shape=shape, make=make, weights=weights)
+    return CellDriver(shape=shape, make=make, weights=weights)
 
 
 def _own(what: str, env: Env) -> Policy:

@@ -9,7 +9,7 @@ from usarmjx.base.errors import UsarmjxError, one_line
 from usarmjx.recording.versions import versions
 from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
 from usarmjx.sweeps.resolve import Resolved, resolve
-from usarmjx.sweeps.settings import Settings
+from usarmjx.sweeps.settings import CellSettings
 from usarmjx.sweeps.store import CellRecord
 
 
@@ -26,13 +26,13 @@ class BatchWork:
     """
 
     group: str
-    cells: tuple[tuple[str, Settings], ...]
+    cells: tuple[tuple[str, CellSettings], ...]
     chosen: tuple[int, ...]
     size: int
     engine: str
 
 
-Watch = Callable[[float], None]
+ShareWatch = Callable[[float], None]
 """Is told what share of a batch is done."""
 
 
@@ -43,7 +43,7 @@ class _Kept:
     runner: GroupRunner | None = None
 
 
-def play_batch(work: BatchWork, watch: Watch | None = None) -> list[CellRecord]:
+def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRecord]:
     """Play a batch; where it fails, its halves, so that one broken cell does not stop the others."""
     try:
         found = _episodes(work, watch)
@@ -59,12 +59,12 @@ def _reason(error: Exception) -> str:
     return str(error) if isinstance(error, UsarmjxError) else f"{type(error).__name__}: {one_line(error)}"
 
 
-def failure(key: str, settings: Settings, reason: str) -> CellRecord:
+def failure(key: str, settings: CellSettings, reason: str) -> CellRecord:
     """Return the record of a cell that has no result."""
     return CellRecord(key=key, settings=dict(settings), versions=versions(), failed=reason)
 
 
-def _episodes(work: BatchWork, watch: Watch | None) -> Sequence[CellEpisodes]:
+def _episodes(work: BatchWork, watch: ShareWatch | None) -> Sequence[CellEpisodes]:
     own = [resolved(settings) for _, settings in work.cells]
     if own[work.chosen[0]].driver.command is not None:
         from usarmjx.sweeps.clients import play_client
@@ -108,7 +108,7 @@ def _record(work: BatchWork, place: int, one: CellEpisodes) -> CellRecord:
     )
 
 
-def resolved(settings: Settings) -> Resolved:
+def resolved(settings: CellSettings) -> Resolved:
     """Return what settings stand for; what was asked before is known.
 
     Raises:
@@ -120,7 +120,7 @@ def resolved(settings: Settings) -> Resolved:
 class _Frozen:
     """Settings as a key of a cache."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: CellSettings) -> None:
         self.settings, self._text = settings, repr(sorted(settings.items()))
 
     def __hash__(self) -> int:

@@ -19,8 +19,8 @@ from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sweeps.drivers import Driver, contents, find_driver
-from usarmjx.sweeps.settings import FIELDS, Settings
+from usarmjx.sweeps.drivers import CellDriver, contents, find_driver
+from usarmjx.sweeps.settings import FIELDS, CellSettings
 from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import make_task
@@ -48,11 +48,11 @@ class Resolved:
         driver: What drives the robots.
     """
 
-    settings: Settings
+    settings: CellSettings
     task: Task
     arenas: tuple[ArenaSpec, ...] | None
     ranges: Mapping[str, tuple[float, float]]
-    driver: Driver
+    driver: CellDriver
 
     @property
     def episodes(self) -> int:
@@ -64,7 +64,7 @@ class Resolved:
         return None if self.arenas is None else self.arenas[episode % len(self.arenas)]
 
 
-def key_of(settings: Settings) -> str:
+def key_of(settings: CellSettings) -> str:
     """Return the name of a cell's result: a hash of its settings, and of the files that they name.
 
     Raises:
@@ -78,13 +78,13 @@ def key_of(settings: Settings) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
-def parts_of(settings: Settings, name: str) -> dict[str, Any]:
+def parts_of(settings: CellSettings, name: str) -> dict[str, Any]:
     """Return the settings `name.part`, by part."""
     start = f"{name}."
     return {key.removeprefix(start): value for key, value in settings.items() if key.startswith(start)}
 
 
-def resolve(settings: Settings) -> Resolved:
+def resolve(settings: CellSettings) -> Resolved:
     """Return what a cell's settings stand for.
 
     Raises:
@@ -173,7 +173,7 @@ def _side(name: str) -> str:
     return "tracked" if set(FLIPPERS) <= {part.name for part in robot_parts(robot)} else "wheeled"
 
 
-def _physics(settings: Settings, task: Task) -> Physics:
+def _physics(settings: CellSettings, task: Task) -> Physics:
     named = settings.get("physics", task.physics)
     if not isinstance(named, str | Physics):
         raise UsageError(f"physics is {named!r}, expected one of {', '.join(PHYSICS.names())}")
@@ -181,7 +181,7 @@ def _physics(settings: Settings, task: Task) -> Physics:
     return replace(base, **parts_of(settings, "physics"))
 
 
-def _with_radio(settings: Settings, task: Task) -> tuple[Task, dict[str, tuple[float, float]]]:
+def _with_radio(settings: CellSettings, task: Task) -> tuple[Task, dict[str, tuple[float, float]]]:
     """Return the task with its radio, and the constants of that which are data."""
     said = parts_of(settings, "radio")
     for name, value in said.items():
@@ -195,7 +195,7 @@ def _with_radio(settings: Settings, task: Task) -> tuple[Task, dict[str, tuple[f
 
 
 def _with_ranges(
-    settings: Settings, task: Task, radio: Mapping[str, tuple[float, float]]
+    settings: CellSettings, task: Task, radio: Mapping[str, tuple[float, float]]
 ) -> tuple[Task, dict[str, tuple[float, float]]]:
     """Return the task with its domain randomisation, and the ranges of that as data."""
     said, given = parts_of(settings, "vary"), dict(radio)
@@ -217,7 +217,7 @@ def _with_ranges(
     return replace(task, vary=vary), data
 
 
-def _arenas(settings: Settings, task: Task) -> Any:  # noqa: ANN401 - specs of generated ones, else a name
+def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs of generated ones, else a name
     """Return the arenas of a cell's episodes, level by level in turn; or the one that it has."""
     said, named = parts_of(settings, "arena"), settings.get("arena", task.arena)
     robot = spec_of(task.robots[0]).name if task.robots else "P2AT"

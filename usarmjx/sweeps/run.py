@@ -18,7 +18,7 @@ from usarmjx.sweeps.spec import SweepSpec, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.workers import Workers
 
-Cell = tuple[str, dict[str, Any]]
+KeyedSettings = tuple[str, dict[str, Any]]
 """Key and settings."""
 
 
@@ -35,7 +35,7 @@ class Prepared:
         keys: Of all cells of the sweep.
     """
 
-    cells: tuple[Cell, ...]
+    cells: tuple[KeyedSettings, ...]
     known: int
     broken: tuple[CellRecord, ...]
     engine: tuple[str, ...]
@@ -55,7 +55,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
         UsageError: No such engine.
     """
     keys: list[str] = []
-    cells: list[Cell] = []
+    cells: list[KeyedSettings] = []
     broken: list[CellRecord] = []
     signatures: list[dict[str, Any]] = []
     engines: list[str] = []
@@ -199,7 +199,7 @@ def sweep(
         folder: Where results are kept; what is there already is not played again.
         workers: Where it is played; None: in this process.
         retry: Whether what has failed is done again.
-        common: Settings that replace those of all cells, as `engine="c"`, `episodes=5`.
+        common: CellSettings that replace those of all cells, as `engine="c"`, `episodes=5`.
 
     Raises:
         UsageError: Something that is not allowed; says what is.

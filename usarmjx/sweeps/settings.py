@@ -29,7 +29,7 @@ DEFAULTS: dict[str, Any] = {"policy": "by-hand", "episodes": 20, "seed": 0, "eng
 WHOLE = {"episodes": 1, "seed": 0}
 """Settings that are whole numbers, and the lowest they may be."""
 
-Settings = Mapping[str, Any]
+CellSettings = Mapping[str, Any]
 """A cell's settings by their flat names."""
 
 
@@ -76,7 +76,7 @@ def check_key(key: str, where: str) -> None:
     raise UsageError(f"{where} has no setting {key!r}; there are: {', '.join(known)}")
 
 
-def complete(settings: Settings, where: str) -> dict[str, Any]:
+def complete(settings: CellSettings, where: str) -> dict[str, Any]:
     """Return the settings with the usual ones for what they do not say.
 
     Raises:

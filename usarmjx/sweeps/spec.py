@@ -29,7 +29,7 @@ class SweepSpec:
         name: Of its file.
         about: What it asks, in a sentence.
         cells: The settings of each cell, all that are in force.
-        axes: Settings that differ between cells, in the order of the file.
+        axes: CellSettings that differ between cells, in the order of the file.
         worlds: How many worlds a batch has at most; None: as the machine likes it.
     """
 
@@ -59,7 +59,7 @@ def load_spec(path: Path, common: Mapping[str, Any] | None = None) -> SweepSpec:
 
     Args:
         path: The file.
-        common: Settings that replace those of all cells.
+        common: CellSettings that replace those of all cells.
 
     Raises:
         UsageError: It cannot be read, or something in it is not allowed; names file and key, and what is.

@@ -59,7 +59,7 @@ class StoredSweep:
     Attributes:
         name: Of its file.
         about: What it asks.
-        axes: Settings that differ between cells.
+        axes: CellSettings that differ between cells.
         keys: Of all cells.
         records: Those that are finished or have failed, in the order of the sweep.
     """

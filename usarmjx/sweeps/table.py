@@ -14,15 +14,15 @@ from usarmjx.sweeps.statistics import estimate, interquartile_mean
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
 SUFFIXES = (".csv", ".parquet")
-Row = dict[str, Any]
+TableRecord = dict[str, Any]
 
 
-def cell_rows(found: StoredSweep) -> list[Row]:
+def cell_rows(found: StoredSweep) -> list[TableRecord]:
     """Return a row for each cell: settings, score with interval, means of the metrics, what went wrong."""
     return [_cell_row(record) for record in found.records]
 
 
-def _cell_row(record: CellRecord) -> Row:
+def _cell_row(record: CellRecord) -> TableRecord:
     row = {name: _plain(value) for name, value in record.settings.items()}
     good = record.good
     row |= {"cell": record.key, "failed": record.failed or ""}
@@ -35,9 +35,9 @@ def _cell_row(record: CellRecord) -> Row:
     return row
 
 
-def episode_rows(found: StoredSweep) -> list[Row]:
+def episode_rows(found: StoredSweep) -> list[TableRecord]:
     """Return a row for each episode of each finished cell."""
-    rows: list[Row] = []
+    rows: list[TableRecord] = []
     for record in found.finished:
         settings = {name: _plain(value) for name, value in record.settings.items()}
         for number, score in enumerate(record.scores):

@@ -18,8 +18,8 @@ PLACES = ("here", "processes", "ray")
 TRIES = 3
 """So often a piece of work is begun before it counts as what kills its workers."""
 
-Work = Callable[[Any], Any]
-Outcome = tuple[int, Any, str | None]
+PieceWork = Callable[[Any], Any]
+PieceOutcome = tuple[int, Any, str | None]
 """Number of a piece of work, what came of it, and else why nothing did."""
 
 
@@ -49,7 +49,7 @@ class Workers:
         if self.count is not None and self.count < 1:
             raise UsageError(f"{self.count} workers, expected at least 1")
 
-    def run(self, work: Work, pieces: Sequence[Any]) -> Iterator[Outcome]:
+    def run(self, work: PieceWork, pieces: Sequence[Any]) -> Iterator[PieceOutcome]:
         """Do all pieces, and yield each as soon as it is done.
 
         Args:
@@ -76,7 +76,7 @@ def gpus() -> int:
     return len([name for name in os.listdir("/dev") if name.startswith("nvidia") and name[6:].isdecimal()])
 
 
-def _here(work: Work, pieces: Sequence[Any]) -> Iterator[Outcome]:
+def _here(work: PieceWork, pieces: Sequence[Any]) -> Iterator[PieceOutcome]:
     for number, piece in enumerate(pieces):
         yield number, work(piece), None
 
@@ -88,7 +88,7 @@ def _take_gpu(numbers: Any) -> None:  # noqa: ANN401 - a queue of another proces
         os.environ["CUDA_VISIBLE_DEVICES"] = str(number)
 
 
-def _in_processes(work: Work, pieces: Sequence[Any], count: int) -> Iterator[Outcome]:
+def _in_processes(work: PieceWork, pieces: Sequence[Any], count: int) -> Iterator[PieceOutcome]:
     left, tries = dict(enumerate(pieces)), dict.fromkeys(range(len(pieces)), 0)
     while left:
         lost = False
@@ -128,7 +128,9 @@ def _pool(count: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(count, mp_context=context, initializer=_take_gpu, initargs=(numbers,))
 
 
-def _on_ray(work: Work, pieces: Sequence[Any], count: int | None, address: str | None) -> Iterator[Outcome]:
+def _on_ray(
+    work: PieceWork, pieces: Sequence[Any], count: int | None, address: str | None
+) -> Iterator[PieceOutcome]:
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -150,7 +152,7 @@ def _on_ray(work: Work, pieces: Sequence[Any], count: int | None, address: str |
             ray.shutdown()
 
 
-def _by_actors(ray: Any, work: Work, pieces: Sequence[Any], count: int | None) -> Iterator[Outcome]:  # noqa: ANN401
+def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | None) -> Iterator[PieceOutcome]:  # noqa: ANN401
     """Have actors do the pieces: each has a GPU, where the cluster has some."""
     devices = int(ray.cluster_resources().get("GPU", 0))
     many = min(count or max(1, devices), max(1, len(pieces)))
