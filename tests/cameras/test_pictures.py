@@ -55,7 +55,7 @@ ARENA_SPEC = ArenaSpec(
         Shape(kind="ellipsoid", size=(0.2, 0.3, 0.25), at=(2.0, 0.9, 0.4), surface="fixture"),
         Shape(kind="sphere", size=(0.15,), at=(1.6, -0.6, 0.6), surface="fixture"),
     ),
-    starts=(StartPose(tag="A", at=(0.0, 0.0, 0.188)), StartPose(tag="B", at=(1.5, 0.2, 0.188), yaw=2.0)),
+    starts=(StartPose(tag="A", at=(0.0, 0.0, 0.188)), StartPose(tag="B", at=(0.4, 1.6, 0.188), yaw=-0.6)),
     extent=((-3.0, 4.0), (-3.0, 3.0)),
     loose=(
         LooseObject(
