@@ -56,7 +56,7 @@ def test_the_files_that_the_pages_name_exist(name: str):
 def test_the_names_that_the_pages_use_are_defined(name: str):
     words = {text for text in TICKS.findall(page(name)) if re.fullmatch(r"[A-Za-z_]+(\.[A-Za-z_]+)*", text)}
     parts = {part for word in words if not word.endswith((".py", ".md", ".toml")) for part in word.split(".")}
-    engines = {"c", "jax", "warp"}
+    engines = {"c", "jax", "planar", "warp"}
     assert sorted(parts - names() - ANYWHERE - engines) == []
 
 

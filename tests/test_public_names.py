@@ -114,7 +114,7 @@ def test_what_there_is_is_listed_by_name_without_importing_anything_else():
     assert "yellow" in usarmjx.ARENAS
     assert {"Sonar", "RangeScanner"} <= set(usarmjx.SENSORS.names())
     assert set(usarmjx.POLICIES.names()) <= set(tasks)
-    assert {"c", "jax", "warp"} <= set(usarmjx.ENGINES.names())
+    assert {"c", "jax", "planar", "warp"} <= set(usarmjx.ENGINES.names())
 
 
 def test_types_in_public_signatures_are_public():

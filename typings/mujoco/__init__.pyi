@@ -61,6 +61,9 @@ class MjModel:
     body_geomnum: np.ndarray
     body_inertia: np.ndarray
     body_invweight0: np.ndarray
+    eq_type: np.ndarray
+    eq_obj1id: np.ndarray
+    eq_obj2id: np.ndarray
     body_ipos: np.ndarray
     body_iquat: np.ndarray
     body_jntadr: np.ndarray

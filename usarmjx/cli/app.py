@@ -1,15 +1,16 @@
 """The command line. Imports happen inside the commands, so that `--help` answers at once."""
 
-import importlib.metadata
 import sys
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+import usarmjx
 from usarmjx.cli import (
     arena,
     bench,
+    calibrate,
     chaos,
     console,
     demo,
@@ -50,8 +51,7 @@ app = typer.Typer(
 
 def _tell_version(wanted: bool) -> None:
     if wanted:
-        version = importlib.metadata.version("usarmjx")
-        typer.echo(f"usarmjx {version} (Python {'.'.join(map(str, sys.version_info[:3]))})")
+        typer.echo(f"usarmjx {usarmjx.__version__} (Python {'.'.join(map(str, sys.version_info[:3]))})")
         raise typer.Exit
 
 
@@ -75,6 +75,7 @@ app.command()(play.play)
 app.command("list")(listing.list_everything)
 app.command()(portraits.portraits)
 app.command()(serve.serve)
+app.command()(calibrate.calibrate)
 app.command()(chaos.chaos)
 app.command()(console.console)
 app.command("radio-map")(radio_map.radio_map)

@@ -18,9 +18,10 @@ from usarmjx.server.protocol.grammar import format_message as line_of
 
 HEAD = """# All sensors
 
-This page is the output of `usarmjx list sensors`; a test keeps it so. [sensors.md](sensors.md) tells how to
-use them. Rays are those of one sensor with the options below; "from" is the manual's section, or lines
-captured from a real server, or ours where USARSim has none. A value has the leading axes worlds and robots.
+This page is the output of `usarmjx list sensors --markdown`; a test keeps it so. [sensors.md](sensors.md)
+tells how to use them. Rays are those of one sensor with the options below; "from" is the manual's section, or
+lines captured from a real server, or ours where USARSim has none. A value has the leading axes worlds and
+robots.
 """
 MESSAGES = """What they say over TCP; those of the scanners are with fewer beams:
 """

@@ -90,6 +90,8 @@ class Engine(ABC, Generic[EngineState]):
     name: ClassVar[str]
     traceable: ClassVar[bool]
     """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
+    needs_robots: ClassVar[bool] = False
+    """Whether it is told which robots are in the model, by slot."""
 
     def __init__(
         self,

@@ -10,13 +10,16 @@ import mujoco
 from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Engine
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies
+from usarmjx.models.spec.robot import RobotSpec
 
 ENGINES: Registry[tuple[str, str]] = Registry("engine")
 """Module and class of each engine."""
 ENGINES.add("c", ("usarmjx.engines.c", "CEngine"))
 ENGINES.add("jax", ("usarmjx.engines.mjx", "JaxEngine"))
+ENGINES.add("planar", ("usarmjx.engines.planar.engine", "PlanarEngine"))
 ENGINES.add("warp", ("usarmjx.engines.mjx", "WarpEngine"))
 
 
@@ -42,8 +45,9 @@ def make_engine(
     worlds: int,
     moved_geoms: MovedGeoms | None = None,
     varied_bodies: RandomizedBodies | None = None,
+    robots: tuple[tuple[RobotSpec, RobotIndex], ...] = (),
 ) -> Engine[Any]:
-    """Build an engine by name; the other arguments are those of `Engine`.
+    """Build an engine by name; the other arguments are those of `Engine`, and the robots by slot.
 
     Raises:
         UnknownNameError: No such engine.
@@ -52,4 +56,5 @@ def make_engine(
     """
     module, kind = ENGINES.get(name)
     engine: type[Engine[Any]] = getattr(import_module(module), kind)
-    return engine(spec, physics, worlds, moved_geoms, varied_bodies)
+    more = {"robots": robots} if engine.needs_robots else {}
+    return engine(spec, physics, worlds, moved_geoms, varied_bodies, **more)

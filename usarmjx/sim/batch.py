@@ -19,7 +19,7 @@ from usarmjx.base.errors import EngineError, UsageError
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import clear_inboxes
-from usarmjx.engines import PhysicsState, choose_engine, make_engine
+from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
@@ -28,6 +28,7 @@ from usarmjx.sim.operate import OperationResult, find_operation, operate_in_worl
 from usarmjx.sim.radio import mailboxes, outgoing_messages, radio_of, send, update_links_of_worlds
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
+from usarmjx.sim.scene_engine import engine_of
 from usarmjx.sim.views import find_camera, render_groups, render_scene_of_world
 from usarmjx.sim.world import (
     GroupState,
@@ -68,7 +69,7 @@ class Batch:
     Args:
         scene: What every world is a copy of.
         worlds: How many.
-        engine: `warp`, `jax`, `c`, or `auto`.
+        engine: `warp`, `jax`, `c`, `planar`, or `auto`.
         seed: Of all random numbers.
         first: Number of the first world. World k draws the same numbers alone as in a batch.
         shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
@@ -94,10 +95,7 @@ class Batch:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
         self.scene = scene
         self.worlds = worlds
-        kind = choose_engine(engine, "train")
-        self.engine = make_engine(
-            kind, scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
-        )
+        self.engine = engine_of(scene, engine, worlds)
         self.origin, self._numbers = (seed, first, shuffle), np.arange(first, first + worlds, dtype=np.int32)
         self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))

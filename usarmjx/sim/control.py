@@ -349,8 +349,10 @@ def _servo(
     ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
     if servos.stall_limit.any():
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
+        # It goes along as fast as that torque speeds up the wheel, or there would be little of it left.
         lag, ahead = windup_limit + (aim - even), windup_limit - (aim - even)
-        bounded = xp.clip(ctrl, v - lag / period, v + ahead / period)
+        along = servos.surge * (servos.lead + period / 2)
+        bounded = xp.clip(ctrl, v - lag / period - along, v + ahead / period + along)
         ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
     if servos.has_brake.any():
         # As long as that cannot turn it back within the step, a brake exerts exactly what it can.

@@ -17,6 +17,7 @@ from usarmjx.models.build.arena_set import ArenaSet, arena_index_of, arena_set
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
+from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.build.tags import TagTable, tag_table
@@ -185,6 +186,16 @@ class Scene:
     def loose_geoms(self) -> LooseGeoms:
         """What lies loose."""
         return loose_geoms(self.model, self.arena)
+
+    @cached_property
+    def robots(self) -> tuple[tuple[RobotSpec, RobotIndex], ...]:
+        """The robots, and where they are in the model, by slot."""
+        found = {
+            int(slot): (group.robot, index)
+            for group in self.groups
+            for slot, index in zip(group.slots, group.indices, strict=True)
+        }
+        return tuple(found[slot] for slot in sorted(found))
 
     @cached_property
     def door_qpos(self) -> np.ndarray:

@@ -28,6 +28,8 @@ class Servos:
         brake_limit: The same for a joint that is told to stand still.
         has_brake: Whether that is another torque than it moves by.
         stall_limit: How much more of it there is at standstill.
+        surge: How fast its torque speeds up a joint with a stall torque and its share of the robot
+            [rad/s^2].
     """
 
     speed: np.ndarray
@@ -39,6 +41,7 @@ class Servos:
     high: np.ndarray
     lead: np.ndarray
     windup_limit: np.ndarray
+    surge: np.ndarray
     brake_limit: np.ndarray
     has_brake: np.ndarray
     stall_limit: np.ndarray
@@ -67,8 +70,16 @@ def servos_of(robot: RobotSpec) -> Servos:
         windup_limit=row([m.torque / m.stiffness for m in motors]),
         brake_limit=row([(m.torque if m.brake is None else m.brake) / m.stiffness for m in motors]),
         stall_limit=row([((m.stall_torque or m.torque) - m.torque) / m.stiffness for m in motors]),
+        surge=row([_surge(robot, m, motors) for m in motors]),
         has_brake=np.array([m.brake is not None for m in motors], bool),
     )
+
+
+def _surge(robot: RobotSpec, motor: Motor, motors: list[Motor]) -> float:
+    if motor.stall_torque is None:
+        return 0.0
+    share = robot.mass / sum(one.stall_torque is not None for one in motors)
+    return motor.torque / (motor.armature + share * robot.wheel_radius**2)
 
 
 @cache

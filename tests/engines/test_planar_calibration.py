@@ -1,0 +1,77 @@
+"""Engine `planar`: what was measured of robots on engine `c`."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import dev
+from tests.engines.eager import BLIND, EAGER
+from usarmjx.cli.app import app
+from usarmjx.engines.planar import responses
+from usarmjx.engines.planar.responses import (
+    description_key,
+    measured,
+    rolls,
+)
+from usarmjx.models.robots import ROBOTS
+from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
+
+GEOM = mujoco.mjtGeom
+
+
+ROLLING = [name for name, robot in ROBOTS if rolls(robot.drive)]
+
+
+@pytest.mark.parametrize("name", ROLLING)
+def test_responses_were_measured_of_robots_as_they_are(name):
+    """After a change of a robot: `usarmjx calibrate`."""
+    entry = measured()[name]
+    assert entry["key"] == description_key(ROBOTS.get(name))
+    assert set(entry["errors"]) == {"1 s", "5 s", "20 s"}
+
+
+def test_a_measurement_comes_again_to_what_is_published():
+    robot = ROBOTS.get("Talon")
+    orders = random_orders(robot, 6, 150, seed=7)
+    real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
+    apart = np.median(np.linalg.norm((planar.pose - real.pose)[-1, :, :2], axis=-1))
+    assert apart <= 2.0 * measured()["Talon"]["errors"]["5 s"]["distance"], "after 3 s, other orders"
+    assert apart < 0.1 * np.median(np.linalg.norm(np.diff(real.pose[..., :2], axis=0), axis=-1).sum(0))
+
+
+def test_a_robot_of_one_s_own_is_measured_once_and_kept(tmp_path, monkeypatch, caplog):
+    own = replace(BLIND, name="Own", mass=30.0, drive=replace(BLIND.drive, max_spin=3.0))
+    made = []
+
+    def quick(robot):
+        made.append(robot.name)
+        return calibrate(robot, robots=4, seconds=2.0)
+
+    monkeypatch.setattr("usarmjx.sim.calibration.calibrate", quick)
+    ensure_calibrated([own, own, EAGER], tmp_path)
+    assert made == ["Own"]
+    assert "measuring how a Own answers its motors" in caplog.text
+    (file,) = (tmp_path / "planar").glob("*.json")
+    assert json.loads(file.read_text())["key"] == description_key(own)
+    response = responses._own.pop(own)
+    ensure_calibrated([own], tmp_path)
+    assert made == ["Own"]
+    assert responses._own.pop(own) == response
+    assert 0.5 < response.gain < 1.5
+
+
+def test_the_page_has_the_table_of_what_ships():
+    printed = CliRunner().invoke(app, ["calibrate", "--markdown"])
+    assert printed.exit_code == 0
+    assert printed.output.strip() in (dev.ROOT / "docs" / "fidelity.md").read_text(encoding="utf-8")
+    assert f"| P2AT | {measured()['P2AT']['errors']['1 s']['distance']:.2f} m" in printed.output
+
+
+def test_what_does_not_roll_is_refused():
+    refused = CliRunner().invoke(app, ["calibrate", "AirRobot"])
+    assert refused.exit_code == 2
+    assert "AirRobot does not roll on wheels or tracks" in refused.output

@@ -1,0 +1,156 @@
+"""Engine `planar`: what holds whatever robots do to walls and to each other."""
+
+import math
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from tests.engines.eager import ALONE, EAGER, SINGLE, drive, poses
+from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart, near_solids
+from usarmjx.engines.planar.solids import seen_from_above
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.spec.arena import StartPose
+from usarmjx.models.spec.shapes import Shape
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+GEOM = mujoco.mjtGeom
+
+
+def rectangles(pos, yaw, half):
+    """Corners of rectangles (n, 4, 2)."""
+    signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    own = signs * half[:, None]
+    return np.stack([c * own[..., 0] - s * own[..., 1], s * own[..., 0] + c * own[..., 1]], -1) + pos[:, None]
+
+
+def overlap(a, b):
+    """How deep two rectangles are in each other, by the theorem of the separating axis; negative: apart."""
+    depths = []
+    for corners in (a, b):
+        for i in range(2):
+            edge = corners[i + 1] - corners[i]
+            axis = np.array([-edge[1], edge[0]]) / np.linalg.norm(edge)
+            depths.append(min((a @ axis).max(), (b @ axis).max()) - max((a @ axis).min(), (b @ axis).min()))
+    return min(depths)
+
+
+WALLS = (
+    Shape(kind="box", size=(1.5, 0.05, 0.5), at=(0.0, 1.5, 0.5), surface="wall"),
+    Shape(kind="box", size=(1.5, 0.05, 0.5), at=(0.0, -1.5, 0.5), surface="wall"),
+    Shape(kind="box", size=(0.05, 1.5, 0.5), at=(1.5, 0.0, 0.5), surface="wall"),
+    Shape(kind="box", size=(0.05, 1.5, 0.5), at=(-1.5, 0.0, 0.5), surface="wall"),
+    Shape(kind="box", size=(0.4, 0.03, 0.5), at=(0.2, 0.1, 0.5), rotation=(0.0, 0.0, 0.6), surface="wall"),
+    Shape(kind="cylinder", size=(0.1, 0.5, 0.0), at=(-0.9, 0.9, 0.5), surface="wall"),
+)
+PEN = FLAT.__class__(
+    name="pen",
+    starts=tuple(
+        StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=0.7 * i)
+        for i, (x, y) in enumerate(((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.3, 0.9)))
+    ),
+    extent=((-2, 2), (-2, 2)),
+    shapes=WALLS,
+)
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """Four robots in each of 64 pens, told anything for 20 s in steps of 50 ms: 100,000 robot steps."""
+    batch = Batch(build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), 64, engine="planar")
+    state, rng, seen = batch.reset(), np.random.default_rng(0), []
+    touched = np.zeros((64, 4), int)
+    for step in range(400):
+        if step % 10 == 0:
+            told = rng.uniform(-5.0, 5.0, (2, 64, 4)).astype(np.float32)
+            state = batch.drive(state, 0, {"Left": told[0], "Right": told[1]})
+        state = batch.step(state)
+        touched += np.asarray(state.physics.touched)
+        assert not np.asarray(state.physics.left_out).any()
+        if step % 8 == 0:
+            seen.append(poses(batch, state))
+    return batch, np.array(seen), touched
+
+
+def test_no_robot_is_in_a_wall_or_in_another(crowd):
+    batch, seen, touched = crowd
+    robots = batch.engine._robots
+    walls = [
+        rectangles(np.array([w.at[:2]]), np.array([w.rotation[2]]), np.array([w.size[:2]]))[0]
+        for w in WALLS
+        if w.kind == "box"
+    ]
+    worst = -1.0
+    for moment in seen[:, ::4].reshape(-1, 4, 3):
+        corners = rectangles(moment[:, :2], moment[:, 2], robots.half)
+        worst = max(worst, *(overlap(robot, wall) for robot in corners for wall in walls))
+        worst = max(worst, *(overlap(corners[i], corners[j]) for i in range(4) for j in range(i)))
+    assert worst <= TOLERANCE + 1e-4, "by an independent test of rectangles"
+    assert np.median(touched) > 50, "most have met something again and again"
+    assert np.abs(seen[..., :2]).max() < 1.5, "nobody has left"
+
+
+def test_robots_are_not_stuck_for_good(crowd):
+    _, seen, _ = crowd
+    way = np.linalg.norm(np.diff(seen[..., :2], axis=0), axis=-1).sum(0)
+    assert way.min() > 1.0
+
+
+def test_two_that_meet_head_on_stop_in_the_middle():
+    """A world that is its own mirror image stays so: what one does to the other comes back."""
+    pair = FLAT.__class__(
+        name="pair",
+        starts=(
+            StartPose(tag="A", at=(-1.0, 0.0, 0.188), yaw=0.0),
+            StartPose(tag="B", at=(1.0, 0.0, 0.188), yaw=math.pi),
+        ),
+        extent=((-3, 3), (-3, 3)),
+    )
+    batch = Batch(build_scene(pair, [EAGER] * 2), 1, engine="planar")
+    state = drive(batch, 3.0, 3.0, 150)
+    left, right = poses(batch, state)[0]
+    robots = batch.engine._robots
+    assert left[0] + right[0] == pytest.approx(0.0, abs=SINGLE)
+    assert right[0] - left[0] == pytest.approx(
+        2 * (robots.half[0, 0] + robots.offset[0, 0]), abs=3 * TOLERANCE
+    )
+    assert np.asarray(state.physics.touched).all()
+
+
+def test_the_heavier_of_two_pushes_the_lighter():
+    prints = Footprints(
+        pos=jnp.array([[0.0, 0.0], [0.9, 0.0]]),
+        yaw=jnp.zeros(2),
+        half=jnp.full((2, 2), 0.5),
+        low=jnp.zeros(2),
+        high=jnp.ones(2),
+        step=jnp.zeros(2),
+        mass=jnp.array([30.0, 10.0]),
+    )
+    apart = prints.replace(pos=jnp.array([[0.0, 0.0], [1.2, 0.0]]))
+    near, left_out = near_solids(prints, no_solids(), 8, 0.1)
+    kept, touched = keep_apart(apart, prints, near, jnp.ones(2, bool))
+    went = np.asarray(kept.pos - prints.pos)[:, 0]
+    assert went.sum() == pytest.approx(went[1] + went[0])
+    assert 30.0 * went[0] + 10.0 * went[1] == pytest.approx(0.0, abs=1e-3), "their centre of mass stays"
+    assert touched.all()
+    assert not left_out.any()
+
+
+def no_solids():
+    return seen_from_above(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
+
+
+def test_a_world_alone_does_what_it_does_among_others(crowd):
+    scene = crowd[0].scene
+    together = Batch(scene, 3, engine="planar", seed=5)
+    alone = Batch(scene, 1, engine="planar", seed=5, first=2)
+    states = [drive(batch, 3.0, -1.0, 40) for batch in (together, alone)]
+    first, second = (
+        np.asarray(batch.physics(state).qpos) for batch, state in zip((together, alone), states, strict=True)
+    )
+    assert first[2:] == pytest.approx(second, abs=ALONE)

@@ -1,0 +1,243 @@
+"""Engine `planar`: how robots move, by closed forms and C MuJoCo."""
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arenas import COURSE, FLAT
+from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.engines.planar.drives import follow, wheels_of
+from usarmjx.engines.planar.footprints import TOLERANCE
+from usarmjx.engines.planar.responses import (
+    Response,
+    check_robot,
+)
+from usarmjx.engines.planar.servos import move_joints, servos_of
+from usarmjx.engines.planar.solids import ground_under, seen_from_above
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import StartPose
+from usarmjx.models.spec.shapes import Shape
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+GEOM = mujoco.mjtGeom
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return Batch(build_scene(FLAT, [EAGER, EAGER]), 2, engine="planar", seed=3)
+
+
+def test_wheels_at_odds_drive_an_arc_of_the_radius_that_they_make(flat):
+    wheels, first = wheels_of(EAGER), poses(flat, flat.reset())
+    left, right, seconds = 2.0, 3.0, 1.0
+    speed = wheels.radius * (left + right) / 2
+    turn = wheels.radius * (right - left) / wheels.track
+    state = drive(flat, left, right, 50)
+    now = poses(flat, state)
+    angle, radius = turn * seconds, speed / turn
+    for robot, yaw in enumerate((0.0, math.pi)):
+        chord = radius * np.array([math.sin(angle), 1 - math.cos(angle)])
+        c, s = math.cos(yaw), math.sin(yaw)
+        expected = first[0, robot, :2] + [c * chord[0] - s * chord[1], s * chord[0] + c * chord[1]]
+        assert now[0, robot, :2] == pytest.approx(expected, abs=SINGLE)
+        assert math.remainder(now[0, robot, 2] - yaw - angle, math.tau) == pytest.approx(0.0, abs=SINGLE)
+    spins = np.asarray(flat.physics(state).qvel)[0, flat.scene.groups[0].dofadr[0]]
+    assert spins[wheels.spin] == pytest.approx([left] * 2 + [right] * 2, abs=1e-3)
+
+
+def test_wheels_have_turned_as_far_as_they_went(flat):
+    group, state = flat.scene.groups[0], drive(flat, 2.0, 2.0, 50)
+    joints = np.asarray(flat.physics(state).qpos)[0, group.qposadr[0]][wheels_of(EAGER).spin]
+    assert joints == pytest.approx(2.0 * (50 - 0.5) * 0.02, abs=1e-3)  # the first step's mean is half
+
+
+def test_a_lag_and_a_most_acceleration_are_those_of_the_closed_form():
+    slow = replace(AT_ONCE, forward_lag=0.3)
+    twist = jnp.zeros((1, 3))
+    for _ in range(10):
+        twist = follow(slow, twist, jnp.array([[1.0, 0.0, 0.0]]), 0.02)
+    assert float(twist[0, 0]) == pytest.approx(1 - math.exp(-0.2 / 0.3), rel=1e-5)
+    braking, way = replace(AT_ONCE, acceleration=2.0), 0.0
+    twist = jnp.array([[1.5, 0.0, 0.0]])
+    for _ in range(2000):
+        now = follow(braking, twist, jnp.zeros((1, 3)), 0.001)
+        way, twist = way + float(twist[0, 0] + now[0, 0]) / 2 * 0.001, now
+    assert way == pytest.approx(1.5**2 / (2 * 2.0), rel=2e-3)  # the braking distance v^2 / 2a
+
+
+def test_longer_steps_lead_to_the_same():
+    answer = Response(forward_lag=0.2, turn_lag=0.1, acceleration=1e3, turn_acceleration=1e3)
+    told = jnp.array([[0.7, 0.0, 0.4]])
+    fine, coarse = jnp.zeros((1, 3)), jnp.zeros((1, 3))
+    for _ in range(5):
+        fine = follow(answer, fine, told, 0.02)
+    for _ in range(2):
+        coarse = follow(answer, coarse, told, 0.05)
+    assert np.asarray(fine) == pytest.approx(np.asarray(coarse), rel=1e-5)
+
+
+def test_a_car_turns_as_a_bicycle_does():
+    car = ROBOTS.get("Hummer")
+    wheels, front = wheels_of(car), 0.3
+    keys = np.array([[4.0, front, 0.0]], np.float32)
+    targets = np.asarray(car.drive.targets(keys))[0]
+    names = [one.joint for one in car.drive.joint_controls]
+    plan = build_scene(FLAT, [car]).groups[0].plan
+    joints, spins = (
+        np.zeros((1, len(plan.parts) - 1), np.float32),
+        np.zeros((1, len(wheels.spin)), np.float32),
+    )
+    for name, target in zip(names, targets, strict=True):
+        joints[0, plan.joint_index(name)] = target
+    spins[0] = [joints[0, j] if wheels.powered[i] else 0.0 for i, j in enumerate(wheels.spin)]
+    twist = np.asarray(wheels.twist(jnp.asarray(joints), jnp.asarray(spins)))[0]
+    rear = [wheel.x for wheel in car.drive.wheels if not wheel.steer]
+    speed = 4.0 * car.drive.radius
+    assert twist[2] * car.drive.wheel_base == pytest.approx(twist[0] * math.tan(front), rel=1e-3)
+    assert twist[0] == pytest.approx(speed, rel=0.05)  # of the middle of the powered wheels, by the arc
+    assert twist[1] == pytest.approx(-twist[2] * np.mean(rear), rel=1e-2)  # the rear axle does not slide
+    again = np.asarray(wheels.spins(jnp.asarray(joints), jnp.asarray(twist[None])))[0]
+    assert again[wheels.powered] == pytest.approx(spins[0][wheels.powered], rel=1e-3)
+
+
+def test_a_joint_follows_its_target_as_a_servo_without_load():
+    scene = build_scene(FLAT, ["Talon"])
+    servos, model = servos_of(scene.model), scene.model
+
+    class State:
+        def __init__(self, **fields):
+            vars(self).update(fields)
+
+        def replace(self, **fields):
+            return State(**(vars(self) | fields))
+
+    zero = State(qpos=jnp.asarray(model.qpos0), qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+    which = next(i for i, name in enumerate(servos.pull) if "Arm" in model.actuator(int(name)).name)
+    lag, q0 = servos.lag[which], model.qpos0[servos.qpos[which]]
+    ctrl = jnp.zeros(model.nu).at[servos.hold].set(1.0).at[servos.pull[which]].set(0.1)
+    act = jnp.asarray(model.qpos0[servos.qpos])
+    full = jnp.zeros(model.na).at[servos.act].set(act)
+    moved = move_joints(servos, zero, ctrl, full, 0.02)
+    # dq/dt = (target - q) / lag with a target that moves at 0.1 from where the joint is.
+    expected = q0 + 0.1 * (0.02 - lag * (1 - math.exp(-0.02 / lag)))
+    assert float(moved.qpos[servos.qpos[which]]) == pytest.approx(expected, abs=1e-6)
+    off = move_joints(servos, zero, ctrl.at[servos.hold[which]].set(0.0), full, 0.02)
+    assert float(off.qpos[servos.qpos[which]]) == pytest.approx(q0)
+
+
+# The ground
+
+
+def test_a_ramp_tilts_as_it_slopes_and_a_step_too_high_stops():
+    batch = Batch(build_scene(COURSE, [EAGER]), 1, engine="planar")
+    state = drive(batch, 4.0, 4.0, 90)
+    root = np.asarray(batch.physics(state).qpos)[0, batch.scene.groups[0].root_qposadr[0]]
+    pitch = math.asin(2 * (root[3] * root[5] - root[6] * root[4]))
+    on_c = Batch(build_scene(COURSE, [BLIND]), 1, engine="c")
+    real = drive(on_c, 4.0, 4.0, 90)
+    truth = np.asarray(on_c.physics(real).qpos)[0, on_c.scene.groups[0].root_qposadr[0]]
+    assert root[0] > 0.6, "it has come onto the ramp"
+    if truth[0] > 0.8:
+        assert math.degrees(pitch) == pytest.approx(-15.0, abs=3.0)
+    high = FLAT.__class__(
+        name="kerb",
+        starts=(StartPose(tag="S", at=(0.0, 0.0, 0.188), yaw=0.0),),
+        extent=((-3, 3), (-3, 3)),
+        shapes=(Shape(kind="box", size=(0.5, 1.0, 0.1), at=(1.5, 0.0, 0.1), surface="ground"),),
+    )
+    kerb = Batch(build_scene(high, [EAGER]), 1, engine="planar")
+    state = drive(kerb, 4.0, 4.0, 200)
+    front = poses(kerb, state)[0, 0, 0] + kerb.engine._robots.half[0, 0] + kerb.engine._robots.offset[0, 0]
+    assert front == pytest.approx(1.0, abs=2 * TOLERANCE)
+    assert bool(np.asarray(state.physics.touched)[0, 0])
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.2, -0.4])
+def test_the_top_of_a_box_is_the_plane_that_mujoco_s_rays_meet(pitch):
+    spec = mujoco.MjSpec()
+    geom = spec.worldbody.add_geom(type=GEOM.mjGEOM_BOX, size=[0.6, 0.4, 0.1], pos=[0.3, -0.2, 0.5])
+    geom.alt.euler = [0.0, math.degrees(pitch), 30.0]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    solids = seen_from_above(
+        model.geom_type,
+        jnp.asarray(data.geom_xpos),
+        jnp.asarray(data.geom_xmat.reshape(-1, 3, 3)),
+        jnp.asarray(model.geom_size),
+    )
+    for x, y in ((0.3, -0.2), (0.4, -0.1), (0.1, -0.25)):
+        out = np.zeros(1, np.int32)
+        fall = mujoco.mj_ray(model, data, np.array([x, y, 5.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, out)
+        height = float(ground_under(solids, 0.0, jnp.array([x, y]), jnp.array(9.0)))
+        assert height == pytest.approx(5.0 - fall, abs=1e-5)
+    assert float(ground_under(solids, 0.0, jnp.array([2.0, 2.0]), jnp.array(9.0))) == 0.0
+    assert float(ground_under(solids, 0.0, jnp.array([0.3, -0.2]), jnp.array(0.1))) == 0.0, "it is above"
+
+
+def test_where_a_robot_gets_to_has_the_slope_that_small_changes_show(flat):
+    start = flat.reset()
+    slot = flat.scene.groups[0].root_qposadr[0, 0]
+    state = flat.drive(start, 0, {"Left": 2.0, "Right": 2.2})
+    _, inputs = flat._compute_inputs(state.worlds, flat.physics(state))
+    wheels = flat.scene.groups[0].actuator_ids[0]
+
+    @jax.jit
+    def ends(speed):
+        ctrl = inputs.ctrl.at[0, wheels].set(speed)
+        after = jax.lax.fori_loop(
+            0, 5, lambda _, now: flat.engine.advance(now, inputs.replace(ctrl=ctrl)), state.physics
+        )
+        return after.qpos[0, slot]
+
+    slope = float(jax.jvp(ends, (2.0,), (1.0,))[1])
+    assert slope == pytest.approx(float(ends(2.05) - ends(1.95)) / 0.1, rel=2e-2)
+    assert slope > 0.0
+
+
+@pytest.mark.parametrize(("name", "allowed"), [("ERS", "c, jax and warp"), ("QRIO", "legs")])
+def test_what_it_cannot_move_is_refused_by_name(name, allowed):
+    with pytest.raises(UnsupportedFeatureError, match=f"'planar' cannot run this scene: {name} .*{allowed}"):
+        check_robot(ROBOTS.get(name))
+
+
+def test_terrain_is_refused_by_name():
+    with pytest.raises(UnsupportedFeatureError, match="meshes or height fields; engines c, jax and warp can"):
+        Batch(build_scene("DM-Outdoor", [EAGER]), 1, engine="planar")
+
+
+def test_long_steps_are_refused_for_what_flies():
+    scene = build_scene(FLAT, ["AirRobot"], Physics(timestep=0.05, substeps=1))
+    with pytest.raises(UnsupportedFeatureError, match=r"in control steps of up to 0\.025 s, not 0\.05 s"):
+        Batch(scene, 1, engine="planar")
+
+
+@pytest.mark.parametrize(
+    ("name", "within"),
+    [("Passarola", 3e-3), ("AirRobot", 0.05)],  # an AirRobot that leans takes off from an edge
+)
+def test_what_flies_goes_where_mujoco_has_it(name, within):
+    """The same forces on the same mass by the same steps, with another order within a step."""
+    blind, ways = replace(ROBOTS.get(name), sensors=(), cameras=()), []
+    scene = build_scene(FLAT, [blind])
+    for engine in ("c", "planar"):
+        batch = Batch(scene, 1, engine=engine, seed=1)
+        keys = blind.drive.full_scale
+        state = batch.reset()
+        start = np.asarray(batch.physics(state).qpos)[0, scene.groups[0].root_qposadr[0]]
+        for step in range(150):
+            if step in (10, 100):
+                share = 0.3 if step == 10 else -0.3
+                state = batch.drive(state, 0, {key: share * most for key, most in keys.items()})
+            state = batch.step(state)
+        ways.append(np.asarray(batch.physics(state).qpos)[0, scene.groups[0].root_qposadr[0]])
+    assert np.linalg.norm(ways[0][:3] - start[:3]) > 0.3, "it has gone somewhere"
+    assert ways[1] == pytest.approx(ways[0], abs=within)

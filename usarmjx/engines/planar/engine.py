@@ -1,0 +1,158 @@
+"""The engine `planar`."""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
+from usarmjx.engines.planar.bodies import PlanarRobots, robots_of
+from usarmjx.engines.planar.flight import fly
+from usarmjx.engines.planar.footprints import keep_apart, near_solids
+from usarmjx.engines.planar.poses import FixedBodies, fixed_bodies
+from usarmjx.engines.planar.rolling import place_on_ground, roll, rolled, stopped
+from usarmjx.engines.planar.servos import PlanarServos, move_joints, servos_of
+from usarmjx.engines.planar.solids import PlanSolids, floor_height, solid_geoms, solids_of
+from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.layout import RobotIndex
+from usarmjx.models.build.moved import MovedGeoms
+from usarmjx.models.build.variation import RandomizedBodies
+from usarmjx.models.spec.robot import RobotSpec
+
+NEAR = 8
+"""A robot looks at so many solids closely."""
+LONGEST_FLIGHT_STEP = 0.025
+"""What flies or dives is held upright by forces that are worked out once in a control step [s]."""
+
+
+class PlanarState(struct.PyTreeNode, kw_only=True):
+    """What the worlds go on from.
+
+    Attributes:
+        qpos: Positions (worlds, nq).
+        qvel: Velocities (worlds, nv).
+        act: Activations (worlds, na).
+        touched: Which robots touched a solid or each other in the last step (worlds, robots).
+        left_out: PlanSolids that were near a robot and not looked at (worlds,).
+    """
+
+    qpos: Array
+    qvel: Array
+    act: Array
+    touched: Array
+    left_out: Array
+
+
+class PlanarEngine(Engine[PlanarState]):
+    """Footprints on floors, ramps and levels; one step of a closed form per control step.
+
+    Args:
+        robots: The robots of the model and where they are in it, by slot; the other arguments are those of
+            `Engine`.
+
+    Raises:
+        UnsupportedFeatureError: A robot or an arena that it cannot do; says which engines can.
+    """
+
+    name: ClassVar[str] = "planar"
+    traceable: ClassVar[bool] = True
+    needs_robots: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
+        robots: tuple[tuple[RobotSpec, RobotIndex], ...] = (),
+    ) -> None:
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
+        self._robots: PlanarRobots = robots_of(self.model, robots)
+        if self._robots.flies.any() and physics.period > LONGEST_FLIGHT_STEP:
+            raise UnsupportedFeatureError(
+                "engine 'planar' moves what flies or dives in control steps of up to "
+                f"{LONGEST_FLIGHT_STEP:g} s, not {physics.period:g} s"
+            )
+        self._servos: PlanarServos = servos_of(self.model)
+        own = {body for _, index in robots for body in index.body_ids}
+        self._geoms = solid_geoms(self.model, own, self.moved_ids)
+        self._fixed: FixedBodies = fixed_bodies(self.model, own)
+        self._floor = floor_height(self.model)
+
+    def start(self) -> PlanarState:
+        """Return every world at the model's reference configuration."""
+        worlds, model = self.worlds, self.model
+        return PlanarState(
+            qpos=jnp.tile(jnp.asarray(model.qpos0, jnp.float32), (worlds, 1)),
+            qvel=jnp.zeros((worlds, model.nv)),
+            act=jnp.zeros((worlds, model.na)),
+            touched=jnp.zeros((worlds, self._robots.count), bool),
+            left_out=jnp.zeros(worlds, jnp.int32),
+        )
+
+    def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
+        """Make one control step in every world."""
+        pinned = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
+        moved = jax.vmap(self._advance_world)(pinned, inputs)
+        return moved.replace(
+            qpos=jnp.where(inputs.pinned, pinned.qpos, moved.qpos),
+            qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
+        )
+
+    def _advance_world(self, state: PlanarState, inputs: Inputs) -> PlanarState:
+        dt, robots = self.physics.period, self._robots
+        moves = ~inputs.pinned[robots.root_qpos[:, 0]]
+        joined = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
+        state, twist = roll(robots, state, joined, inputs, dt)
+        solids = self._solids(state, inputs.geom_poses)
+        before = robots.motion(state)
+        after = robots.choose(
+            fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
+        )
+        prints = robots.footprints(after)
+        reach = self._reach(dt)
+        near, left_out = near_solids(robots.footprints(before), solids, NEAR, reach)
+        kept, touched = keep_apart(robots.footprints(before), prints, near, moves)
+        after = stopped(robots, before, after, kept, touched, dt)
+        after = place_on_ground(robots, before, after, solids, self._floor, dt)
+        return robots.written(state, after).replace(
+            touched=touched & moves, left_out=jnp.where(moves, left_out, 0).sum()
+        )
+
+    def _reach(self, dt: float) -> float:
+        return 2.0 * self._robots.top_speed * dt + 0.05
+
+    def _solids(self, state: PlanarState, poses: GeomPoses | None) -> PlanSolids:
+        return solids_of(self.model, self._geoms, self._fixed.poses(state.qpos), poses)
+
+    def set_qpos(
+        self, engine_state: PlanarState, pinned: Array, pinned_dof: Array, qpos: Array
+    ) -> PlanarState:
+        """Put the pinned coordinates at qpos, at rest."""
+        return engine_state.replace(
+            qpos=jnp.where(pinned, qpos, engine_state.qpos),
+            qvel=jnp.where(pinned_dof, 0.0, engine_state.qvel),
+        )
+
+    def reset(self, engine_state: PlanarState, mask: Array, qpos: Array) -> PlanarState:
+        """Put the masked worlds at rest at qpos; the others keep every bit."""
+
+        def clear(value: Array) -> Array:
+            return jnp.where(mask.reshape(-1, *[1] * (value.ndim - 1)), jnp.zeros_like(value), value)
+
+        cleared = jax.tree.map(clear, engine_state)
+        return cleared.replace(qpos=jnp.where(mask[:, None], qpos, engine_state.qpos))
+
+    def state(self, engine_state: PlanarState) -> PhysicsState:
+        """Return positions, velocities and activations."""
+        return PhysicsState(qpos=engine_state.qpos, qvel=engine_state.qvel, act=engine_state.act)
+
+    def overflow(self, engine_state: PlanarState, inputs: Inputs) -> jax.Array:
+        """Return how many solids near robots were not looked at in the last step (worlds,)."""
+        del inputs
+        return jnp.asarray(engine_state.left_out)

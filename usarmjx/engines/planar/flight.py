@@ -1,0 +1,60 @@
+"""Rigid bodies under the forces of their drives: what flies and dives."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.rotations import mat_from_quat, matvec
+from usarmjx.engines.planar.bodies import Motion, PlanarRobots
+
+
+def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjModel, dt: float) -> Motion:
+    """Return where robots are after a control step, were they free bodies.
+
+    Semi-implicit Euler, as MuJoCo's, in as many steps as it would make.
+
+    Args:
+        robots: The robots of the model.
+        motion: Where they are.
+        wrench: Forces [N] and torques [N m] on the model's bodies, world axes (nbody, 6).
+        model: The model.
+        dt: Length of a control step [s].
+    """
+    if not robots.flies.any():
+        return motion
+    force, torque = wrench[robots.chassis, :3], wrench[robots.chassis, 3:]
+    pull = force / robots.mass[:, None] + jnp.asarray(model.opt.gravity)
+    steps = max(1, round(dt / model.opt.timestep))
+    h = dt / steps
+
+    def step(_: int, now: Motion) -> Motion:
+        mat = mat_from_quat(now.quat)
+        arm = matvec(mat, robots.centre)
+        spin = matvec(mat, now.angular)
+        centre, speed = now.pos + arm, now.linear + jnp.cross(spin, arm)
+        speed = speed + pull * h
+        own = matvec(mat.mT, torque)
+        momentum = matvec(robots.inertia, now.angular)
+        turn = matvec(robots.inverse_inertia, own - jnp.cross(now.angular, momentum))
+        angular = now.angular + turn * h
+        quat = turned(now.quat, angular * h)
+        mat = mat_from_quat(quat)
+        arm = matvec(mat, robots.centre)
+        spin = matvec(mat, angular)
+        return now.replace(
+            pos=centre + speed * h - arm, quat=quat, linear=speed - jnp.cross(spin, arm), angular=angular
+        )
+
+    return jax.lax.fori_loop(0, steps, step, motion)
+
+
+def turned(quat: Array, angle: Array) -> Array:
+    """Return orientations (n, 4) turned about axes of their own by rotation vectors (n, 3)."""
+    size = jnp.linalg.norm(angle, axis=-1, keepdims=True)
+    sine = 0.5 * jnp.sinc(size / (2 * jnp.pi))
+    other = jnp.concatenate([jnp.cos(size / 2), angle * sine], -1)
+    w, v = quat[:, :1], quat[:, 1:]
+    ow, ov = other[:, :1], other[:, 1:]
+    new = jnp.concatenate([w * ow - (v * ov).sum(-1, keepdims=True), w * ov + ow * v + jnp.cross(v, ov)], -1)
+    return new / jnp.linalg.norm(new, axis=-1, keepdims=True)

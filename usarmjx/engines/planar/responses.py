@@ -1,0 +1,142 @@
+"""How a robot class answers its motors: the figures of `planar`, measured on engine `c`."""
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import mujoco
+
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.models.build.compose import add_robot
+from usarmjx.models.build.parts import parts_of
+from usarmjx.models.drives.ackermann import Ackermann
+from usarmjx.models.drives.base import Drive
+from usarmjx.models.drives.ground import NoDrive, SkidSteer
+from usarmjx.models.drives.omni import OmniDrive
+from usarmjx.models.spec.robot import RobotSpec
+
+FILE = "responses.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """How a class that rolls answers the speeds of its wheels.
+
+    Attributes:
+        gain: Forward speed over what the wheels' rims do.
+        turn_gain: Rate of turn over what the wheels' rims do, were they as far apart as in the description.
+        forward_lag: The speed follows the wheels' with such a time constant [s].
+        turn_lag: So does the rate of turn [s].
+        acceleration: Most of it [m/s^2].
+        turn_acceleration: Most change of the rate of turn [rad/s^2].
+        cornering: Most sideways acceleration in a bend [m/s^2]: what is faster turns less.
+        drift: Sideways speed over forward speed times rate of turn, to the outside [s].
+    """
+
+    gain: float = 1.0
+    turn_gain: float = 1.0
+    forward_lag: float = 0.02
+    turn_lag: float = 0.02
+    acceleration: float = 5.0
+    turn_acceleration: float = 20.0
+    cornering: float = 8.0
+    drift: float = 0.0
+
+
+NAMES = tuple(field.name for field in fields(Response))
+
+
+@cache
+def description_key(robot: RobotSpec) -> str:
+    """Return what changes when the robot's physics does: of that robot a response was measured."""
+    spec = mujoco.MjSpec()
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    spec.compile()
+    motors = [part.motor for part in parts_of(robot)]
+    words = f"{robot.drive!r}\n{motors!r}\n{spec.to_xml()}"
+    return hashlib.sha256(words.encode()).hexdigest()[:16]
+
+
+@cache
+def measured() -> dict[str, Any]:
+    """Return the shipped measurements: by class its key, its response and what remains unexplained."""
+    return json.loads(resources.files("usarmjx.engines.planar").joinpath(FILE).read_text(encoding="utf-8"))
+
+
+def rolls(drive: Drive) -> bool:
+    """Whether a drive moves its robot by wheels or tracks."""
+    return isinstance(drive, SkidSteer | Ackermann | OmniDrive)
+
+
+def known_response(robot: RobotSpec) -> Response | None:
+    """Return how a class that rolls answers, if that was measured of the description that it has now."""
+    if robot in _own:
+        return _own[robot]
+    entry = measured().get(robot.name)
+    if entry is None or entry["key"] != description_key(robot):
+        return None
+    return Response(**entry["response"])
+
+
+def response_of(robot: RobotSpec) -> Response:
+    """Return how a class that rolls answers.
+
+    Raises:
+        UnsupportedFeatureError: It was not measured.
+    """
+    response = known_response(robot)
+    if response is None:
+        raise UnsupportedFeatureError(
+            f"engine 'planar' cannot run this scene: how a {robot.name} answers its motors was not measured"
+        )
+    return response
+
+
+_own: dict[RobotSpec, Response] = {}
+
+
+def use_response(robot: RobotSpec, response: Response) -> None:
+    """Let a class answer so in engines that are built from now on in this process."""
+    _own[robot] = response
+
+
+def check_robot(robot: RobotSpec) -> None:
+    """Refuse what `planar` cannot move.
+
+    Raises:
+        UnsupportedFeatureError: Names it.
+    """
+    drive = robot.drive
+    if isinstance(drive, NoDrive) and robot.parts:
+        raise UnsupportedFeatureError(
+            f"engine 'planar' cannot run this scene: {robot.name} walks on legs; engines c, jax and warp can"
+        )
+    if not (rolls(drive) or drive.pushes or isinstance(drive, NoDrive)):
+        raise UnsupportedFeatureError(
+            f"engine 'planar' cannot run this scene: {robot.name} is driven by {type(drive).__name__}, known "
+            "are skid steering, tracks, Ackermann and omnidirectional wheels, and what flies or dives"
+        )
+
+
+def as_entry(robot: RobotSpec, response: Response, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
+    """Return what the file of measurements has of a class."""
+    return {"key": description_key(robot), "response": asdict(response), **more}
+
+
+def error_table() -> str:
+    """Return how far off the shipped figures leave each class, as a table in Markdown."""
+    horizons = list(next(iter(measured().values()))["errors"])
+    head = [f"| class | {' | '.join(f'after {horizon}' for horizon in horizons)} |", "|---" * 4 + "|"]
+
+    def told(error: dict[str, float]) -> str:
+        return f"{error['distance']:.2f} m, {math.degrees(error['heading']):.0f}° of {error['way']:.1f} m"
+
+    rows = [
+        f"| {name} | {' | '.join(told(entry['errors'][horizon]) for horizon in horizons)} |"
+        for name, entry in sorted(measured().items(), key=lambda item: item[0].lower())
+    ]
+    return "\n".join([*head, *rows])

@@ -1,0 +1,190 @@
+"""What robots stand on and stop at: solids seen from above, with the plane of their tops.
+
+A solid is a rectangle or a disc on the plan, from a height to another. A box whose top lies less steep than
+`STEEPEST` can be driven on where the robot comes up to it without a step: ramps and levels.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.rotations import mat_from_quat, matmul, matvec
+from usarmjx.engines.base import GeomPoses
+
+STEEPEST = math.cos(math.radians(30.0))
+"""Cosine of the steepest slope that robots drive on."""
+NOWHERE = 1e6
+"""A solid so high, or so low, meets nobody [m]."""
+KINDS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+}
+
+
+class PlanSolids(struct.PyTreeNode, kw_only=True):
+    """PlanSolids of one world.
+
+    Attributes:
+        pos: Middles on the plan [m] (solids, 2).
+        axis: Cosine and sine of the way the rectangle's first side points (solids, 2).
+        half: Half sides [m] (solids, 2); zeros of a disc.
+        radius: Of discs; zeros of rectangles [m] (solids,).
+        low: Lowest point [m] (solids,).
+        top: Height of the top over the middle [m] (solids,).
+        slope: How the top rises along x and y (solids, 2).
+        highest: Highest point [m] (solids,).
+    """
+
+    pos: Array
+    axis: Array
+    half: Array
+    radius: Array
+    low: Array
+    top: Array
+    slope: Array
+    highest: Array
+
+
+class SolidGeoms(NamedTuple):
+    """The geoms of a model that robots can meet and that are no robot's.
+
+    Attributes:
+        ids: Their ids (n,).
+        kinds: MuJoCo geom types (n,).
+        bodies: The bodies that they are fixed to (n,).
+        moved: Places in `GeomPoses` of those that are data (n,); -1: they are fixed to their bodies.
+    """
+
+    ids: np.ndarray
+    kinds: np.ndarray
+    bodies: np.ndarray
+    moved: np.ndarray
+
+
+def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[int]) -> SolidGeoms:
+    """Return the geoms that robots can meet, without floors.
+
+    Raises:
+        UnsupportedFeatureError: One is of a kind that this engine does not know: meshes and height fields.
+    """
+    touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    others = [g for g in np.flatnonzero(touches).tolist() if model.geom_bodyid[g] not in robot_bodies]
+    others = [g for g in others if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
+    strange = [model.geom(g).name for g in others if int(model.geom_type[g]) not in KINDS]
+    if strange:
+        names = ", ".join(map(repr, strange[:4]))
+        raise UnsupportedFeatureError(
+            f"engine 'planar' cannot run this scene: {names} of meshes or height fields; engines c, jax and "
+            "warp can"
+        )
+    ids = np.array(others, int)
+    places = {geom: place for place, geom in enumerate(moved_ids)}
+    return SolidGeoms(
+        ids=ids,
+        kinds=model.geom_type[ids],
+        bodies=model.geom_bodyid[ids],
+        moved=np.array([places.get(geom, -1) for geom in others], int),
+    )
+
+
+def floor_height(model: mujoco.MjModel) -> float:
+    """Return how high the floor is [m]; without one, far below all."""
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    heights = [model.body_pos[model.geom_bodyid[g], 2] + model.geom_pos[g, 2] for g in planes]
+    return float(max(heights, default=-NOWHERE))
+
+
+def solids_of(
+    model: mujoco.MjModel, geoms: SolidGeoms, bodies: tuple[Array, Array], poses: GeomPoses | None
+) -> PlanSolids:
+    """Return the solids of one world.
+
+    Args:
+        model: The model.
+        geoms: Which geoms they are.
+        bodies: Origins (nbody, 3) [m] and orientations (nbody, 3, 3) of the model's bodies.
+        poses: Where geoms are that are data.
+    """
+    pos, mat = jnp.asarray(model.geom_pos[geoms.ids]), mat_from_quat(jnp.asarray(model.geom_quat[geoms.ids]))
+    size = jnp.asarray(model.geom_size[geoms.ids])
+    if poses is not None:
+        is_moved, place = geoms.moved >= 0, np.maximum(geoms.moved, 0)
+        pos = jnp.where(is_moved[:, None], poses.pos[place], pos)
+        mat = jnp.where(is_moved[:, None, None], mat_from_quat(poses.quat)[place], mat)
+        if poses.size is not None:
+            size = jnp.where(is_moved[:, None], poses.size[place], size)
+    origin, turn = bodies[0][geoms.bodies], bodies[1][geoms.bodies]
+    pos, mat = origin + matvec(turn, pos), matmul(turn, mat)
+    return seen_from_above(geoms.kinds, pos, mat, size)
+
+
+def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> PlanSolids:
+    """Return what geoms look like on the plan.
+
+    Args:
+        kinds: MuJoCo geom types (n,).
+        pos: Middles [m] (n, 3).
+        mat: Orientations (n, 3, 3).
+        size: MuJoCo sizes [m] (n, 3).
+    """
+    box, half = _half_box(kinds, size)
+    upright = jnp.abs(mat[:, 2])  # how much each axis points up
+    up = jnp.argmax(upright, -1)
+    normal = jnp.take_along_axis(mat, up[:, None, None], 2)[..., 0]
+    normal = normal * jnp.where(normal[:, 2:] < 0, -1.0, 1.0)
+    thick = jnp.take_along_axis(half, up[:, None], 1)[:, 0]
+    height = (upright * half).sum(-1)
+    flat = box & (normal[:, 2] >= STEEPEST)
+    slope = jnp.where(flat[:, None], -normal[:, :2] / jnp.maximum(normal[:, 2:], 0.1), 0.0)
+    middle = pos + normal * thick[:, None]
+    over = middle[:, 2] + (slope * (pos - middle)[:, :2]).sum(-1)
+    # The first side lies as the most level of the two other axes does.
+    level = jnp.argmin(jnp.where(jnp.arange(3) == up[:, None], 2.0, upright), -1)
+    first = jnp.take_along_axis(mat, level[:, None, None], 2)[:, :2, 0]
+    axis = first / jnp.maximum(jnp.linalg.norm(first, axis=-1, keepdims=True), 1e-6)
+    along = jnp.abs(axis[:, :1] * mat[:, 0] + axis[:, 1:] * mat[:, 1])
+    across = jnp.abs(-axis[:, 1:] * mat[:, 0] + axis[:, :1] * mat[:, 1])
+    sides = jnp.stack([(along * half).sum(-1), (across * half).sum(-1)], -1)
+    round_ = ~box & (up == 2) | (kinds == int(mujoco.mjtGeom.mjGEOM_SPHERE))
+    return PlanSolids(
+        pos=pos[:, :2],
+        axis=axis,
+        half=jnp.where(round_[:, None], 0.0, sides),
+        radius=jnp.where(round_, half[:, 0], 0.0),
+        low=pos[:, 2] - height,
+        top=jnp.where(flat, over, pos[:, 2] + height),
+        slope=slope,
+        highest=pos[:, 2] + height,
+    )
+
+
+def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
+    """Return which geoms are boxes (n,), and half sides of the boxes around all of them (n, 3)."""
+    geom = mujoco.mjtGeom
+    box = kinds == int(geom.mjGEOM_BOX)
+    as_is = box | (kinds == int(geom.mjGEOM_ELLIPSOID))
+    radius = size[:, :1]
+    long = jnp.where((kinds == int(geom.mjGEOM_CAPSULE))[:, None], size[:, 1:2] + radius, size[:, 1:2])
+    long = jnp.where((kinds == int(geom.mjGEOM_SPHERE))[:, None], radius, long)
+    return box, jnp.where(as_is[:, None], size, jnp.concatenate([radius, radius, long], -1))
+
+
+def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
+    """Return how high the ground is under points (..., 2); what is above `reach` (...,) is not ground."""
+    apart = points[..., None, :] - solids.pos
+    along = (apart * solids.axis).sum(-1)
+    across = apart[..., 1] * solids.axis[:, 0] - apart[..., 0] * solids.axis[:, 1]
+    inside = (jnp.abs(along) <= solids.half[:, 0]) & (jnp.abs(across) <= solids.half[:, 1])
+    inside |= (apart * apart).sum(-1) <= solids.radius**2
+    height = solids.top + (apart * solids.slope).sum(-1)
+    below = inside & (height <= reach[..., None])
+    return jnp.max(jnp.where(below, height, floor), axis=-1, initial=-NOWHERE)

@@ -1,0 +1,314 @@
+"""How robot classes answer their motors, measured on engine `c` for engine `planar`.
+
+Many robots of a class drive by random commands on an open floor; the figures of `Response` are those with
+which the twists that `planar` makes of the same commands come nearest, by least squares.
+"""
+
+import json
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.compilation import cache_folder
+from usarmjx.base.errors import UsageError
+from usarmjx.base.files import write_beside
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.engines.planar.drives import follow, wheels_of
+from usarmjx.engines.planar.responses import (
+    NAMES,
+    Response,
+    as_entry,
+    description_key,
+    known_response,
+    rolls,
+    use_response,
+)
+from usarmjx.models.drives.omni import OmniDrive
+from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+log = logging.getLogger(__name__)
+
+START = StartPose(tag="S", at=(0.0, 0.0, 0.188), yaw=0.0)
+OPEN_FLOOR = ArenaSpec(name="open-floor", starts=(START,), extent=((-50.0, 50.0), (-50.0, 50.0)))
+SETTLING = 25
+"""Control steps in which robots come to rest before they are told anything."""
+ORDER_STEPS = (25, 100)
+"""An order lasts for so many control steps."""
+STRAIGHT, SPINNING = 0.25, 0.15
+"""Shares of orders that go straight on, and that turn on the spot."""
+FASTEST = 4.0
+"""Cars are told to go no faster [m/s]: beyond that they skid through any bend."""
+HORIZONS = (1.0, 5.0, 20.0)
+"""After such times the error of the pose is stated [s]."""
+LOWEST = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
+HIGHEST = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
+"""Within which the figures are looked for, in the order of `NAMES`."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveLog:
+    """What robots of a class were told, and what became of it on engine `c`.
+
+    Attributes:
+        period: Of a control step [s].
+        told: Speeds that their wheels were told [rad/s] (steps, robots, wheels).
+        joints: Positions of their joints, before each step (steps, robots, joints).
+        twist: Forward speed, sideways speed, rate of turn after each (steps, robots, 3).
+        pose: Position on the plan [m] and heading [rad] after each (steps, robots, 3).
+    """
+
+    period: float
+    told: np.ndarray
+    joints: np.ndarray
+    twist: np.ndarray
+    pose: np.ndarray
+
+
+def random_orders(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.ndarray:
+    """Return what robots of a class are told, by the keys of its drive (steps, robots, keys)."""
+    rng, drive = np.random.default_rng(seed), robot.drive
+    limits, orders = drive.limits, np.zeros((steps, robots, len(drive.keys)), np.float32)
+    for number in range(robots):
+        step = 0
+        while step < steps:
+            end = step + int(rng.integers(*ORDER_STEPS))
+            orders[step:end, number] = _random_order(drive, limits, rng)
+            step = end
+    return orders
+
+
+def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
+    kind, values = rng.random(), rng.uniform(-1.0, 1.0, len(limits)) * limits
+    if isinstance(drive, OmniDrive):
+        # Wheels that agree: all at one speed and one angle, or those ahead turned the other way.
+        speeds = np.array([key.startswith("WheelSpeed") for key in drive.keys])
+        sides = np.array([np.sign(drive.wheels[int(key.lstrip("WhelSpdtr"))].x) for key in drive.keys])
+        angle = rng.uniform(-1.0, 1.0) * drive.max_steer * (sides if kind < 0.5 else 1.0)
+        return np.where(speeds, rng.uniform(-1.0, 1.0) * drive.max_spin, angle).astype(np.float32)
+    if drive.keys == ("Left", "Right"):
+        if kind < STRAIGHT:
+            values[1] = values[0]
+        elif kind < STRAIGHT + SPINNING:
+            values[1] = -values[0]
+    else:
+        values[0] *= min(1.0, FASTEST / drive.top_speed)
+        values[1:] *= kind >= STRAIGHT
+    return values.astype(np.float32)
+
+
+def drive_log(robot: RobotSpec, orders: np.ndarray, engine: str = "c") -> DriveLog:
+    """Return what becomes of orders (steps, robots, keys) on an open floor."""
+    scene = build_scene(OPEN_FLOOR, [robot])
+    batch, group = Batch(scene, worlds=orders.shape[1], engine=engine), scene.groups[0]
+    drive, names = robot.drive, group.plan.parts[1:]
+    wheels = wheels_of(robot)
+    state = batch.reset()
+    for _ in range(SETTLING):
+        state = batch.step(state)
+    joints: list[np.ndarray] = []
+    twist: list[np.ndarray] = []
+    pose: list[np.ndarray] = []
+    for number in range(len(orders)):
+        if not number or (orders[number] != orders[number - 1]).any():
+            told = {key: orders[number, :, None, i] for i, key in enumerate(drive.keys)}
+            state = batch.drive(state, 0, told)
+        joints.append(np.asarray(batch.physics(state).qpos)[:, group.qposadr[0]])
+        state = batch.step(state)
+        now = batch.physics(state)
+        qpos = np.asarray(now.qpos)[:, group.root_qposadr[0]]
+        qvel = np.asarray(now.qvel)[:, group.root_dofadr[0]]
+        mat = np.asarray(mat_from_quat(qpos[:, 3:]))
+        own = np.einsum("nji,nj->ni", mat, qvel[:, :3])
+        twist.append(np.column_stack([own[:, :2], qvel[:, 5]]))
+        pose.append(np.column_stack([qpos[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]))
+    targets = np.asarray(drive.targets(orders))
+    lower = [name.lower() for name in names]
+    place = {lower.index(one.joint.lower()): i for i, one in enumerate(drive.joint_controls)}
+    speeds = [
+        targets[..., place[j]] if j in place else np.zeros(targets.shape[:2]) for j in wheels.spin.tolist()
+    ]
+    return DriveLog(
+        period=scene.physics.period,
+        told=np.stack(speeds, -1),
+        joints=np.array(joints),
+        twist=np.array(twist),
+        pose=np.array(pose),
+    )
+
+
+def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]:
+    """Return the figures with which a log is explained best, and what is left of its twists (3,), rms."""
+    wheels = wheels_of(robot)
+    told, joints = jnp.asarray(log.told, jnp.float32), jnp.asarray(log.joints, jnp.float32)
+    wanted = jax.vmap(wheels.twist)(joints, told)
+    real = jnp.asarray(log.twist, jnp.float32)
+    # Rates of turn count as what they are at the rim of the robot, sideways motion as little as it matters.
+    reach = max(np.hypot(*robot.dimensions[:2]) / 2, 0.1)
+    weight = jnp.array([1.0, 0.3, reach])
+
+    def twists(values: Array) -> Array:
+        answer = Response(**dict(zip(NAMES, values, strict=True)))  # type: ignore - numbers that are traced
+
+        def step(now: Array, asked: Array) -> tuple[Array, Array]:
+            now = follow(answer, now, asked, log.period)
+            return now, now
+
+        rolling = jax.lax.scan(step, jnp.zeros_like(wanted[0]), wanted)[1]
+        ahead, turn = answer.gain * rolling[..., 0], answer.turn_gain * rolling[..., 2]
+        aside = answer.gain * rolling[..., 1] + answer.drift * ahead * turn
+        return jnp.stack([ahead, aside, turn], -1)
+
+    def misfit(values: Array) -> Array:
+        return ((twists(values) - real) * weight).reshape(-1)
+
+    residual = jax.jit(misfit)
+    slope = jax.jit(partial(_columns, misfit))
+    first = np.array([1.0, 0.7, 0.05, 0.05, 3.0, 6.0, 8.0, 0.0])
+
+    def misfit_at(values: np.ndarray) -> np.ndarray:
+        return np.asarray(residual(jnp.asarray(values, jnp.float32)), float)
+
+    def slope_at(values: np.ndarray) -> np.ndarray:
+        return np.asarray(slope(jnp.asarray(values, jnp.float32)), float)
+
+    found: np.ndarray = least_squares(
+        misfit_at,
+        first,
+        slope_at,
+        bounds=(LOWEST, HIGHEST),
+        loss="soft_l1",
+        f_scale=0.1,
+        x_scale=np.maximum(np.abs(first), 0.05),
+        max_nfev=60,
+    ).x
+    left = np.asarray(twists(jnp.asarray(found, jnp.float32)) - real)
+    figures = {name: float(f"{x:.5g}") for name, x in zip(NAMES, found.tolist(), strict=True)}
+    return Response(**figures), np.sqrt((left**2).mean((0, 1)))
+
+
+def _columns(function: Callable[[Array], Array], values: Array) -> Array:
+    """Return how a function changes with each of its numbers (results, numbers)."""
+
+    def along(way: Array) -> Array:
+        return jax.jvp(function, (values,), (way,))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(len(values)))
+
+
+def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: int = 0) -> dict[str, Any]:
+    """Measure a class that rolls on engine `c`, and let it answer so in `planar` from now on.
+
+    Args:
+        robot: Its description.
+        robots: How many drive at once.
+        seconds: For how long [s].
+        seed: Of their orders.
+
+    Returns:
+        What the file of measurements has of it: the key of the description, the response, and the rms of what
+        is left unexplained of forward speed [m/s], sideways speed [m/s] and rate of turn [rad/s].
+
+    Raises:
+        UsageError: It does not roll: there is nothing to measure.
+    """
+    if not rolls(robot.drive):
+        raise UsageError(f"{robot.name} does not roll on wheels or tracks: there is nothing to calibrate")
+    orders = random_orders(robot, robots, round(seconds / 0.02), seed)
+    response, left = fit_response(robot, drive_log(robot, orders))
+    use_response(robot, response)
+    names = ("forward_speed", "sideways_speed", "rate_of_turn")
+    return as_entry(robot, response, left={k: float(f"{x:.3g}") for k, x in zip(names, left, strict=True)})
+
+
+def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, dict[str, float]]:
+    """Return how far robots on `planar` are from those on `c` after some time of the same random orders.
+
+    Medians over robots of the distance [m] and of the difference in heading [rad], by the time [s].
+    """
+    orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02), seed)
+    real, planar = drive_log(robot, orders, "c"), drive_log(robot, orders, "planar")
+    errors: dict[str, dict[str, float]] = {}
+    for horizon in HORIZONS:
+        step = round(horizon / real.period) - 1
+        apart = planar.pose[step] - real.pose[step]
+        turn = np.arctan2(np.sin(apart[:, 2]), np.cos(apart[:, 2]))
+        way = np.linalg.norm(np.diff(real.pose[: step + 1, :, :2], axis=0), axis=-1).sum(0)
+        errors[f"{horizon:g} s"] = {
+            "distance": float(f"{np.median(np.linalg.norm(apart[:, :2], axis=-1)):.3g}"),
+            "heading": float(f"{np.median(np.abs(turn)):.3g}"),
+            "way": float(f"{np.median(way):.3g}"),
+        }
+    return errors
+
+
+def ensure_calibrated(robots: Iterable[RobotSpec], folder: Path | None = None) -> None:
+    """Measure the classes of which it is not known how they answer, and keep it in a folder for other runs.
+
+    Args:
+        robots: The classes.
+        folder: Where; None: the cache of this user, if there is one.
+    """
+    cache = cache_folder(os.environ) if folder is None else folder
+    for robot in dict.fromkeys(robots):
+        if not rolls(robot.drive) or known_response(robot) is not None:
+            continue
+        file = None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
+        if file is not None and file.exists():
+            use_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
+            continue
+        log.warning("engine planar: measuring how a %s answers its motors, on engine c ...", robot.name)
+        entry = calibrate(robot)
+        if file is not None:
+            with write_beside(file) as fresh:
+                fresh.write_text(json.dumps(entry, indent=1), encoding="utf-8")
+
+
+def measure_all(
+    robots: Iterable[RobotSpec], file: Path | None = None, *, everything: bool = False
+) -> Iterator[str]:
+    """Measure classes one after the other, with the errors of their poses; yield a line for each.
+
+    Args:
+        robots: The classes.
+        file: JSON file to keep the figures in after each; classes in it that have not changed are left.
+        everything: Leave out what does not roll, instead of refusing it.
+
+    Raises:
+        UsageError: A class does not roll.
+    """
+    known: dict[str, dict[str, Any]] = {}
+    if file is not None and file.exists():
+        known = json.loads(file.read_text(encoding="utf-8"))
+    for robot in robots:
+        if everything and not rolls(robot.drive):
+            continue
+        entry = known.get(robot.name)
+        if entry is None or entry["key"] != description_key(robot):
+            entry = calibrate(robot)
+            entry["errors"] = pose_errors(robot)
+        known[robot.name] = entry
+        if file is not None:
+            with write_beside(file) as fresh:
+                fresh.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
+        yield _told(robot.name, entry)
+
+
+def _told(name: str, entry: dict[str, Any]) -> str:
+    parts = [
+        f"after {horizon} {error['distance']:.2f} m, {error['heading']:.2f} rad off, of {error['way']:.1f} m"
+        for horizon, error in entry["errors"].items()
+    ]
+    return f"{name}: {'; '.join(parts)}"
