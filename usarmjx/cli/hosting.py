@@ -19,6 +19,7 @@ from usarmjx.cli.access_options import (
     warn_if_open,
 )
 from usarmjx.cli.recordings import RecordOption, recorded
+from usarmjx.cli.ros_options import connect_rosbridge
 from usarmjx.cli.serve_run import MetricsOption, add_metrics, bot_settings, make_servers, metrics_socket
 from usarmjx.cli.service_options import ServiceMaker, ServiceOptions, Sockets, SpectatorOptions
 from usarmjx.cli.tools import PortOffsetOption
@@ -242,6 +243,7 @@ class Host:
         from usarmjx.server.loop import serve as run
 
         servers = make_servers(worlds, self.settings, services.makers, ports.bound, self.numbers, batch_size)
+        connect_rosbridge(servers)
         servers[0].services.extend(more)
         if ports.metrics is not None:
             add_metrics(servers, self.run.realtime_factor, ports.metrics, self.numbers)

@@ -9,6 +9,7 @@ import typer
 
 from usarmjx.cli.grouping import grouped
 from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
+from usarmjx.cli.ros_options import RosOptions
 from usarmjx.cli.serve_run import instances_of
 from usarmjx.cli.service_options import ImageOptions, RadioOptions, SpectatorOptions
 from usarmjx.cli.tools import (
@@ -92,6 +93,7 @@ def serve(
     run: RunOptions,
     radio: RadioOptions,
     images: ImageOptions,
+    ros: RosOptions,
     spectator: SpectatorOptions,
     viewer: ViewerOptions,
     view: ViewOption = True,
@@ -113,7 +115,7 @@ def serve(
             viewer=viewer,
             view=view,
             spectator=spectator,
-            services=(radio, images),
+            services=(radio, images, ros),
         )
         with host.ports() as ports:
             if not log_json:

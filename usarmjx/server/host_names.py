@@ -22,8 +22,8 @@ LOCALHOST = re.compile(r"(?:.+\.)?localhost")
 """These names are no site's: they always mean the browser's own machine."""
 
 
-def check_names(names: Collection[str]) -> tuple[str, ...]:
-    """Return the names of `--allow-host` as they are compared.
+def check_names(names: Collection[str], option: str = "--allow-host") -> tuple[str, ...]:
+    """Return the names of an option as they are compared.
 
     Raises:
         UsageError: One is no host name and no IP address.
@@ -31,7 +31,7 @@ def check_names(names: Collection[str]) -> tuple[str, ...]:
     for name in names:
         if not _NAME.fullmatch(name):
             wanted = "expected a name or IP address alone, as sim.example.org"
-            raise UsageError(f"--allow-host: {name!r} is no host; {wanted}")
+            raise UsageError(f"{option}: {name!r} is no host; {wanted}")
     return tuple(map(_plain, names))
 
 

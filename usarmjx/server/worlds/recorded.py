@@ -80,5 +80,6 @@ def record_step(
 def keep_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray) -> None:
     """Keep what a sensor, by index in the suite, has measured until it is reported."""
     robot.pending[sensor] = value
+    robot.latest[sensor] = world.time, value
     if world.recorder is not None:
         world.recorder.read(robot.slot, sensor, value)

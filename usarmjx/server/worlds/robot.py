@@ -26,6 +26,7 @@ class Robot:
         spawn_time: World time at which it appeared [s].
         drowned: Whether water has killed its battery.
         pending: Readings that have not been reported yet, by index in the suite.
+        latest: The last readings, by index in the suite, and when they were taken [s].
         tile: Its tile of the MultiView, -1 without one.
         obeys: Whose commands it takes meanwhile in place of its client's.
         next_report: When it reports next [s]; never without a client.
@@ -38,6 +39,7 @@ class Robot:
     spawn_time: float
     drowned: bool = False
     pending: dict[int, np.ndarray] = field(default_factory=dict)
+    latest: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)
     tile: int = -1
     obeys: object = None
     next_report: float = math.inf
@@ -55,6 +57,7 @@ class Robot:
         """Forget what it was told and what it has read."""
         self.command, self.drowned = command, False
         self.pending.clear()
+        self.latest.clear()
         self.__post_init__()
 
     @property

@@ -1,0 +1,162 @@
+"""The messages that are sent, as data: their fields and types in ROS 1 and ROS 2, times and headers."""
+
+import math
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+MessageFields: TypeAlias = Mapping[str, str]
+"""Types of a message's fields by their names; `[]` behind a type is a list, `[9]` one of that length."""
+RosMessage: TypeAlias = dict[str, Any]
+"""A message as JSON has it."""
+
+
+class RosVersion(IntEnum):
+    """Whose names of types and of times are spoken."""
+
+    ROS1 = 1
+    ROS2 = 2
+
+    def type_name(self, name: str) -> str:
+        """Return the full name of a type such as `nav_msgs/Odometry`."""
+        return name.replace("/", "/msg/") if self == RosVersion.ROS2 else name
+
+    def stamp(self, time: float) -> RosMessage:
+        """Return a time [s] as messages have it."""
+        seconds = math.floor(time)
+        rest = round((time - seconds) * 1e9)
+        if rest >= 1_000_000_000:
+            seconds, rest = seconds + 1, 0
+        names = ("sec", "nanosec") if self == RosVersion.ROS2 else ("secs", "nsecs")
+        return dict(zip(names, (seconds, rest), strict=True))
+
+    def header(self, time: float, frame: str) -> RosMessage:
+        """Return the header of what holds at a time [s] in a frame."""
+        header: RosMessage = {"stamp": self.stamp(time), "frame_id": frame}
+        return {"seq": 0, **header} if self == RosVersion.ROS1 else header
+
+    def fields(self, name: str) -> MessageFields:
+        """Return the fields of a type, by its short name."""
+        return _ONLY[self].get(name) or SHARED[name]
+
+    def text(self, name: str) -> str:
+        """Return the definition of a type and of all that it is made of, as bags have them."""
+        told, waiting, parts = [name], [name], list[str]()
+        while waiting:
+            one = waiting.pop(0)
+            fields = self.fields(one)
+            body = "\n".join(f"{self._spelled(kind)} {field}" for field, kind in fields.items())
+            head = "" if one == name else f"{'=' * 80}\nMSG: {self.type_name(one)}\n"
+            parts.append(head + body)
+            for kind in fields.values():
+                base = kind.partition("[")[0]
+                if "/" in base and base not in told and base != "builtin_interfaces/Time":
+                    told.append(base)
+                    waiting.append(base)
+        return "\n".join(parts) + "\n"
+
+    def _spelled(self, kind: str) -> str:
+        return "time" if kind == TIME and self == RosVersion.ROS1 else kind
+
+
+TIME = "builtin_interfaces/Time"
+SHARED: dict[str, MessageFields] = {
+    "geometry_msgs/Point": {"x": "float64", "y": "float64", "z": "float64"},
+    "geometry_msgs/Vector3": {"x": "float64", "y": "float64", "z": "float64"},
+    "geometry_msgs/Quaternion": {"x": "float64", "y": "float64", "z": "float64", "w": "float64"},
+    "geometry_msgs/Pose": {"position": "geometry_msgs/Point", "orientation": "geometry_msgs/Quaternion"},
+    "geometry_msgs/PoseStamped": {"header": "std_msgs/Header", "pose": "geometry_msgs/Pose"},
+    "geometry_msgs/PoseWithCovariance": {"pose": "geometry_msgs/Pose", "covariance": "float64[36]"},
+    "geometry_msgs/Twist": {"linear": "geometry_msgs/Vector3", "angular": "geometry_msgs/Vector3"},
+    "geometry_msgs/TwistWithCovariance": {"twist": "geometry_msgs/Twist", "covariance": "float64[36]"},
+    "geometry_msgs/Transform": {
+        "translation": "geometry_msgs/Vector3",
+        "rotation": "geometry_msgs/Quaternion",
+    },
+    "geometry_msgs/TransformStamped": {
+        "header": "std_msgs/Header",
+        "child_frame_id": "string",
+        "transform": "geometry_msgs/Transform",
+    },
+    "tf2_msgs/TFMessage": {"transforms": "geometry_msgs/TransformStamped[]"},
+    "rosgraph_msgs/Clock": {"clock": TIME},
+    "nav_msgs/Odometry": {
+        "header": "std_msgs/Header",
+        "child_frame_id": "string",
+        "pose": "geometry_msgs/PoseWithCovariance",
+        "twist": "geometry_msgs/TwistWithCovariance",
+    },
+    "nav_msgs/MapMetaData": {
+        "map_load_time": TIME,
+        "resolution": "float32",
+        "width": "uint32",
+        "height": "uint32",
+        "origin": "geometry_msgs/Pose",
+    },
+    "nav_msgs/OccupancyGrid": {
+        "header": "std_msgs/Header",
+        "info": "nav_msgs/MapMetaData",
+        "data": "int8[]",
+    },
+    "sensor_msgs/LaserScan": {
+        "header": "std_msgs/Header",
+        "angle_min": "float32",
+        "angle_max": "float32",
+        "angle_increment": "float32",
+        "time_increment": "float32",
+        "scan_time": "float32",
+        "range_min": "float32",
+        "range_max": "float32",
+        "ranges": "float32[]",
+        "intensities": "float32[]",
+    },
+    "sensor_msgs/Imu": {
+        "header": "std_msgs/Header",
+        "orientation": "geometry_msgs/Quaternion",
+        "orientation_covariance": "float64[9]",
+        "angular_velocity": "geometry_msgs/Vector3",
+        "angular_velocity_covariance": "float64[9]",
+        "linear_acceleration": "geometry_msgs/Vector3",
+        "linear_acceleration_covariance": "float64[9]",
+    },
+    "sensor_msgs/CompressedImage": {"header": "std_msgs/Header", "format": "string", "data": "uint8[]"},
+    "sensor_msgs/JointState": {
+        "header": "std_msgs/Header",
+        "name": "string[]",
+        "position": "float64[]",
+        "velocity": "float64[]",
+        "effort": "float64[]",
+    },
+    "sensor_msgs/NavSatStatus": {"status": "int8", "service": "uint16"},
+    "sensor_msgs/NavSatFix": {
+        "header": "std_msgs/Header",
+        "status": "sensor_msgs/NavSatStatus",
+        "latitude": "float64",
+        "longitude": "float64",
+        "altitude": "float64",
+        "position_covariance": "float64[9]",
+        "position_covariance_type": "uint8",
+    },
+}
+"""Types whose fields have the same names in both versions."""
+_RANGE = {
+    "header": "std_msgs/Header",
+    "radiation_type": "uint8",
+    "field_of_view": "float32",
+    "min_range": "float32",
+    "max_range": "float32",
+    "range": "float32",
+}
+_STAMPED = {"stamp": TIME, "frame_id": "string"}
+_ONLY: dict[RosVersion, dict[str, MessageFields]] = {
+    RosVersion.ROS1: {
+        "std_msgs/Header": {"seq": "uint32", **_STAMPED},
+        "sensor_msgs/Range": _RANGE,
+        TIME: {"secs": "uint32", "nsecs": "uint32"},
+    },
+    RosVersion.ROS2: {
+        "std_msgs/Header": _STAMPED,
+        "sensor_msgs/Range": {**_RANGE, "variance": "float32"},
+        TIME: {"sec": "int32", "nanosec": "uint32"},
+    },
+}

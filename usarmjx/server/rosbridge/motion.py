@@ -1,0 +1,150 @@
+"""Where robots are and how they move, as ROS messages; its axes are ours: x forward, y left, z up."""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat, quat_from_mat
+from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles, quat_from_angles
+from usarmjx.models.drives.state import RobotState
+from usarmjx.sensors.ranging import ScannerSettings
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.worlds.robot import Robot
+
+MAP = "map"
+"""The world's frame."""
+UPRIGHT = mat_from_angles(np.pi / 2, 0.0, 0.0)
+"""From the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
+UNKNOWN = -1.0
+"""First number of the covariance of what is not measured."""
+
+
+class SensorFrame(NamedTuple):
+    """Where a sensor or a camera sits.
+
+    Attributes:
+        name: Of its mount.
+        body: The body it sits on; 0 is the chassis.
+        pos: Position on it [m] (3,).
+        mat: Orientation on it (3, 3).
+    """
+
+    name: str
+    body: int
+    pos: np.ndarray
+    mat: np.ndarray
+
+
+def frame_name(text: str) -> str:
+    """Return a name as ROS allows it in topics and frames."""
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return plain if plain[:1].isalpha() else f"r{plain}"
+
+
+def frames_of(robot: Robot) -> list[SensorFrame]:
+    """Return the frames of a robot's sensors and cameras; of mounts with one name the first."""
+    found: dict[str, SensorFrame] = {}
+    for sensor in robot.suite.sensors:
+        settings = sensor.settings[0]
+        upright = isinstance(settings, ScannerSettings) and settings.pitch
+        for mount, body in zip(sensor.mounts, sensor.bodies_of_mounts(), strict=True):
+            mat = mat_from_angles(*flip_angles(mount.direction))
+            mat = mat @ UPRIGHT if upright else mat
+            frame = SensorFrame(mount.name, int(body), np.array(flip_vector(mount.at)), mat)
+            found.setdefault(mount.name, frame)
+    for camera in robot.cameras:
+        name = camera.mount.name
+        found.setdefault(name, SensorFrame(name, camera.body, camera.pos, camera.mat))
+    return list(found.values())
+
+
+def vector(values: Array | Sequence[float]) -> RosMessage:
+    """Return a Vector3 or Point of three numbers."""
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def quaternion(quat: Array) -> RosMessage:
+    """Return a Quaternion of one with w first (4,)."""
+    w, x, y, z = map(float, quat)
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def pose(pos: Array | Sequence[float], quat: Array) -> RosMessage:
+    """Return a Pose of a position [m] (3,) and an orientation, w first (4,)."""
+    return {"position": vector(pos), "orientation": quaternion(quat)}
+
+
+def pose_of_angles(values: Sequence[float]) -> RosMessage:
+    """Return a Pose of a position [m] and roll, pitch and yaw [rad] (6,)."""
+    roll, pitch, yaw = map(float, values[3:])
+    return pose(values[:3], quat_from_angles(roll, pitch, yaw))
+
+
+def odometry(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
+    """Return the true pose in the map, and the velocities in the robot's own axes, as Odometry has them."""
+    with numpy_backend():
+        mat = np.asarray(mat_from_quat(np.asarray(state.quat)))
+    twist = {"linear": vector(mat.T @ np.asarray(state.linear)), "angular": vector(state.angular)}
+    return {
+        "header": version.header(time, f"{name}/odom"),
+        "child_frame_id": f"{name}/base_link",
+        "pose": {"pose": pose(state.pos, state.quat), "covariance": [0.0] * 36},
+        "twist": {"twist": twist, "covariance": [0.0] * 36},
+    }
+
+
+def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotState) -> RosMessage:
+    """Return positions [rad or m] and velocities [rad/s or m/s] of a robot's joints."""
+    return {
+        "header": version.header(time, ""),
+        "name": list(robot.plan.parts[1:]),
+        "position": np.asarray(state.joint_pos, float).tolist(),
+        "velocity": np.asarray(state.joint_vel, float).tolist(),
+        "effort": [],
+    }
+
+
+def base_transform(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
+    """Return where a robot is in its odom frame, which is that of the map."""
+    return _stamped(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
+
+
+def odom_transform(version: RosVersion, time: float, name: str) -> RosMessage:
+    """Return where a robot's odom frame is: at the map's origin, as its odometry is the truth."""
+    return _stamped(version, time, MAP, f"{name}/odom", (np.zeros(3), np.eye(4)[0]))
+
+
+def sensor_transforms(
+    version: RosVersion, time: float, name: str, frames: Sequence[SensorFrame], bodies: tuple[Array, Array]
+) -> Iterator[RosMessage]:
+    """Yield where sensors are on their robot.
+
+    Args:
+        version: Whose names are spoken.
+        time: Simulated time [s].
+        name: The robot's, in frames.
+        frames: Of its sensors.
+        bodies: Where its bodies are: positions [m] (bodies, 3), orientations (bodies, 3, 3).
+    """
+    positions, mats = (np.asarray(one) for one in bodies)
+    for frame in frames:
+        pos = positions[frame.body] + mats[frame.body] @ frame.pos
+        own = mats[0].T @ (pos - positions[0])
+        with numpy_backend():
+            quat = quat_from_mat(mats[0].T @ mats[frame.body] @ frame.mat)
+        yield _stamped(version, time, f"{name}/base_link", f"{name}/{frame_name(frame.name)}", (own, quat))
+
+
+def _stamped(
+    version: RosVersion, time: float, parent: str, child: str, where: tuple[Array, Array]
+) -> RosMessage:
+    transform = {"translation": vector(where[0]), "rotation": quaternion(where[1])}
+    return {
+        "header": version.header(time, parent),
+        "child_frame_id": child,
+        "transform": transform,
+    }

@@ -1,0 +1,293 @@
+"""The rosbridge port of a served world: websockets, and whose turn it is."""
+
+import asyncio
+import json
+import logging
+import socket
+import time
+from collections import deque
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from http import HTTPStatus
+from typing import NamedTuple
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.fault_log import FaultLog
+from usarmjx.server.gate import Gate
+from usarmjx.server.host_names import for_own_names, is_own_name
+from usarmjx.server.net import BotServer
+from usarmjx.server.pictures.render_thread import RenderThread
+from usarmjx.server.ports import bound_socket
+from usarmjx.server.rosbridge.crew import RosCrew
+from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.images import image_view, picture_texts
+from usarmjx.server.rosbridge.services import REMOVE, SPAWN, TopicServices, read_spawn
+from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
+from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
+from usarmjx.server.web_gate import FROM_ELSEWHERE, asking_token, gated_connection
+from usarmjx.server.worlds.served_world import ServedWorld
+
+log = logging.getLogger(__name__)
+
+MAX_MESSAGE_SIZE = 256 * 1024
+"""Longest message of a client [bytes]."""
+MESSAGES_PER_STEP = 32
+"""A client that has said so much waits for the next control step: nobody may keep the world from it."""
+IMAGE_PERIOD = 0.1
+"""Pictures are told no more often than this [s]."""
+
+
+@dataclass(frozen=True)
+class RosSettings:
+    """How to serve.
+
+    Attributes:
+        host: Address to bind.
+        port: TCP port; 0 picks a free one.
+        version: Whose names clients hear that do not say.
+        size: Width and height of pictures.
+        max_connections: Most clients at once.
+        access: Who may connect.
+        names: What browsers may call this server, and where pages that may connect come from, beside
+            localhost and its IP addresses.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 9090
+    version: RosVersion = RosVersion.ROS2
+    size: tuple[int, int] = (320, 240)
+    max_connections: int = 16
+    access: AccessRules = EVERYBODY
+    names: tuple[str, ...] = ()
+
+
+@dataclass(eq=False)
+class RosClient:
+    """A client's connection.
+
+    Attributes:
+        socket: Where it is.
+        session: Its dialogue.
+        crew: The robots that it has.
+        wake: Is set when there may be something to send.
+    """
+
+    socket: ServerConnection
+    session: BridgeSession
+    crew: RosCrew
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def send(self) -> None:
+        """Send what waits, for ever; who reads slowly loses older messages and holds up nobody."""
+        while True:
+            text = self.session.take()
+            if text is None:
+                self.wake.clear()
+                await self.wake.wait()
+            else:
+                await self.socket.send(text)
+
+
+class WantedPicture(NamedTuple):
+    """A picture that a client waits for."""
+
+    client: RosClient
+    subscription: TopicSubscription
+    topic: RosTopic
+    news: Hashable
+
+
+class RosbridgeServer:
+    """A `net.Service`.
+
+    Args:
+        world: The served world.
+        settings: How to serve it.
+        bound: A socket that is bound to the port already.
+
+    Attributes:
+        port: The port in use, once started.
+        server: The world's server, which robots that appear here report to; to be set before it starts.
+    """
+
+    def __init__(self, world: ServedWorld, settings: RosSettings, bound: socket.socket | None = None) -> None:
+        self._world, self._settings, self._bound = world, settings, bound
+        self.port = settings.port
+        self.server: BotServer | None = None
+        self._topics = WorldTopics(world)
+        self._services = TopicServices(self._topics, settings.version, lambda: world.time)
+        self._clients: list[RosClient] = []
+        self._left: deque[RosCrew] = deque()
+        self._gate = Gate(settings.access, settings.max_connections, "rosbridge")
+        self._render_thread = RenderThread(world)
+        self._stepped, self._joining = asyncio.Event(), asyncio.Lock()
+        self._fault_log = FaultLog(log)
+        self._listener: Server | None = None
+
+    async def start(self) -> list[str]:
+        """Listen; return lines for the user.
+
+        Raises:
+            UsageError: The port is taken or the address is not ours.
+        """
+        host = self._settings.host
+        bound = self._bound or bound_socket(host, self._settings.port)
+        self.port = bound.getsockname()[1]
+        answer = asking_token(self._gate, self._answer)
+        try:
+            self._listener = await serve(
+                self._accept,
+                sock=bound,
+                process_request=for_own_names({host, *self._settings.names}, answer),
+                create_connection=gated_connection(self._gate),
+                max_size=MAX_MESSAGE_SIZE,
+                compression=None,
+            )
+        except OSError as error:
+            bound.close()
+            raise UsageError(f"cannot listen on {host}:{self.port}: {error}") from error
+        return [f"rosbridge at ws://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
+
+    def tick(self) -> None:
+        """The world has made a control step: tell what is new."""
+        self._stepped.set()
+        self._stepped.clear()
+        while self._left and self._left[0].is_empty:
+            self._left.popleft()
+        if self._left:
+            self._left[0].let_one_go()
+        texts: dict[tuple[str, int], str] = {}
+        pictures: list[WantedPicture] = []
+        topics = self._topics.all() if self._clients else {}
+        for client in self._clients:
+            client.crew.forget_lost()
+            for name, wanted in client.session.wanted(self._world.time):
+                topic = topics.get(name)
+                news = topic.news() if topic and wanted.type in ("", topic.type) else None
+                if topic is None or news is None or news == wanted.told:
+                    continue
+                if topic.make is None:
+                    pictures.append(WantedPicture(client, wanted, topic, news))
+                elif text := self._text(topic, wanted.version, texts):
+                    wanted.put(text, news, self._world.time)
+                    client.wake.set()
+        if pictures and self._render_thread.is_ready(time.monotonic()):
+            self._render_thread.begin(self._show(pictures))
+        self._fault_log.flush()
+
+    def stop(self) -> None:
+        """Close all connections."""
+        if self._listener is not None:
+            self._listener.close()
+        self._render_thread.close()
+
+    def _text(self, topic: RosTopic, version: RosVersion, texts: dict[tuple[str, int], str]) -> str:
+        """Return what is told of a topic, made once for all clients; nothing if it cannot be told."""
+        key = topic.name, int(version)
+        if key not in texts and topic.make is not None:
+            texts[key] = ""
+            try:
+                message = {"op": "publish", "topic": topic.name, "msg": topic.make(version)}
+                texts[key] = json.dumps(message, allow_nan=False)
+            except Exception as error:  # sensors may be anybody's
+                self._fault_log.warning("%s is not told: %s", topic.name, error)
+        return texts[key]
+
+    async def _show(self, wanted: Sequence[WantedPicture]) -> None:
+        now, size = self._world.time, self._settings.size
+        views = {one.topic: image_view(one.topic, size) for one in wanted}
+        asked = [(one.topic, one.subscription.version) for one in wanted]
+        make = partial(picture_texts, asked, views, now)
+        for one in wanted:
+            one.subscription.told, one.subscription.due = one.news, now + IMAGE_PERIOD
+        texts = await self._render_thread.render(views.values(), make)
+        for one, text in zip(wanted, texts, strict=True):
+            if one.subscription.wishes:
+                one.subscription.put(text, one.news, now)
+                one.subscription.due = max(one.subscription.due, now + IMAGE_PERIOD)
+                one.client.wake.set()
+
+    def _type_of(self, topic: str) -> str | None:
+        found = self._topics.all().get(topic)
+        return found.type if found else None
+
+    async def _accept(self, connection: ServerConnection) -> None:
+        peer = "rosbridge {}:{}".format(*connection.remote_address[:2])
+        if len(self._clients) >= self._settings.max_connections or self.server is None:
+            await connection.close(1013, f"{len(self._clients)} clients are connected already")
+            return
+        session = BridgeSession(self._settings.version, self._type_of)
+        client = RosClient(connection, session, RosCrew(self.server, peer))
+        self._clients.append(client)
+        log.info("%s: connected", peer)
+        sender = asyncio.create_task(client.send())
+        try:
+            await self._listen(client)
+        except ConnectionClosed:
+            pass
+        finally:
+            sender.cancel()
+            self._clients.remove(client)
+            client.crew.stop_driven()
+            self._left.append(client.crew)
+            log.info("%s: disconnected", peer)
+
+    async def _listen(self, client: RosClient) -> None:
+        count = 0
+        async for text in client.socket:
+            request = client.session.receive(text)
+            if isinstance(request, Published):
+                self._obey(client, request)
+            elif isinstance(request, ServiceCall):
+                await self._serve(client, request)
+            client.wake.set()
+            count += 1
+            if count % MESSAGES_PER_STEP == 0:
+                await self._stepped.wait()
+
+    def _obey(self, client: RosClient, said: Published) -> None:
+        topic = self._topics.all().get(said.topic)
+        try:
+            if topic is None or topic.robot is None or topic.camera >= 0:
+                raise UsageError(f"nobody here listens to {said.topic[:80]}")
+            client.crew.drive(topic.robot, said.message)
+        except UsageError as error:
+            client.session.status("error", str(error))
+
+    async def _serve(self, client: RosClient, call: ServiceCall) -> None:
+        try:
+            if call.service == SPAWN:
+                call.answer({"name": await self._spawn(client, call)})
+            elif call.service == REMOVE:
+                client.crew.remove(str(call.args.get("name", "")))
+                call.answer({})
+            else:
+                call.answer(self._services.call(call.service, call.args))
+        except UsageError as error:
+            call.answer(str(error))
+
+    async def _spawn(self, client: RosClient, call: ServiceCall) -> str:
+        """Let a robot appear, one in a control step; return what it is called in topics and frames."""
+        init, spec = read_spawn(call.args)
+        if self.server is None:
+            raise UsageError("the server has not begun")
+        await self.server.prepare(spec)
+        async with self._joining:
+            await self._stepped.wait()
+            return self._topics.name_of(client.crew.spawn(init, spec))
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return None where a connection begins, which only pages from known names get, or no pages."""
+        names = {self._settings.host, *self._settings.names}
+        origins = [origin.partition("://")[2] for origin in request.headers.get_all("Origin")]
+        if not all(is_own_name(origin, names) for origin in origins):
+            return connection.respond(HTTPStatus.FORBIDDEN, FROM_ELSEWHERE)
+        if "websocket" not in ",".join(request.headers.get_all("Upgrade")).lower():
+            return connection.respond(HTTPStatus.UPGRADE_REQUIRED, "this is for rosbridge, over websockets\n")
+        return None

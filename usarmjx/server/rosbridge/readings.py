@@ -1,0 +1,135 @@
+"""What sensors have measured, as ROS messages, each in the frame of its mount."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from usarmjx.models.roads.geodesy import LatLon
+from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
+from usarmjx.sensors.inertial import Imu
+from usarmjx.sensors.motion import GroundTruth, Ins, Odometry
+from usarmjx.sensors.ranging import Ir, RangeScanner, ScannerSettings, Sonar
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.motion import MAP, UNKNOWN, frame_name, pose_of_angles, quaternion, vector
+
+ULTRASOUND, INFRARED = 0, 1
+"""Range's radiation_type."""
+NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
+"""NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
+
+ReadingMaker: TypeAlias = Callable[[RosVersion, float, str, np.ndarray], RosMessage]
+"""Makes a message of a version, a time [s], the robot's name in frames, and a reading."""
+
+
+class SensorTopic(NamedTuple):
+    """A topic of a sensor.
+
+    Attributes:
+        name: What it is called below its robot.
+        type: Of its messages, in short.
+        make: Makes one.
+    """
+
+    name: str
+    type: str
+    make: ReadingMaker
+
+
+def sensor_topics(sensor: Sensor, origin: LatLon | None) -> Iterator[SensorTopic]:
+    """Yield the topics of a sensor; none if ROS has no usual message for it.
+
+    Args:
+        sensor: The sensor.
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
+    """
+    name = sensor.mounts[0].name
+    if isinstance(sensor, RangeScanner) and isinstance(sensor.settings[0], ScannerSettings):
+        yield SensorTopic(name, "sensor_msgs/LaserScan", lambda *told: _scan(sensor, *told))
+    elif isinstance(sensor, Sonar | Ir):
+        for index, mount in enumerate(sensor.mounts):
+            yield SensorTopic(mount.name, "sensor_msgs/Range", _ranger(sensor, index))
+    elif isinstance(sensor, Imu):
+        yield SensorTopic(name, "sensor_msgs/Imu", lambda *told: _imu(sensor, *told))
+    elif isinstance(sensor, Gps):
+        yield SensorTopic(name, "sensor_msgs/NavSatFix", lambda *told: _fix(sensor, origin, *told))
+    elif isinstance(sensor, Odometry | Ins | GroundTruth):
+        yield SensorTopic(name, "geometry_msgs/PoseStamped", lambda *told: _estimate(sensor, *told))
+
+
+def _scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    """Return a LaserScan: ours go from right to left, as ROS's do."""
+    settings, ranges = sensor.settings[0], value.reshape(-1)
+    first = -settings.scan_fov / 2
+    return {
+        "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
+        "angle_min": first,
+        "angle_max": first + (len(ranges) - 1) * settings.resolution,
+        "angle_increment": settings.resolution,
+        "time_increment": 0.0,
+        "scan_time": settings.scan_interval,
+        "range_min": settings.min_range,
+        "range_max": settings.max_range,
+        "ranges": np.asarray(ranges, float).tolist(),
+        "intensities": [],
+    }
+
+
+def _ranger(sensor: Sensor, index: int) -> ReadingMaker:
+    settings, radiation = sensor.settings[index], INFRARED if isinstance(sensor, Ir) else ULTRASOUND
+
+    def make(version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+        message = {
+            "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[index].name)}"),
+            "radiation_type": radiation,
+            "field_of_view": getattr(settings, "beam_angle", 0.0),
+            "min_range": settings.min_range,
+            "max_range": settings.max_range,
+            "range": float(value[index]),
+        }
+        return message if version == RosVersion.ROS1 else {**message, "variance": 0.0}
+
+    return make
+
+
+def _imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    return {
+        "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
+        "orientation": quaternion(np.eye(4)[0]),
+        "orientation_covariance": [UNKNOWN, *[0.0] * 8],
+        "angular_velocity": vector(value[:3]),
+        "angular_velocity_covariance": [0.0] * 9,
+        "linear_acceleration": vector(value[3:]),
+        "linear_acceleration_covariance": [0.0] * 9,
+    }
+
+
+def _fix(
+    sensor: Sensor, origin: LatLon | None, version: RosVersion, time: float, robot: str, value: np.ndarray
+) -> RosMessage:
+    """Return a NavSatFix; there is no altitude, which JSON has as null."""
+    *position, satellites = map(float, value)
+    settings, fixed = sensor.settings[0], satellites >= MIN_FIX_SATELLITES
+    place = geographic_coordinates(settings, position, origin) if fixed else (0.0, 0.0)
+    variance = (settings.max_noise / 3) ** 2 if fixed else 0.0
+    return {
+        "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
+        "status": {"status": FIX if fixed else NO_FIX, "service": SERVICE_GPS},
+        "latitude": place[0],
+        "longitude": place[1],
+        "altitude": None,
+        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 0.0],
+        "position_covariance_type": APPROXIMATED if fixed else 0,
+    }
+
+
+def _estimate(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    """Return where a sensor believes its robot, or its mount, to be."""
+    numbers = [float(one) for one in value]
+    if isinstance(sensor, Odometry):
+        x, y, heading = numbers
+        numbers, frame = [x, y, 0.0, 0.0, 0.0, heading], f"{robot}/start"
+    else:
+        frame = MAP
+    return {"header": version.header(time, frame), "pose": pose_of_angles(numbers)}

@@ -1,0 +1,167 @@
+"""The topics of a served world: what each has to tell, and since when that has been new."""
+
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from usarmjx.models.build.raster import Grid
+from usarmjx.server.rosbridge import motion
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.floor_map import floor_map, occupancy_grid
+from usarmjx.server.rosbridge.readings import ReadingMaker, sensor_topics
+from usarmjx.server.rosbridge.velocity import can_follow
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
+
+STATE_PERIOD = 0.04
+"""Poses and joints are told so often [s]."""
+TWIST, IMAGE = "geometry_msgs/Twist", "sensor_msgs/CompressedImage"
+
+
+@dataclass(frozen=True, eq=False)
+class RosTopic:
+    """A topic.
+
+    Attributes:
+        name: Its full name.
+        type: Of its messages, in short.
+        news: Returns what changes whenever there is something new; None: there is nothing to tell yet.
+        make: Makes a message; None: pictures are made elsewhere, and nobody makes what robots are told.
+        robot: The robot that it drives or shows.
+        camera: Which of its cameras it shows.
+    """
+
+    name: str
+    type: str
+    news: Callable[[], Hashable] = lambda: None
+    make: Callable[[RosVersion], RosMessage] | None = None
+    robot: Robot | None = None
+    camera: int = -1
+
+
+class WorldTopics:
+    """The topics of a world, by their names; they change when robots come and go.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: ServedWorld) -> None:
+        self._world = world
+        self._known: list[tuple[Robot, int]] = []
+        self._changes = 0
+        self._by_name: dict[str, RosTopic] = {}
+        self._names: dict[int, str] = {}
+        self._mounted: dict[int, list[motion.SensorFrame]] = {}
+
+    def all(self) -> dict[str, RosTopic]:
+        """Return all topics there are now."""
+        known = [(robot, id(robot.suite)) for robot in self._world.robots.values()]
+        if not self._by_name or known != self._known:
+            self._known, self._changes = known, self._changes + 1
+            self._names = self._named(robot for robot, _ in known)
+            self._mounted = {robot.slot: motion.frames_of(robot) for robot, _ in known}
+            self._by_name = {topic.name: topic for topic in self._all()}
+        return self._by_name
+
+    def name_of(self, robot: Robot) -> str:
+        """Return what a robot is called in topics and frames."""
+        self.all()
+        return self._names[robot.slot]
+
+    @staticmethod
+    def _named(robots: Iterable[Robot]) -> dict[int, str]:
+        names: dict[int, str] = {}
+        for robot in robots:
+            name = motion.frame_name(robot.name)
+            names[robot.slot] = f"{name}_{robot.slot}" if name in names.values() else name
+        return names
+
+    @cached_property
+    def _map(self) -> tuple[Grid, np.ndarray]:
+        return floor_map(self._world.arena)
+
+    def _all(self) -> Iterator[RosTopic]:
+        world = self._world
+        yield RosTopic(
+            "/clock",
+            "rosgraph_msgs/Clock",
+            lambda: world.time,
+            lambda version: {"clock": version.stamp(world.time)},
+        )
+        yield RosTopic("/tf", "tf2_msgs/TFMessage", self._tick, self._moving_frames)
+        changes = self._changes
+        yield RosTopic("/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames)
+        yield RosTopic(
+            "/map",
+            "nav_msgs/OccupancyGrid",
+            lambda: world.arena.name,
+            lambda version: occupancy_grid(version, world.arena.floor, *self._map),
+        )
+        for robot in world.robots.values():
+            yield from self._of_robot(robot)
+
+    def _of_robot(self, robot: Robot) -> Iterator[RosTopic]:
+        world, name = self._world, self._names[robot.slot]
+        yield RosTopic(
+            f"/{name}/odom",
+            "nav_msgs/Odometry",
+            self._tick,
+            lambda version: motion.odometry(version, world.time, name, world.state(robot)),
+        )
+        yield RosTopic(
+            f"/{name}/joint_states",
+            "sensor_msgs/JointState",
+            self._tick,
+            lambda version: motion.joint_states(version, world.time, robot, world.state(robot)),
+        )
+        if can_follow(robot.spec.drive):
+            yield RosTopic(f"/{name}/cmd_vel", TWIST, robot=robot)
+        for index, sensor in enumerate(robot.suite.sensors):
+            for below, kind, make in sensor_topics(sensor, world.arena.gps):
+                yield self._of_sensor(robot, index, f"/{name}/{motion.frame_name(below)}", kind, make)
+        for index, camera in enumerate(robot.cameras):
+            where = f"/{name}/{motion.frame_name(camera.mount.name)}/compressed"
+            yield RosTopic(where, IMAGE, self._tick, robot=robot, camera=index)
+
+    def _of_sensor(self, robot: Robot, index: int, where: str, kind: str, make: ReadingMaker) -> RosTopic:
+        name = self._names[robot.slot]
+
+        def news() -> Hashable:
+            return robot.latest[index][0] if index in robot.latest else None
+
+        def message(version: RosVersion) -> RosMessage:
+            time, value = robot.latest[index]
+            return make(version, time, name, value)
+
+        return RosTopic(where, kind, news, message)
+
+    def _tick(self) -> int:
+        return int(self._world.time / STATE_PERIOD + 1e-6)
+
+    def _moving_frames(self, version: RosVersion) -> RosMessage:
+        """Return where all robots are, and their sensors on parts that move."""
+        world, told = self._world, list[RosMessage]()
+        for robot in world.robots.values():
+            name = self._names[robot.slot]
+            told.append(motion.base_transform(version, world.time, name, world.state(robot)))
+            told += self._frames(version, robot, moving=True)
+        return {"transforms": told}
+
+    def _fixed_frames(self, version: RosVersion) -> RosMessage:
+        """Return where the robots' odom frames are, and their sensors on the chassis."""
+        world, told = self._world, list[RosMessage]()
+        for robot in world.robots.values():
+            told.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
+            told += self._frames(version, robot, moving=False)
+        return {"transforms": told}
+
+    def _frames(self, version: RosVersion, robot: Robot, *, moving: bool) -> Iterator[RosMessage]:
+        frames = [frame for frame in self._mounted[robot.slot] if bool(frame.body) == moving]
+        if not frames:
+            return iter(())
+        bodies, name = self._world.bodies(robot), self._names[robot.slot]
+        where = bodies.pos, bodies.mat
+        return motion.sensor_transforms(version, self._world.time, name, frames, where)
