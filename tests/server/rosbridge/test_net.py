@@ -109,7 +109,7 @@ def ros(served):
 
 def spawn(ros, kind="P2AT", name="R1", x=0.0, y=0.0, **more):
     pose = {"position": {"x": x, "y": y, "z": 0.4}, "orientation": {"w": 1.0}}
-    return ros.call("/usarmjx/spawn", **{"class": kind, "name": name, "pose": pose, **more})
+    return ros.call("/simulator/spawn", **{"class": kind, "name": name, "pose": pose, **more})
 
 
 def test_every_topic_has_messages_as_they_are_defined(ros):
@@ -239,9 +239,9 @@ def test_robots_are_seen_from_both_sides_and_go_with_their_client(ros, served):
     topics = ros.call("/rosapi/topics")["values"]["topics"]
     assert {"/Here/odom", "/There_1/odom"} <= set(topics)
     assert {robot.name for robot in served[1].world.robots.values()} == {"Here", "There-1"}
-    assert ros.call("/usarmjx/remove", name="There-1")["result"] is False
+    assert ros.call("/simulator/remove", name="There-1")["result"] is False
     assert "already" in spawn(ros, name="Here")["values"]
-    assert ros.call("/usarmjx/remove", name="Here")["result"] is True
+    assert ros.call("/simulator/remove", name="Here")["result"] is True
     guest.close()
 
 

@@ -18,7 +18,7 @@ from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.topics import WorldTopics
 
-SPAWN, REMOVE = "/usarmjx/spawn", "/usarmjx/remove"
+SPAWN, REMOVE = "/simulator/spawn", "/simulator/remove"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 """What a robot may be called that appears by a service: so its topics and frames are called, too."""
 
