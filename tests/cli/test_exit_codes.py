@@ -114,7 +114,9 @@ def test_ctrl_c_is_130_and_no_trace(command, monkeypatch, tmp_path):
 
 def test_a_signal_while_a_command_works_is_130():
     """A process of its own, which is told to end while it builds a batch of worlds."""
-    code = "import sys; sys.argv = ['usarmjx', 'train', 'explore', '--out', 'x']\n"
+    # What a shell starts in the background ignores interrupts, and so would its children.
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code += "sys.argv = ['usarmjx', 'train', 'explore', '--out', 'x']\n"
     code += "import usarmjx.train.processes.launch as launch, time\n"
     code += "launch.process_info = lambda _: (print('here', flush=True), time.sleep(600))\n"
     code += "from usarmjx.cli.app import app; app()"

@@ -224,7 +224,7 @@ def test_joint_armature_is_not_the_actuator_attribute_that_engines_ignore(scene)
 def test_bad_requests_say_what_is_allowed(scene):
     with pytest.raises(UsageError, match="at least one world"):
         Batch(scene, 0, engine="c")
-    with pytest.raises(UnknownNameError, match="c, jax, warp"):
+    with pytest.raises(UnknownNameError, match="c, jax, planar, warp"):
         Batch(scene, 1, engine="karma")
 
 

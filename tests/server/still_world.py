@@ -1,5 +1,7 @@
 """A served world in which nothing moves: for tests of the server, not of the simulator."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from tests.arenas import FLAT
@@ -25,6 +27,16 @@ class StillWorld(ServedWorld):
     @property
     def time(self):
         return self._steps * self.period
+
+    @property
+    def scene(self):
+        """As much of one as a report asks for."""
+        places = PerRobot(self, lambda count: np.zeros(count, int))
+        return SimpleNamespace(group_of=lambda slot: (0, slot), groups=[SimpleNamespace(actadr=places)])
+
+    def one_world(self):
+        held = SimpleNamespace(groups=[SimpleNamespace(hold=PerRobot(self, np.ones))])
+        return held, SimpleNamespace(act=np.zeros(1))
 
     def spawn_at(self, robot, name, poses):
         self.check_position(poses[0][0])
@@ -53,6 +65,16 @@ class StillWorld(ServedWorld):
         return RobotState(
             pos=zero, quat=np.eye(4)[0], linear=zero, angular=zero, joint_pos=joints, joint_vel=joints
         )
+
+
+class PerRobot:
+    """An array for each robot, of as many numbers as it has actuators."""
+
+    def __init__(self, world, make):
+        self._world, self._make = world, make
+
+    def __getitem__(self, slot):
+        return self._make(len(self._world.robots[slot].plan.actuated))
 
 
 StillWorld.__abstractmethods__ = frozenset()

@@ -113,7 +113,7 @@ def test_the_bundled_client_says_the_token(locked, monkeypatch):
         radio.register("R1")
     with client().WirelessB("R1", port=ports["wss2"], token=TOKEN) as radio:
         assert radio.door.port
-    with client().ImageClient(port=ports["pictures"], token=TOKEN) as camera:
+    with client().CameraClient(port=ports["pictures"], token=TOKEN) as camera:
         assert camera.picture().width == 8
     with pytest.raises(ConnectionError):
         client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])

@@ -21,6 +21,8 @@ from usarmjx.models.drives.state import RobotState
 from usarmjx.models.spec.robot import STALL_SPEED, RobotSpec
 from usarmjx.sim.torque import Joints, torque_inputs
 
+SURGE_SHARE = 0.6
+"""Chosen: a P2DX has four fifths of the acceleration of its plain torque, and its wheels grip at walls."""
 FLIP_TIME = 3.0
 """How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
 MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
@@ -349,9 +351,10 @@ def _servo(
     ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
     if servos.stall_limit.any():
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
-        # It goes along as fast as that torque speeds up the wheel, or there would be little of it left.
+        # It goes along with the wheel, or there would be little torque left; not all the way, or a wheel
+        # against a wall would spin.
         lag, ahead = windup_limit + (aim - even), windup_limit - (aim - even)
-        along = servos.surge * (servos.lead + period / 2)
+        along = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
         bounded = xp.clip(ctrl, v - lag / period - along, v + ahead / period + along)
         ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
     if servos.has_brake.any():

@@ -54,7 +54,8 @@ class SkidSteer(Drive):
         if self.lever and math.isfinite(self.max_turn):
             most = self.max_turn * self.lever / self.radius
             over = setpoint[..., 1] - setpoint[..., 0]
-            over = (over - xp.clip(over, -most, most)) / 2
+            # A side that is no number leaves the other as it is.
+            over = xp.where(xp.isfinite(over), (over - xp.clip(over, -most, most)) / 2, 0.0)
             setpoint = xp.stack([setpoint[..., 0] + over, setpoint[..., 1] - over], -1)
         return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
 
