@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import jax
@@ -168,6 +169,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     )
 
 
+@cache
 def footprint_of(robot: RobotSpec) -> np.ndarray:
     """Return the box around all of a robot at rest that touches, on its chassis: extreme corners (2, 3)."""
     spec = mujoco.MjSpec()

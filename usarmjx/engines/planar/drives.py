@@ -16,8 +16,6 @@ from usarmjx.models.drives.ground import SkidSteer
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.spec.robot import RobotSpec
 
-SIDEWAYS = 1.0
-"""How much it counts that a wheel does not slide sideways, beside that it rolls as it turns."""
 SLOW = 0.05
 """At less speed robots turn as sharply as they like [m/s]."""
 STEADY = 1e-6
@@ -56,7 +54,7 @@ class RollingWheels:
         """
         ahead = self.headings(joints)
         aside = jnp.stack([-ahead[..., 1], ahead[..., 0]], -1)
-        rolls, slides = self._rows(ahead), self._rows(aside) * SIDEWAYS
+        rolls, slides = self._rows(ahead), self._rows(aside)
         rolls = rolls * jnp.asarray(self.powered, jnp.float32)[:, None]
         rows = jnp.concatenate([rolls, slides], 1)
         wanted = jnp.concatenate([self.radius * spin * self.powered, jnp.zeros_like(spin)], 1)

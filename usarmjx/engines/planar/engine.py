@@ -114,10 +114,9 @@ class PlanarEngine(Engine[PlanarState]):
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
         )
-        prints = robots.footprints(after)
-        reach = self._reach(dt)
-        near, left_out = near_solids(robots.footprints(before), solids, NEAR, reach)
-        kept, touched = keep_apart(robots.footprints(before), prints, near, moves)
+        left, aimed = robots.footprints(before), robots.footprints(after)
+        near, left_out = near_solids(left, solids, NEAR, self._reach(dt))
+        kept, touched = keep_apart(left, aimed, near, moves)
         after = stopped(robots, before, after, kept, touched, dt)
         after = place_on_ground(robots, before, after, solids, self._floor, dt)
         return robots.written(state, after).replace(

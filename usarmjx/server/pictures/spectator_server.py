@@ -15,22 +15,22 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.errors import PeerError
 from usarmjx.server.access import EVERYBODY, AccessRules, parse_address
 from usarmjx.server.console import SpectatorConsole, WatchingCamera
 from usarmjx.server.gate import Gate
-from usarmjx.server.host_names import for_own_names
 from usarmjx.server.log_tail import LogTail
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
-from usarmjx.server.web_gate import FROM_ELSEWHERE, asking_token, gated_connection, is_own_page
+from usarmjx.server.web_gate import FROM_ELSEWHERE, is_own_page
+from usarmjx.server.web_listen import listen_for_websockets
 from usarmjx.server.worlds.served_world import ServedWorld
 
 if TYPE_CHECKING:
@@ -143,20 +143,10 @@ class SpectatorServer:
         host = self._settings.host
         bound = self._bound or bound_socket(host, self._settings.port)
         self.port = bound.getsockname()[1]
-        try:
-            self._server = await serve(
-                self._accept,
-                sock=bound,
-                process_request=for_own_names(
-                    {host, *self._settings.names}, asking_token(self._gate, _answer)
-                ),
-                create_connection=gated_connection(self._gate),
-                max_size=MAX_MESSAGE_SIZE,
-                compression=None,
-            )
-        except OSError as error:
-            bound.close()
-            raise UsageError(f"cannot listen on {host}:{self.port}: {error}") from error
+        names = {host, *self._settings.names}
+        self._server = await listen_for_websockets(
+            self._accept, bound, names, self._gate, _answer, MAX_MESSAGE_SIZE
+        )
         return [f"watch at http://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
 
     def tick(self) -> None:

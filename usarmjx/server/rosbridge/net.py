@@ -12,7 +12,7 @@ from functools import partial
 from http import HTTPStatus
 from typing import NamedTuple
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -20,7 +20,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.access import EVERYBODY, AccessRules
 from usarmjx.server.fault_log import FaultLog
 from usarmjx.server.gate import Gate
-from usarmjx.server.host_names import for_own_names, is_own_name
+from usarmjx.server.host_names import is_own_name
 from usarmjx.server.net import BotServer
 from usarmjx.server.pictures.render_thread import RenderThread
 from usarmjx.server.ports import bound_socket
@@ -30,7 +30,8 @@ from usarmjx.server.rosbridge.images import image_view, picture_texts
 from usarmjx.server.rosbridge.services import REMOVE, SPAWN, TopicServices, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
-from usarmjx.server.web_gate import FROM_ELSEWHERE, asking_token, gated_connection
+from usarmjx.server.web_gate import FROM_ELSEWHERE
+from usarmjx.server.web_listen import listen_for_websockets
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
@@ -139,19 +140,10 @@ class RosbridgeServer:
         host = self._settings.host
         bound = self._bound or bound_socket(host, self._settings.port)
         self.port = bound.getsockname()[1]
-        answer = asking_token(self._gate, self._answer)
-        try:
-            self._listener = await serve(
-                self._accept,
-                sock=bound,
-                process_request=for_own_names({host, *self._settings.names}, answer),
-                create_connection=gated_connection(self._gate),
-                max_size=MAX_MESSAGE_SIZE,
-                compression=None,
-            )
-        except OSError as error:
-            bound.close()
-            raise UsageError(f"cannot listen on {host}:{self.port}: {error}") from error
+        names = {host, *self._settings.names}
+        self._listener = await listen_for_websockets(
+            self._accept, bound, names, self._gate, self._answer, MAX_MESSAGE_SIZE
+        )
         return [f"rosbridge at ws://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
 
     def tick(self) -> None:
