@@ -220,7 +220,7 @@ def test_the_first_controller_drives_up_to_a_wall(workplace: Path):
     assert done.stderr == ""
     ahead = [float(line.split()[2]) for line in done.stdout.splitlines()]
     assert ahead[0] > 1.0
-    assert ahead[-1] < 0.5 < min(ahead[:-1])
+    assert ahead[-1] < 0.5 <= min(ahead[:-1])  # the script ends below half a metre: 0.50 drives on
 
 
 def test_what_the_first_page_compares_stands_in_the_document_of_its_figures():
