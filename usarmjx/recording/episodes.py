@@ -91,16 +91,16 @@ class TrainingRecorder:
         env: The training's worlds.
         file: The recording.
         every: Of so many iterations one is recorded.
-        calls: How often `look` is called in an iteration.
+        calls: How often `look` is called in an iteration; once more before the first one.
     """
 
     def __init__(self, env: Env, file: RecordingFile, every: int, calls: int) -> None:
         self._episodes = EpisodeRecorder(env, file, range(min(env.worlds, MOST_WORLDS)), None)
-        self._every, self._calls, self._count = every, calls, 0
+        self._every, self._calls, self._count = every, calls, -1
 
     def look(self, state: EnvState) -> None:
         """Keep the worlds as they are, if it is their turn."""
-        if self._count // self._calls % self._every == 0:
+        if self._count < 0 or self._count // self._calls % self._every == 0:
             self._episodes.watch(state)
         self._count += 1
 

@@ -20,6 +20,7 @@ from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
 from usarmjx.train.make import make
 from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.view.batch_source import BatchSource
 
 
 def wait_for_lines(folder, count, process):
@@ -166,6 +167,12 @@ class Stop(Exception):
     pass
 
 
+def place(env, state):
+    """At which step a world is, and where its robot is on the live page."""
+    frame = BatchSource(env.batch, state.batch, [0]).frame(0)
+    return int(np.asarray(state.batch.worlds.step)[0]), tuple(frame.robots[0].pos)
+
+
 @pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_robot_goes_on_where_it_was(engine, tmp_path):
     """A real environment: physics, sensors' memories and random keys come back bit for bit."""
@@ -179,7 +186,11 @@ def test_a_robot_goes_on_where_it_was(engine, tmp_path):
         if line["iteration"] == 3:
             raise Stop
 
-    train(env, config, tmp_path / "whole", progress=False)
+    seen = []
+    train(env, config, tmp_path / "whole", progress=False, look=lambda state: seen.append(place(env, state)))
+    assert seen[0][0] == 0, "who looks sees the worlds before anything is compiled"
+    assert len(seen) == 1 + config.iterations(1) * (1 if env.traceable else config.rollout)
+    assert len({pose for _, pose in seen}) == len(seen), "and each time the robot is somewhere else"
     with pytest.raises(Stop):
         train(env, config, tmp_path / "part", progress=False, watch=stop)
     assert Checkpoints(tmp_path / "part").find().name == "00000002"

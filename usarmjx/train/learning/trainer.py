@@ -169,7 +169,8 @@ def train(  # noqa: PLR0913 - all but three may be left out
         origin: For the record: what the environment was made with.
         progress: Show a bar in the terminal.
         watch: Called with what is written of each iteration.
-        look: Gets to see the worlds of this process again and again, see `Rollout.look`.
+        look: Gets to see the worlds of this process: as they are before the first action, and then again
+            and again, see `Rollout.look`.
 
     Raises:
         UsageError: The folder has a run already, or none to resume, or one that was started otherwise, went
@@ -198,6 +199,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
             _check_new(out, process_group)  # another one may have been quicker
         _prepare(out, record, process_group)
         train_state, worlds, before = _restore(trainer, checkpoints)
+        trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
 
