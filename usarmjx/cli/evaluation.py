@@ -3,7 +3,7 @@
 import json as json_format
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,16 @@ from usarmjx.cli.grouping import grouped
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.waiting import announce, say
+
+if TYPE_CHECKING:
+    from usarmjx.base.estimates import Estimate
+
+
+def _told(one: "Estimate", what: str) -> str:
+    """Return an estimate in words."""
+    known = math.isfinite(one.low)
+    interval = f"{one.low:.3f} to {one.high:.3f} by {one.method}" if known else "unknown"
+    return f"{what} {one.value:.3f}, 95 % interval {interval}"
 
 
 @grouped
@@ -38,13 +48,13 @@ def evaluate_policy(
         env, policy = driver.env(found, many, engine)
         numbers = range(driver.seed, driver.seed + seeds)
         result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
-        score, count = result.score, sum(len(run.scores) for run in result.episodes)
+        count = result.score.count
         bad = sum(run.bad for run in result.episodes)
         over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"
-        interval = f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.low) else "unknown"
+        several = f"; {_told(result.over_seeds, 'interquartile mean of the seeds')}" if seeds > 1 else ""
         typer.echo(
-            f"{found.task}, {found.name}: score {score.mean:.3f}, 95 % interval {interval} ({over}"
-            f"{f', {bad} left out: physics failed' if bad else ''})"
+            f"{found.task}, {found.name}: {_told(result.score, 'score')} ({over}"
+            f"{f', {bad} left out: physics failed' if bad else ''}){several}"
         )
         if json is not None:
             what = {"task": found.task, "policy": found.name, "checkpoint": driver.checkpoint}

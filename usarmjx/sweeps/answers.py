@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.base.estimates import Estimate, estimate, interquartile_mean, pareto_front
 from usarmjx.sweeps.settings import as_text
-from usarmjx.sweeps.statistics import Estimate, estimate, interquartile_mean, pareto_front
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.table import scores_of
 

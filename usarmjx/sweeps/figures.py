@@ -8,9 +8,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import performance_profile
 from usarmjx.base.files import write_beside
 from usarmjx.sweeps.answers import AxisRow, axes_of, axis_rows, front_points, policy_of, tasks_of
-from usarmjx.sweeps.statistics import performance_profile
 from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usarmjx.base.estimates import Estimate
 from usarmjx.recording.versions import versions
 from usarmjx.sweeps.answers import (
     AxisRow,
@@ -15,7 +16,6 @@ from usarmjx.sweeps.answers import (
     other_versions,
     policy_differences,
 )
-from usarmjx.sweeps.statistics import Estimate
 from usarmjx.sweeps.store import StoredSweep
 
 MOST_POINTS = 12

@@ -14,7 +14,8 @@ from usarmjx.train.baselines.goal import BugCarry, bug_action
 from usarmjx.train.baselines.roam import roam_action
 from usarmjx.train.baselines.steering import driver
 from usarmjx.train.envs.policy import Policy
-from usarmjx.train.evaluation.evaluate import evaluate_episodes, interval, run_episodes
+from usarmjx.train.evaluation.evaluate import Episodes, evaluate_episodes, evaluation_of, run_episodes
+from usarmjx.train.evaluation.radio_matters import interval
 
 SONAR = ("Sonar",)
 AHEAD = BugCarry(side=jnp.zeros(()), best=jnp.zeros(()))
@@ -129,15 +130,42 @@ def test_short_episodes_count_no_more_often_than_long_ones():
     assert min(came.lengths) < 3
 
 
-def test_several_seeds_give_a_row_each_and_the_interval_of_their_means():
+def played(seed, *scores):
+    none = np.zeros(len(scores), int)
+    return Episodes(seed=seed, scores=np.array(scores), lengths=none, worlds=none, episode_index=none, bad=0)
+
+
+def test_a_share_stays_between_0_and_1():
+    """Wilson's interval of 0 and of 1 of 10 (tables); of means that are no shares, by bootstrap."""
+    none = evaluation_of([played(0, *[0.0] * 10)]).score
+    assert (none.low, none.high) == (pytest.approx(0.0), pytest.approx(0.2775, abs=1e-4))
+    one = evaluation_of([played(0, *[1.0] * 9, 0.0)]).score
+    assert (one.method, one.low, one.high) == (
+        "Wilson",
+        pytest.approx(0.5958, abs=1e-4),
+        pytest.approx(0.9821, abs=1e-4),
+    )
+    spread = evaluation_of([played(0, *range(100))]).score
+    assert spread.method == "bootstrap"
+    assert spread.high - spread.low == pytest.approx(2 * 1.96 * np.std(range(100)) / 10, rel=0.1)
+
+
+def test_one_odd_seed_hardly_moves_the_interquartile_mean():
+    found = evaluation_of([played(seed, score) for seed, score in enumerate((10.0, 11.0, 12.0, 900.0))])
+    assert found.over_seeds.value == 11.5
+    assert found.score.value == 233.25
+    with pytest.raises(UsageError, match="no episode ended well"):
+        evaluation_of([played(0, 1.0), played(1)])
+
+
+def test_several_seeds_give_a_row_each_and_all_their_episodes_together():
     env = LineToy(worlds=2, robots=1, mixed=False)
     result = evaluate_episodes(env, push(PUSH), 2, seeds=(0, 1, 2))
     means = [np.mean([way(seed)[0], way(seed + 1)[0]]) for seed in range(3)]
-    np.testing.assert_allclose([row.mean for row in result.seed_scores], means, rtol=1e-5)
+    np.testing.assert_allclose([row.value for row in result.seed_scores], means, rtol=1e-5)
     assert [run.seed for run in result.episodes] == [0, 1, 2]
-    expected = interval(np.array(means))
-    assert result.score.mean == pytest.approx(expected.mean, rel=1e-5)
-    assert result.score.high == pytest.approx(expected.high, rel=1e-4)
+    assert result.score.value == pytest.approx(np.mean(means), rel=1e-5)
+    assert (result.score.count, result.over_seeds.count) == (6, 3)
     with pytest.raises(UsageError, match="at least one seed"):
         evaluate_episodes(env, push(PUSH), 2, seeds=())
     with pytest.raises(UsageError, match="0 episodes"):

@@ -8,8 +8,8 @@ import pytest
 from tests.train.rooms import room
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings, link_range, received_power
-from usarmjx.train.evaluation.evaluate import Interval
 from usarmjx.train.evaluation.radio_matters import (
+    Interval,
     VariantResult,
     check_results,
     few_arenas,

@@ -27,7 +27,7 @@ def success(env, policy, episodes):
     """Share of the episodes, with other goals than those trained on, in which the robot arrives."""
     found = evaluate_episodes(env, policy, episodes, seeds=(OTHER,))
     assert sum(run.bad for run in found.episodes) == 0
-    return found.score.mean
+    return found.score.value
 
 
 def test_a_pioneer_learns_to_drive_to_its_goals(env, tmp_path):

@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 from tests.train.handmade import policy_file
 from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.estimates import estimate
 from usarmjx.cli.app import app
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.task import TASKS
-from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes, interval
+from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
 from usarmjx.train.policies.export import NumpyPolicy
@@ -132,12 +133,13 @@ def test_eval_tells_the_mean_of_its_rows_and_writes_them(tmp_path):
     scores = [row["score"] for row in record["episodes"]]
     assert len(scores) == 6
     assert set(scores) <= {0.0, 1.0}
-    found = interval(np.array(scores))
-    assert record["score"]["mean"] == pytest.approx(found.mean)
-    assert (
-        f"score {found.mean:.3f}, 95 % interval {found.low:.3f} to {found.high:.3f} (6 episodes)"
-        in done.output
+    found = estimate([np.array(scores)], shares=True)
+    assert record["score"]["mean"] == pytest.approx(found.value)
+    assert record["score"]["method"] == "Wilson"
+    told = (
+        f"score {found.value:.3f}, 95 % interval {found.low:.3f} to {found.high:.3f} by Wilson (6 episodes)"
     )
+    assert told in done.output
     late = [row for row in record["episodes"] if row["score"] == 0.0]
     assert all(row["steps"] == 25 for row in late)
     assert record["settings"] == ["episode_steps=25", "pose=GroundTruth"]

@@ -7,14 +7,12 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import stats
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Estimate, estimate, interquartile_mean
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
-
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,43 +37,20 @@ class Episodes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Interval:
-    """A mean and where the true one lies with a probability of 95 % (Student's t)."""
-
-    mean: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Evaluation:
     """What came of an evaluation.
 
     Attributes:
-        score: Mean score: over the seeds' means if there are several, else over the episodes.
+        score: Mean score of all episodes; where each is 0 or 1 a share, with Wilson's interval.
         episodes: The episodes of each seed.
         seed_scores: Of each seed, over its episodes.
+        over_seeds: Interquartile mean of the seeds' means.
     """
 
-    score: Interval
+    score: Estimate
     episodes: tuple[Episodes, ...]
-    seed_scores: tuple[Interval, ...]
-
-
-def interval(values: np.ndarray) -> Interval:
-    """Return mean and 95 % interval of independent values (n,); of a single one, nothing is known.
-
-    Raises:
-        UsageError: No values.
-    """
-    values = np.asarray(values, float)
-    if not values.size:
-        raise UsageError("no episode ended well: nothing to take the mean of")
-    mean = float(values.mean())
-    if values.size == 1:
-        return Interval(mean=mean, low=-np.inf, high=np.inf)
-    half = float(stats.sem(values) * stats.t.ppf((1 + CONFIDENCE) / 2, values.size - 1))
-    return Interval(mean=mean, low=mean - half, high=mean + half)
+    seed_scores: tuple[Estimate, ...]
+    over_seeds: Estimate
 
 
 def run_episodes(
@@ -142,9 +117,25 @@ def evaluate_episodes(
     if not seeds:
         raise UsageError("an evaluation needs at least one seed")
     runs = tuple(run_episodes(env, policy, episodes, seed, level, tell) for seed in seeds)
-    rows = tuple(interval(run.scores) for run in runs)
-    score = rows[0] if len(rows) == 1 else interval(np.array([row.mean for row in rows]))
-    return Evaluation(score=score, episodes=runs, seed_scores=rows)
+    return evaluation_of(runs)
+
+
+def evaluation_of(runs: Sequence[Episodes]) -> Evaluation:
+    """Return what came of episodes, those of each seed by themselves and all together.
+
+    Raises:
+        UsageError: None of a seed's ended well.
+    """
+    strata = [run.scores for run in runs]
+    if not all(len(scores) for scores in strata):
+        raise UsageError("no episode ended well: nothing to take the mean of")
+    means = np.array([scores.mean() for scores in strata])
+    return Evaluation(
+        score=estimate(strata, shares=True),
+        episodes=tuple(runs),
+        seed_scores=tuple(estimate([scores], shares=True) for scores in strata),
+        over_seeds=estimate([means], interquartile_mean),
+    )
 
 
 def as_record(found: Evaluation) -> dict[str, Any]:
@@ -156,6 +147,7 @@ def as_record(found: Evaluation) -> dict[str, Any]:
     return {
         "score": _plain(found.score),
         "seeds": [{"seed": run.seed, "bad": run.bad, **_plain(row)} for run, row in seeds],
+        "interquartile_mean": _plain(found.over_seeds),
         "episodes": [row for run in found.episodes for row in _rows(run)],
     }
 
@@ -166,5 +158,6 @@ def _rows(run: Episodes) -> list[dict[str, Any]]:
     return [{"seed": run.seed, **dict(zip(columns, row, strict=True))} for row in values]
 
 
-def _plain(one: Interval) -> dict[str, float | None]:
-    return {name: value if np.isfinite(value) else None for name, value in vars(one).items()}
+def _plain(one: Estimate) -> dict[str, Any]:
+    low, high = (end if np.isfinite(end) else None for end in (one.low, one.high))
+    return {"mean": one.value, "low": low, "high": high, "method": one.method}

@@ -15,14 +15,15 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from scipy import stats
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import CONFIDENCE
 from usarmjx.base.files import write_beside
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TASKS
-from usarmjx.train.evaluation.evaluate import Interval, interval
 from usarmjx.train.make import make_task
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import PERFECT_RADIO
@@ -30,6 +31,31 @@ from usarmjx.train.tasks.team_parts import PERFECT_RADIO
 GAIN, UNLINKED = 0.1, 0.2
 """What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""
 VARIANTS = ("perfect", "real", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """A mean and where the true one lies with a probability of 95 % (Student's t: there are few seeds)."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def interval(values: np.ndarray) -> Interval:
+    """Return mean and 95 % interval of independent values (n,); of a single one, nothing is known.
+
+    Raises:
+        UsageError: No values.
+    """
+    values = np.asarray(values, float)
+    if not values.size:
+        raise UsageError("no episode ended well: nothing to take the mean of")
+    mean = float(values.mean())
+    if values.size == 1:
+        return Interval(mean=mean, low=-np.inf, high=np.inf)
+    half = float(stats.sem(values) * stats.t.ppf((1 + CONFIDENCE) / 2, values.size - 1))
+    return Interval(mean=mean, low=mean - half, high=mean + half)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from usarmjx.sweeps.statistics import estimate, interquartile_mean, pareto_front, performance_profile
+from usarmjx.base.estimates import estimate, interquartile_mean, pareto_front, performance_profile
 
 
 def test_shares_have_wilsons_interval():
