@@ -89,6 +89,19 @@ def test_a_loop_that_is_stuck_is_left_and_what_was_said_is_written(number):
     assert took < LIMIT
 
 
+def test_more_signals_change_nothing_and_files_are_finished():
+    """A file that takes longer than a second, of a loop that is stuck; whoever waits presses Ctrl-C again."""
+    slow = "time.sleep(1.0); print('the file is complete', flush=True)"
+    within = f"signals.finish_files(lambda: exec({slow!r})); world.on_step = lambda: {COMPILE}"
+    process, _ = start(within=within)
+    time.sleep(0.5)  # the first step has begun
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    out, err, took = end(process, signal.SIGINT)
+    assert (process.returncode, out, err) == (0, "the file is complete\n", "")
+    assert took < LIMIT + 1.0
+
+
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("work", [COMPILE, "time.sleep(600)"])
 def test_before_it_serves_it_ends_as_shells_expect(number, work):

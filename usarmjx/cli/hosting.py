@@ -251,5 +251,7 @@ class Host:
         controls = add_controls(servers, clock)
         if ports.page is not None:
             add_viewer(servers, controls, ports.page, services.viewer, radio, self.layers)
-        with recorded(worlds, self.run.record):
+        with recorded(worlds, self.run.record) as file:
+            if file is not None:
+                signals.finish_files(file.close)
             run(servers, clock, signals)

@@ -14,6 +14,7 @@ from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_s
 from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
+    from usarmjx.recording.file import RecordingFile
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
@@ -31,22 +32,25 @@ WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the record
 
 
 @contextlib.contextmanager
-def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> Iterator[None]:
+def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> "Iterator[RecordingFile | None]":
     """Record served worlds while a context lasts; None: do not.
+
+    Yields:
+        The file, which is complete in the end; None: there is none.
 
     Raises:
         UsageError: The file is there already.
         WriteError: It cannot be written.
     """
     if path is None:
-        yield
+        yield None
         return
     from usarmjx.server.worlds.recorded import record_worlds
 
     file = record_worlds(worlds, path)
     typer.echo(f"usarmjx: recording to {path}")
     try:
-        yield
+        yield file
     finally:
         file.close()
 

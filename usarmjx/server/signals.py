@@ -14,6 +14,8 @@ from types import FrameType
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 END_TIME = 1.0
 """So long after a signal the process ends without having finished [s]."""
+FILES_TIME = 10.0
+"""Files that are to be complete may take so much longer [s]: a disk may be slow, or a machine busy."""
 FLUSH_TIME = 0.2
 """What is buffered may take so long to be written then [s]: perhaps nobody reads it."""
 
@@ -39,6 +41,7 @@ class StopSignals:
     def __init__(self) -> None:
         self.number = 0
         self._stop: Callable[[], None] | None = None
+        self._finish: Callable[[], None] | None = None
         self._undo = contextlib.ExitStack()
 
     def on_stop(self, stop: Callable[[], None]) -> None:
@@ -46,6 +49,10 @@ class StopSignals:
         self._stop = stop
         if self.number:
             stop()
+
+    def finish_files(self, finish: Callable[[], None]) -> None:
+        """Name what makes files complete: the process does not end before, for `FILES_TIME` at most."""
+        self._finish = finish
 
     def __enter__(self) -> "StopSignals":
         """Watch for signals from now on."""
@@ -80,11 +87,16 @@ class StopSignals:
                 if not data:
                     return
                 self.number = data[0]
-        stop = self._stop
-        if stop is not None:
-            stop()
-        time.sleep(END_TIME)
-        exit_now(128 + self.number if stop is None else 0)
+            # The socket stays open: signals that come while all ends are written there too.
+            stop = self._stop
+            if stop is not None:
+                stop()
+            time.sleep(END_TIME)
+            if self._finish is not None:
+                finishing = threading.Thread(target=self._finish, daemon=True)
+                finishing.start()
+                finishing.join(FILES_TIME)
+            exit_now(128 + self.number if stop is None else 0)
 
 
 def _outlive_nobody(pipe: int) -> None:
