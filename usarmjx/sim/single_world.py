@@ -48,7 +48,6 @@ from usarmjx.sim.world import (
     GroupState,
     World,
     compute_inputs,
-    finish_step,
     observe,
     sense_self,
     time_of,
@@ -231,11 +230,14 @@ class SingleWorld:
         self.engine.apply(inputs)
         limits = self._speeds.update(self.engine.data.qpos)
         lost, put_back = self.engine.advance(self._indices, limits, self._homes)
-        self.world, _ = finish_step(self.scene, self.world, self.physics, np.asarray(lost, np.int32))
+        # The engine has looked already whether all is finite and nobody too fast, as `finish_step` does.
+        faults, step = self.world.faults, np.asarray(self.world.step + 1, np.int32)
+        if lost or put_back:
+            overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(put_back)))
+            faults = faults.replace(overflow=faults.overflow + overflow, not_finite=faults.not_finite + bad)
+        self.world = self.world.replace(step=step, faults=faults)
         if put_back:
-            faults = self.world.faults
-            self.world = self.world.replace(faults=faults.replace(not_finite=faults.not_finite + 1))
-        self._speeds.begin_again(put_back.robots, self.engine.data.qpos)
+            self._speeds.begin_again(put_back.robots, self.engine.data.qpos)
         for slot in put_back.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
         return put_back
