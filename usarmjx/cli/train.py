@@ -44,7 +44,9 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
     named: Annotated[
         str | None,
-        typer.Argument(metavar="TASK", help="Name of the task.", autocompletion=complete_tasks),
+        typer.Argument(
+            metavar="TASK", help="Name of the task, or FILE.py:CLASS.", autocompletion=complete_tasks
+        ),
     ] = None,
     task: Annotated[
         str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)

@@ -14,6 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy
+from usarmjx.train.own_tasks import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import find_source
 
@@ -83,7 +84,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
     if kind == "python":
         return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
     if kind == BY_HAND:
-        name = what or task
+        name = find_baseline(what or task)
         by_hand = BASELINES.get(name)
         return CellDriver(shape=("by hand", name.lower()), make=lambda env, _: by_hand(env))
     if kind == SHIPPED and task not in POLICIES:

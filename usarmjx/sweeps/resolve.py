@@ -24,6 +24,7 @@ from usarmjx.sweeps.settings import FIELDS, CellSettings
 from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import make_task
+from usarmjx.train.own_tasks import file_of
 from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.scenes.equip import flies
 from usarmjx.train.tasks.victim_search import FLIPPERS
@@ -71,6 +72,8 @@ def key_of(settings: CellSettings) -> str:
         UsageError: See `drivers.find_driver`.
     """
     files = {"policy": contents(settings["policy"], settings["task"])}
+    if (own := file_of(settings["task"])) is not None and own.is_file():
+        files["task"] = hashlib.sha256(own.read_bytes()).hexdigest()
     arena = settings.get("arena")
     if isinstance(arena, str) and Path(arena).is_file():
         files["arena"] = hashlib.sha256(Path(arena).read_bytes()).hexdigest()

@@ -5,16 +5,21 @@ from dataclasses import fields, replace
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Task
-from usarmjx.train.tasks import TASKS  # from there, which fills it
+from usarmjx.train.own_tasks import find_task, full_name
 
 
 def make_task(name: str, **overrides: object) -> Task:
-    """Return a registered task with some of its fields set otherwise.
+    """Return a task with some of its fields set otherwise.
+
+    Args:
+        name: Of a registered one, or of one's own: `FILE.py:CLASS`, `MODULE:CLASS`.
+        overrides: Fields of the task.
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
+        UsageError: An own one that cannot be imported; says why.
     """
-    task = TASKS.get(name)
+    task = find_task(name)
     known = sorted(field.name for field in fields(task))
     if bad := sorted(set(overrides) - set(known)):
         raise UnknownNameError(f"task {name} has no field {', '.join(bad)}; it has: {', '.join(known)}")
@@ -32,7 +37,7 @@ def make(
     """Return the environment of a task, as `make("drive-to-goal", worlds=64, engine="c", arena="maze")`.
 
     Args:
-        name: Of the task, case ignored.
+        name: Of the task, case ignored; or of one's own, as `my_task.py:MyTask`.
         worlds: How many.
         engine: `warp`, `jax`, `c`, or `auto`.
         seed: Of all random numbers, unless `reset` is given another.
@@ -43,4 +48,6 @@ def make(
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
         UsageError: A scene that cannot be built, or not run on this engine.
     """
-    return Env(make_task(name, **overrides), worlds, name=name, engine=engine, seed=seed, first=first)
+    return Env(
+        make_task(name, **overrides), worlds, name=full_name(name), engine=engine, seed=seed, first=first
+    )

@@ -8,7 +8,7 @@ import pytest
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.learning.config import HYPERPARAMETERS, Config, from_record, parse_settings, task_config
 from usarmjx.train.learning.metrics import Log, read_lines, summary
-from usarmjx.train.make import TASKS
+from usarmjx.train.tasks import TASKS
 
 
 def test_settings_are_read_with_their_type():
