@@ -43,8 +43,8 @@ def land(*shapes, name="land"):
 class Land:
     """An arena, as C MuJoCo has it."""
 
-    def __init__(self, arena):
-        self.arena, self.model = arena, new_spec(arena, Physics()).compile()
+    def __init__(self, arena, model=None):
+        self.arena, self.model = arena, new_spec(arena, Physics()).compile() if model is None else model
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
 

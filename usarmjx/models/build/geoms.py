@@ -5,7 +5,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.spec.shapes import FENDER, MATERIALS, SKY, SURFACES, Shape
+from usarmjx.models.spec.shapes import FENDER, MATERIALS, SKY, SURFACES, Mesh, Shape
 from usarmjx.models.spec.textures import texture_problem
 
 GEOM_TYPES = {
@@ -55,7 +55,7 @@ def add_geom(
         condim=3,
     )
     if shape.mesh is not None:
-        spec.add_mesh(name=name, uservert=np.asarray(shape.mesh.vertices, float).ravel())
+        _add_mesh(spec, name, shape.mesh)
         geom.meshname = name
     elif shape.heights is not None:
         _add_terrain(spec, geom, shape)
@@ -74,6 +74,15 @@ def _check(name: str, shape: Shape) -> None:
     for kind, data in (("mesh", shape.mesh), ("hfield", shape.heights)):
         if (shape.kind == kind) != (data is not None):
             raise SpecError(f"{name}: kind {shape.kind!r} and its data do not go together")
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+    """Add a mesh: MuJoCo makes faces for corners without any, and touches the hull of either."""
+    described = spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())
+    if mesh.faces is not None:
+        described.userface = np.asarray(mesh.faces, np.int32).ravel()
+        # Mass is that of the hull, which is what others touch; faces need not be closed.
+        described.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 
 
 def _add_terrain(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: Shape) -> None:

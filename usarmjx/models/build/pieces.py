@@ -21,6 +21,8 @@ GeomType = mujoco.mjtGeom
 MESH, HFIELD = int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD)
 SMALLEST = 1e-12
 """Twice the area of a triangle that is none [m2]."""
+FLATNESS = 1e-5
+"""A corner that is above a face by no more than this share of the mesh's size is in its plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,8 @@ def ray_primitives_of(
         model: The compiled model.
         geoms: Ids of the geoms.
         materials: What each geom of the model is made of, see `materials_of`; None: all opaque.
-        columns: Whether terrain is to be cut into columns instead of triangles.
+        columns: Whether terrain is to be cut into columns instead of triangles, and meshes are their hulls:
+            what the radio counts.
     """
     parts = []
     for place, geom in enumerate(geoms):
@@ -74,7 +77,7 @@ def ray_primitives_of(
         if kind == HFIELD and columns:
             kind, (pos, mat, size) = COLUMN_KIND, terrain_columns(model, geom)
         elif kind in (MESH, HFIELD):
-            kind, (pos, mat, size) = TRIANGLE_KIND, triangles_of(model, geom)
+            kind, (pos, mat, size) = TRIANGLE_KIND, triangles_of(model, geom, hull=columns)
         else:
             kind = FENDER_KIND if material == FENDER else kind
             pos, mat, size = np.zeros((1, 3)), np.eye(3)[None], model.geom_size[geom][None]
@@ -98,17 +101,41 @@ Frames = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Positions (n, 3), orientations (n, 3, 3) and sizes (n, 3)."""
 
 
-def triangles_of(model: mujoco.MjModel, geom: int) -> Frames:
+def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Frames:
     """Return the triangles of a mesh or a terrain in its geom's frame, in the form of `TRIANGLE_KIND`.
 
-    A mesh is taken as it is; `Shape`s of kind mesh are convex, as MuJoCo makes faces for their corners.
+    Args:
+        model: The compiled model.
+        geom: The geom's id.
+        hull: Whether a mesh that is not convex is to be its hull instead of its faces.
     """
     data = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == HFIELD:
         return fitted(_terrain_faces(*heights_of(model, data), model.hfield_size[data]))
     first, count = model.mesh_vertadr[data], model.mesh_vertnum[data]
     faces = model.mesh_face[model.mesh_faceadr[data] :][: model.mesh_facenum[data]]
-    return fitted(model.mesh_vert[first : first + count].astype(float)[faces])
+    corners = model.mesh_vert[first : first + count].astype(float)
+    found = fitted(corners[faces])
+    return found if not hull or _convex(found, corners) else fitted(_hull_faces(corners))
+
+
+def _convex(triangles: Frames, corners: np.ndarray) -> bool:
+    """Return whether all corners (n, 3) lie behind the planes of all triangles."""
+    first, mat, _ = triangles
+    height = [((corners - place) @ turn[:, 2]).max() for place, turn in zip(first, mat, strict=True)]
+    return max(height, default=0.0) <= FLATNESS * float(np.ptp(corners, 0).max())
+
+
+def _hull_faces(corners: np.ndarray) -> np.ndarray:
+    """Return the corners of the triangles of points' convex hull (triangles, 3, 3)."""
+    from scipy.spatial import ConvexHull  # slow to import, and of use for such meshes only
+
+    hull = ConvexHull(corners)
+    triangles = corners[hull.simplices]
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    inward = (normal * hull.equations[:, :3]).sum(-1) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return triangles
 
 
 def fitted(corners: np.ndarray) -> Frames:

@@ -9,9 +9,11 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
 from usarmjx.models.files.mjcf_solids import KINDS, SIZES, Pose, usarsim_angles, usarsim_vector, volume
-from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
+from usarmjx.models.spec.shapes import HeightField, Shape
 
 GeomType = mujoco.mjtGeom
+FIXTURE = "fixture"
+"""Surface of what is seen but never touched."""
 
 
 class MeshPieces:
@@ -82,8 +84,9 @@ def geom_shapes(
         return [_terrain(model, int(model.geom_dataid[geom]), like)]
     if kind != GeomType.mjGEOM_MESH:
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
-    pieces = meshes.of(geom, name)
-    return [replace(like, kind="mesh", mesh=Mesh(piece.corners)) for piece in pieces]
+    # What nothing touches is only looked at, by its faces.
+    pieces = meshes.of(geom, name, hull=surface == FIXTURE)
+    return [replace(like, kind="mesh", mesh=piece.mesh) for piece in pieces]
 
 
 def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom, meshes: MeshPieces) -> float:

@@ -1,7 +1,7 @@
 """Mesh files (OBJ, STL) to convex solids, one for each connected piece.
 
-Contacts, rays and the radio take a solid of kind mesh as the convex hull of its corners. A piece that is not
-convex is therefore refused rather than filled in, unless its hull is asked for.
+Contacts and the radio take a solid of kind mesh as the convex hull of its corners. A piece that is not
+convex is therefore refused, unless its hull is asked for; rays and pictures see its faces then.
 """
 
 import hashlib
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,11 +35,15 @@ CONVEX = 1.01
 """A hull with less than this times the piece's volume is that of a convex piece."""
 THINNEST = 1e-12
 """Least volume of a solid [m3]."""
+MOST_FACES = 20_000
+"""Of a piece that is not convex: all are looked for by rays."""
+SeenBy = Literal["faces", "hull"]
+"""What rays and pictures meet of a piece that is not convex."""
 NO_MESH = Mesh(np.zeros((0, 3)))
 """Of a shape whose solid is still to come."""
 ADVICE = (
     "cut it into convex pieces (with a tool as CoACD or V-HACD) and name their files under "
-    "`decomposition`, or give `hull: true` to fill it in"
+    "`decomposition`, or give `hull: true`: robots and radio meet its hull then, rays its faces"
 )
 
 
@@ -51,15 +55,22 @@ class ConvexPiece:
         name: What errors call it.
         corners: Corners of its convex hull [m] (n, 3).
         volume: Volume of the hull [m3].
+        seen: What rays see of a piece that is not convex; None: its hull.
     """
 
     name: str
     corners: np.ndarray
     volume: float
+    seen: Mesh | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        """The solid."""
+        return self.seen or Mesh(self.corners)
 
 
 def load_convex_pieces(
-    path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0), *, hull: bool = False
+    path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0), *, hull: bool = False, rays: SeenBy = "faces"
 ) -> list[ConvexPiece]:
     """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
 
@@ -67,6 +78,7 @@ def load_convex_pieces(
         path: OBJ or STL file; its axes are taken as they are, z up.
         scale: What its x, y and z are multiplied with.
         hull: Whether to take the hulls of pieces that are not convex.
+        rays: What rays meet of such pieces.
 
     Raises:
         ArenaFileError: A file that does not read or is corrupt; a piece that is not closed or not convex,
@@ -75,7 +87,7 @@ def load_convex_pieces(
     x, y, z = scale
     digest = _checked(path)
     try:
-        return [*_pieces_of(path, digest, (x, y, z), hull)]
+        return [*_pieces_of(path, digest, (x, y, z), hull, rays)]
     except ArenaFileError as error:
         if suspect := find_corrupt_facet(path, read_bytes(path, MOST_MESH_BYTES)):
             raise ArenaFileError(f"{path} is corrupt: {suspect}") from error
@@ -83,11 +95,12 @@ def load_convex_pieces(
 
 
 @lru_cache(maxsize=64)
-def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool) -> tuple[ConvexPiece, ...]:
+def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool, rays: SeenBy) -> tuple[ConvexPiece, ...]:
     """Return the pieces of a file with that content; a building has a hundred doors of one file."""
     found: list[ConvexPiece] = []
     for name, vertices, faces in _objects(path):
-        found += convex_pieces(vertices * np.asarray(scale), faces, f"{path}: {name}".rstrip(": "), hull=hull)
+        called = f"{path}: {name}".rstrip(": ")
+        found += convex_pieces(vertices * np.asarray(scale), faces, called, hull=hull, rays=rays)
         if len(found) > MAX_MESH_PIECES:
             raise ArenaFileError(f"{path}: more than {MAX_MESH_PIECES} pieces; give it in several files")
     return tuple(found)
@@ -102,6 +115,25 @@ def vertices_of_file(path: Path) -> np.ndarray:
     _checked(path)
     vertices = np.concatenate([vertices for _, vertices, _ in _objects(path)])
     return checked_corners(vertices, str(path))
+
+
+def faces_of_file(path: Path) -> Mesh:
+    """Return all vertices and faces of a mesh file in its order: a solid of which rays meet the faces.
+
+    Raises:
+        ArenaFileError: A file that does not read, or has too many faces or corners of its hull.
+    """
+    _checked(path)
+    vertices, faces, before = list[np.ndarray](), list[np.ndarray](), 0
+    for _, own, found in _objects(path):
+        vertices.append(own)
+        faces.append(found + before)
+        before += len(own)
+    corners, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+    _check_reach(corners, str(path))
+    checked_corners(_hull(corners, str(path))[0], f"{path}: its hull")
+    _check_faces(len(triangles), str(path))
+    return Mesh(corners, triangles)
 
 
 def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
@@ -126,7 +158,7 @@ def _check_reach(vertices: np.ndarray, name: str) -> None:
 
 
 def convex_pieces(
-    vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = False
+    vertices: np.ndarray, faces: np.ndarray, name: str, *, hull: bool = False, rays: SeenBy = "faces"
 ) -> list[ConvexPiece]:
     """Return the connected pieces of a mesh (n, 3), (m, 3) as convex solids; see `load_convex_pieces`."""
     import trimesh
@@ -142,11 +174,12 @@ def convex_pieces(
     names = (
         [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
     )
-    return [_piece(part, called, hull) for part, called in zip(parts, names, strict=True)]
+    return [_piece(part, called, hull, rays) for part, called in zip(parts, names, strict=True)]
 
 
-def _piece(part: Any, name: str, hull: bool) -> ConvexPiece:  # noqa: ANN401 - trimesh.Trimesh
+def _piece(part: Any, name: str, hull: bool, rays: SeenBy) -> ConvexPiece:  # noqa: ANN401 - trimesh.Trimesh
     corners, volume = _hull(np.asarray(part.vertices), name)
+    seen = hull and rays == "faces"
     if not hull:
         if not part.is_watertight:
             raise ArenaFileError(
@@ -163,7 +196,23 @@ def _piece(part: Any, name: str, hull: bool) -> ConvexPiece:  # noqa: ANN401 - t
             f"{name} has a hull with {len(corners)} vertices, at most {MOST_VERTICES} are allowed: "
             "simplify it (Blender's Decimate, MeshLab's quadric edge collapse)"
         )
-    return ConvexPiece(name, corners, volume)
+    return ConvexPiece(name, corners, volume, _faces_of(part, name, volume) if seen else None)
+
+
+def _faces_of(part: Any, name: str, volume: float) -> Mesh | None:  # noqa: ANN401 - trimesh.Trimesh
+    """Return a piece with its faces; None if it is convex."""
+    if part.is_watertight and part.is_winding_consistent and volume <= CONVEX * abs(float(part.volume)):
+        return None
+    _check_faces(len(part.faces), name)
+    return Mesh(np.asarray(part.vertices, float), np.asarray(part.faces, np.int32))
+
+
+def _check_faces(count: int, name: str) -> None:
+    if count > MOST_FACES:
+        raise ArenaFileError(
+            f"{name} is not convex and has {count} faces, at most {MOST_FACES} are allowed: "
+            "simplify it, or let rays meet its hull too (`rays: hull`)"
+        )
 
 
 def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
@@ -210,5 +259,5 @@ def shapes_of(found: Sequence[ConvexPiece], like: Shape, mass: float = 0.0) -> t
     A piece gets the surface that its form suggests if `like` has none ("").
     """
     whole = sum(piece.volume for piece in found)
-    shapes = [replace(like, mesh=Mesh(piece.corners), mass=mass * piece.volume / whole) for piece in found]
+    shapes = [replace(like, mesh=piece.mesh, mass=mass * piece.volume / whole) for piece in found]
     return tuple(replace(s, surface=s.surface or surface_of(s)) for s in shapes)

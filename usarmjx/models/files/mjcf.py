@@ -10,7 +10,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3, flip_angles
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.doors import Hinge, door_of
-from usarmjx.models.files.geoms import MeshPieces, geom_mass, geom_shapes
+from usarmjx.models.files.geoms import FIXTURE, MeshPieces, geom_mass, geom_shapes
 from usarmjx.models.files.masses import with_masses
 from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
@@ -23,8 +23,8 @@ FLOOR_TOLERANCE = 1e-6
 """How far a floor may be from height zero [m], and its normal from the vertical."""
 MOST_MOVING = 1000
 """Loose objects and doors of a file."""
-LOOSE_SURFACE, FIXTURE = "loose", "fixture"
-"""Surfaces of what lies loose, and of what is seen but never touched."""
+LOOSE_SURFACE = "loose"
+"""Surface of what lies loose."""
 
 
 def mjcf_content(path: Path, surface: str = "") -> Content:

@@ -73,21 +73,30 @@ def _write(value: Mesh | HeightField, path: Path, number: int) -> object:
     )
 
 
-def _write_mesh(mesh: Mesh, path: Path, number: int) -> str:
-    """Write the corners and the faces of their hull; return the file's name."""
+def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
+    """Write the corners and the faces, its own or those of their hull; return what names them."""
+    vertices = np.asarray(mesh.vertices, float)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    if mesh.faces is None:
+        lines += _hull_lines(vertices)
+    else:
+        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    name = f"{path.stem}-mesh-{number}.obj"
+    with write_beside(path.parent / name) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return {"file": name, "rays": "faces"} if mesh.faces is not None else name
+
+
+def _hull_lines(vertices: np.ndarray) -> list[str]:
+    """Return the faces of corners' hull as lines of an OBJ file."""
     from scipy.spatial import ConvexHull
 
-    vertices = np.asarray(mesh.vertices, float)
-    hull = ConvexHull(vertices)
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    hull, lines = ConvexHull(vertices), list[str]()
     for (a, b, c), outward in zip(hull.simplices.tolist(), hull.equations[:, :3], strict=True):
         normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
         first, second = (b, c) if normal @ outward > 0 else (c, b)
         lines.append(f"f {a + 1} {first + 1} {second + 1}")
-    name = f"{path.stem}-mesh-{number}.obj"
-    with write_beside(path.parent / name) as fresh:
-        fresh.write_text("\n".join(lines) + "\n", encoding="ascii")
-    return name
+    return lines
 
 
 def _write_terrain(terrain: HeightField, path: Path, number: int) -> dict[str, object]:

@@ -11,7 +11,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import Content, transform_content
 from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
-from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
+from usarmjx.models.files.meshes import NO_MESH, SeenBy, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.files.values import read_yaml
@@ -57,7 +57,8 @@ class MeshFile:
         rgba: Colour.
         mass: Above zero it is one loose object of that mass [kg], else fixed.
         name: Name of the loose object; empty: the file's.
-        hull: Whether pieces that are not convex are filled in.
+        hull: Whether robots meet the hulls of pieces that are not convex.
+        rays: What rays meet of those: their faces, or the hull too.
         decomposition: Files with convex pieces to take instead.
     """
 
@@ -71,6 +72,7 @@ class MeshFile:
     mass: float = 0.0
     name: str = ""
     hull: bool = False
+    rays: SeenBy = "faces"
     decomposition: tuple[Path, ...] = ()
 
 
@@ -121,7 +123,8 @@ class MapFile:
 def mesh_content(mesh: MeshFile) -> Content:
     """Return a mesh file as fixed solids or a loose object."""
     files = mesh.decomposition or (mesh.file,)
-    found = [piece for file in files for piece in load_convex_pieces(file, mesh.scale, hull=mesh.hull)]
+    pieces = partial(load_convex_pieces, scale=mesh.scale, hull=mesh.hull, rays=mesh.rays)
+    found = [piece for file in files for piece in pieces(file)]
     like = Shape(kind="mesh", mesh=NO_MESH, material=mesh.material, rgba=mesh.rgba)
     if mesh.mass <= 0:
         like = replace(like, at=mesh.at, rotation=mesh.rotation, surface=mesh.surface)

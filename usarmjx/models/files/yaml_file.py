@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import EMPTY, Content, extent_of, free_start_pose, merge_contents
 from usarmjx.models.files.fields import check_keys, hints_of, read, read_record, required
 from usarmjx.models.files.images import read_heights
-from usarmjx.models.files.meshes import checked_corners, vertices_of_file
+from usarmjx.models.files.meshes import checked_corners, faces_of_file, vertices_of_file
 from usarmjx.models.files.rules import problem
 from usarmjx.models.files.sources import SOLID_SOURCES, Scale
 from usarmjx.models.files.values import YamlValue
@@ -131,7 +131,12 @@ def _scale(value: YamlValue) -> Scale:
 
 
 def _mesh(value: YamlValue) -> Mesh:
-    """Read a solid's corners: the name of a file, or a list of them."""
+    """Read a solid's corners: the name of a file, a list of them, or a file of which rays meet the faces."""
+    if isinstance(value.data, dict):
+        check_keys(value, ["file", "rays"])
+        if read(Literal["faces", "hull"], required(value, "rays"), {}) == "faces":
+            return faces_of_file(_file(required(value, "file")))
+        return Mesh(vertices_of_file(_file(required(value, "file"))))
     if isinstance(value.data, str):
         return Mesh(vertices_of_file(_file(value)))
     corners = np.array(read(tuple[Vec3, ...], value, {})).reshape(-1, 3)

@@ -140,16 +140,21 @@ lets everything but light through, is never touched, and is no wall to the radio
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A convex solid: its corners [m] (vertices, 3), of which MuJoCo takes the convex hull.
+    """A solid: its corners [m] (vertices, 3), of which contacts and the radio take the convex hull.
 
-    Two are the same if they have the same corners.
+    Rays and pictures see its faces (faces, 3), indices of three corners each, counter-clockwise from outside;
+    those of the hull where it has none. Two are the same if they have the same corners and faces.
     """
 
     vertices: np.ndarray
+    faces: np.ndarray | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other has the same corners."""
-        return isinstance(other, Mesh) and np.array_equal(self.vertices, other.vertices)
+        """Whether the other has the same corners and faces."""
+        if not isinstance(other, Mesh) or (self.faces is None) != (other.faces is None):
+            return False
+        same = np.array_equal(self.vertices, other.vertices)
+        return same and (self.faces is None or np.array_equal(self.faces, other.faces))  # type: ignore[arg-type]
 
     def __hash__(self) -> int:
         """Return the hash of the corners."""
