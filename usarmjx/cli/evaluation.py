@@ -28,10 +28,20 @@ def _told(one: "Estimate", what: str) -> str:
 @grouped
 def evaluate_policy(
     driver: PolicyOptions,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each seed, at least.")] = 100,
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Episodes of each seed, at least; 100, or one in each arena of a --split."),
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds, from --seed on.")] = 1,
-    worlds: Annotated[int, typer.Option(min=1, help="Worlds at once, each with as many episodes.")] = 20,
+    worlds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worlds at once, each with as many episodes; 20, or one for each arena."),
+    ] = None,
     engine: PolicyEngineOption = "auto",
+    split: Annotated[
+        str | None,
+        typer.Option(help="Generated arenas that were not trained on: test, or validation to choose by."),
+    ] = None,
     level: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="How difficult generated arenas are at most.")
     ] = None,
@@ -44,20 +54,28 @@ def evaluate_policy(
         announce("building the worlds that the policy is tried in ...")
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 
-        found, many = driver.source(), min(worlds, episodes)
-        env, policy = driver.env(found, many, engine)
+        found = driver.source()
+        many, episodes = driver.amount(found, split, worlds, episodes)
+        env, policy = driver.env(found, many, engine, split)
         numbers = range(driver.seed, driver.seed + seeds)
         result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
         count = result.score.count
         bad = sum(run.bad for run in result.episodes)
         over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"
+        where = f"{found.task}{f' ({split} split)' if split else ''}"
         several = f"; {_told(result.over_seeds, 'interquartile mean of the seeds')}" if seeds > 1 else ""
         typer.echo(
-            f"{found.task}, {found.name}: {_told(result.score, 'score')} ({over}"
+            f"{where}, {found.name}: {_told(result.score, 'score')} ({over}"
             f"{f', {bad} left out: physics failed' if bad else ''}){several}"
         )
         if json is not None:
             what = {"task": found.task, "policy": found.name, "checkpoint": driver.checkpoint}
-            setup = {"engine": engine, "worlds": many, "level": level, "settings": driver.set_by_hand}
+            setup = {
+                "engine": engine,
+                "worlds": many,
+                "level": level,
+                "split": split,
+                "settings": driver.set_by_hand,
+            }
             with write_beside(json) as fresh:
                 fresh.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")

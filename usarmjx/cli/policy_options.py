@@ -43,7 +43,8 @@ class PolicyOptions:
     task: Annotated[
         str | None,
         typer.Option(
-            help="Name of the task, if it is not the one that the policy is for; alone: its packaged policy.",
+            help="Name of the task or FILE.py:CLASS, if it is not the one that the policy is for; alone: its "
+            "packaged policy.",
             autocompletion=complete_tasks,
         ),
     ] = None
@@ -62,6 +63,7 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
+        from usarmjx.train.own_tasks import is_own, same_class
         from usarmjx.train.policies.sources import baseline as by_hand
         from usarmjx.train.policies.sources import find_source
 
@@ -70,14 +72,32 @@ class PolicyOptions:
         named = self.policy or self.task
         if named is None or self.baseline is not None:
             raise UsageError("name either a run, file or packaged policy, or a --baseline")
+        if self.policy is None and is_own(named):
+            raise UsageError(
+                f"no policy is packaged for {named}: name a run's folder too, or --baseline {named}"
+            )
         found = find_source(named, self.checkpoint)
-        same = self.task is None or self.task.lower() == found.task.lower()
+        if self.task is None:
+            return found
         # Another task has other fields than those that were set in training.
-        return found if same else replace(found, task=str(self.task), overrides={})
+        same = same_class(self.task, found.task)
+        return replace(found, task=self.task, overrides=found.overrides if same else {})
 
-    def env(self, source: "PolicySource", worlds: int, engine: str) -> "tuple[Env, Policy]":
+    def amount(
+        self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None
+    ) -> tuple[int, int]:
+        """Return how many worlds, and episodes in all: those asked for, or one in each arena of a split."""
+        there = 0 if split is None else source.count_arenas(self.settings or (), split)
+        episodes = episodes or there or 100
+        return min(worlds or there or 20, episodes), episodes
+
+    def env(
+        self, source: "PolicySource", worlds: int, engine: str, split: str | None = None
+    ) -> "tuple[Env, Policy]":
         """Return so many worlds of the policy's task, and the policy; tell what could not be set."""
-        env, driver, notes = source.env(self.settings or (), worlds=worlds, engine=engine, seed=self.seed)
+        env, driver, notes = source.env(
+            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
+        )
         for note in notes:
             typer.echo(f"usarmjx: note: {note}", err=True)
         return env, driver

@@ -13,6 +13,7 @@ from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.train.envs.splits import SPLITS
 
 MIN_START_DISTANCE = 1.0
 """Least distance of two start poses on an open floor [m]."""
@@ -35,6 +36,7 @@ class GeneratedArenas:
         robot: The robot that passes: a class, or what it needs.
         reachable: Share of the victims that it reaches.
         victims: How many in each arena; None: one for 12 cells.
+        split: What they are for, a name of `SPLITS`; only those of `train` may be trained on.
     """
 
     kind: str = "maze"
@@ -45,6 +47,7 @@ class GeneratedArenas:
     robot: str | RobotFootprint = "P2AT"
     reachable: float = 1.0
     victims: int | None = None
+    split: str = "train"
 
     def __post_init__(self) -> None:
         """Refuse what makes no library."""
@@ -54,10 +57,18 @@ class GeneratedArenas:
                 "levels that rise"
             )
 
+    def of_split(self, split: str) -> "GeneratedArenas":
+        """Return the same arenas of a split, as many of each level as that one is tried on."""
+        wanted = SPLITS.get(split).arenas
+        return replace(self, split=split, count=-(-wanted // len(self.levels)) if wanted else self.count)
+
+    def seeds(self) -> np.ndarray:
+        """Return the seed of each arena (arenas,)."""
+        return SPLITS.get(self.split).seeds(self.seed, self.count * len(self.levels))
+
     def arenas(self) -> tuple[ArenaSpec, ...]:
         """Return the arenas, the easy ones first."""
-        seeds = np.random.SeedSequence(self.seed).generate_state(self.count * len(self.levels), np.uint32)
-        levels = np.repeat(self.levels, self.count)
+        seeds, levels = self.seeds(), np.repeat(self.levels, self.count)
         return tuple(
             generate(
                 self.kind,

@@ -15,7 +15,9 @@ from jax.sharding import PartitionSpec
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, writing
+from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.splits import held_out
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
@@ -81,6 +83,7 @@ class Trainer:
                 f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} "
                 f"processes need {share}"
             )
+        _check_split(env)
         if config.curriculum and not env.levels:
             raise UsageError(
                 f"curriculum is {config.curriculum}, but {env.name} has no generated arenas that could get "
@@ -140,6 +143,18 @@ class Trainer:
             self._update(to_global(train_state, None), experience)
         )
         return train_state, worlds, known
+
+
+def _check_split(env: Env) -> None:
+    """Refuse to train on arenas that scores are measured in."""
+    scene: Scene | None = getattr(env, "scene", None)  # environments of one's own need none
+    if scene is None:
+        return
+    if split := held_out((scene.arena,) if scene.arenas is None else scene.arenas.arenas):
+        raise UsageError(
+            f"{env.name} has arenas of the split {split}, which are held out to measure scores in: train on "
+            "those of the split train"
+        )
 
 
 def _with_axis(sums: dict[str, jax.Array]) -> dict[str, jax.Array]:

@@ -11,9 +11,11 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.learning.config import parse_settings
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import make, make_task
+from usarmjx.train.own_tasks import check_there, find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.export import NumpyPolicy
 
@@ -52,7 +54,13 @@ class PolicySource:
         return policy.as_policy(params)
 
     def env(
-        self, settings: Sequence[str] = (), *, worlds: int = 1, engine: str = "auto", seed: int = 0
+        self,
+        settings: Sequence[str] = (),
+        *,
+        worlds: int = 1,
+        engine: str = "auto",
+        seed: int = 0,
+        split: str | None = None,
     ) -> tuple[Env, Policy, list[str]]:
         """Return its task as it was trained on, the policy for it, and notes on what could not be set so.
 
@@ -61,15 +69,42 @@ class PolicySource:
             worlds: How many.
             engine: `warp`, `jax`, `c`, or `auto`.
             seed: Of all random numbers.
+            split: Of generated arenas, a name of `SPLITS`; None: the task's own, which were trained on.
 
         Raises:
             UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
-                not for.
+                not for; a split of arenas that are not generated.
             UnknownNameError: No such task, or field of it; lists those there are.
         """
+        check_there(self.task, self.name)
         overrides, notes = task_settings(self.task, self.overrides, settings)
+        if split is not None:
+            overrides["arena"] = arenas_of(self.task, overrides, split)
         env = make(self.task, worlds=worlds, engine=engine, seed=seed, **overrides)
         return env, self.policy(env), notes
+
+    def count_arenas(self, settings: Sequence[str], split: str) -> int:
+        """Return how many arenas of a split its task has.
+
+        Raises:
+            UsageError: See `env`.
+        """
+        overrides, _ = task_settings(self.task, self.overrides, settings)
+        arenas = arenas_of(self.task, overrides, split)
+        return arenas.count * len(arenas.levels)
+
+
+def arenas_of(task: str, overrides: Mapping[str, Any], split: str) -> GeneratedArenas:
+    """Return the arenas of a split for a task that is set up so.
+
+    Raises:
+        UsageError: Its arenas are not generated.
+        UnknownNameError: No such split; lists those there are.
+    """
+    arenas = make_task(task, **overrides).arenas
+    if not isinstance(arenas, GeneratedArenas):
+        raise UsageError(f"{task} has no generated arenas as it is set up, so none of the split {split}")
+    return arenas.of_split(split)
 
 
 def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
@@ -153,6 +188,7 @@ def baseline(name: str, task: str | None = None) -> PolicySource:
 
     Raises:
         UnknownNameError: No such baseline; lists those there are.
+        UsageError: An own task that has none, or cannot be imported.
     """
-    BASELINES.get(name)
-    return PolicySource(name=name, task=task or name)
+    found = find_baseline(name, task)
+    return PolicySource(name=found, task=task or found)

@@ -1,0 +1,85 @@
+"""Generated arenas that nobody trains on, and what they are for."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.cli.app import app
+from usarmjx.cli.policy_options import PolicyOptions
+from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.splits import HELD_OUT_END, HELD_OUT_START, SPLITS, held_out
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.scenes.buildings import Buildings
+
+SMALL = GeneratedArenas(kind="maze", count=1, levels=(0.0, 1.0), size=(3, 3))
+
+
+class Place(SimpleNamespace):
+    """Somewhere: what is not said of it is None."""
+
+    def __getattr__(self, name):
+        return None
+
+
+def test_no_arena_is_of_two_splits(monkeypatch):
+    """Not even where the drawn seeds would fall among those that are held out."""
+    library = Buildings()
+    seeds = {name: set(library.of_split(name).seeds().tolist()) for name, _ in SPLITS}
+    assert {name: len(found) for name, found in seeds.items()} == {
+        "train": 48,
+        "validation": 102,
+        "test": 201,
+    }
+    assert not seeds["train"] & (seeds["validation"] | seeds["test"])
+    assert not seeds["validation"] & seeds["test"]
+    drawn = np.array([0, HELD_OUT_START, HELD_OUT_END - 1, HELD_OUT_END], np.uint32)
+
+    class Drawn:
+        def __init__(self, seed):
+            pass
+
+        def generate_state(self, count, kind):
+            return drawn
+
+    monkeypatch.setattr(np.random, "SeedSequence", Drawn)
+    found = SPLITS.get("train").seeds(0, 4)
+    assert not ((found >= HELD_OUT_START) & (found < HELD_OUT_END)).any()
+    assert (found[[0, 3]] == drawn[[0, 3]]).all()
+
+
+def test_the_arenas_trained_on_are_those_of_before():
+    """Shipped policies were trained in them, and their scores are of them."""
+    assert Buildings(count=1).arenas()[0].name == "DM-building-10x8-2968811710"
+
+
+@pytest.mark.parametrize("split", ["validation", "test"])
+def test_nobody_trains_on_held_out_arenas(split):
+    """Whether all worlds have one of them or each its own."""
+    config = Config(worlds=2, minibatches=1, layers=(4,), critic_layers=(4,))
+    arenas = SMALL.of_split(split).arenas()[:2]
+    for scene in (Place(arena=arenas[1]), Place(arenas=Place(arenas=arenas))):
+        env = Place(name="mine", worlds=2, levels=(), scene=scene)
+        with pytest.raises(UsageError, match=f"mine has arenas of the split {split}, which are held out"):
+            Trainer(env, config, ProcessGroup())
+    assert held_out(SMALL.arenas()) is None
+
+
+def test_eval_plays_each_arena_of_a_split_once():
+    options = PolicyOptions(baseline="drive-to-goal", settings=["arena=maze", "ranges="])
+    source = options.source()
+    assert options.amount(source, "validation", None, None) == (100, 100)
+    assert options.amount(source, "validation", 10, None) == (10, 100)
+    assert options.amount(source, None, None, None) == (20, 100)
+    env, _ = options.env(source, 1, "c", "validation")
+    assert held_out(env.scene.arenas.arenas[-1:]) == "validation"
+    assert len(env.scene.arenas.arenas) == 100
+    told = CliRunner().invoke(app, ["eval", "--baseline", "drive-to-goal", "--split", "test"])
+    assert told.exit_code == 2
+    assert "drive-to-goal has no generated arenas as it is set up, so none of the split test" in told.output
+    with pytest.raises(UnknownNameError, match="unknown split 'exam'; known: test, train, validation"):
+        SMALL.of_split("exam")
