@@ -81,7 +81,13 @@ class Browser:
 
 
 class Session:
-    """A connection to the browser or to a page of it."""
+    """A connection to the browser or to a page of it.
+
+    Attributes:
+        patience: So long it waits for an answer [s].
+    """
+
+    patience = PATIENCE
 
     def __init__(self, address):
         self._socket = connect(address, max_size=None, compression=None, ping_interval=None)
@@ -92,7 +98,7 @@ class Session:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
         while True:
-            message = json.loads(self._socket.recv(timeout=PATIENCE))
+            message = json.loads(self._socket.recv(timeout=self.patience))
             if message.get("id") == number:
                 assert "error" not in message, (method, message)
                 return message["result"]

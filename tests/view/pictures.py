@@ -28,6 +28,8 @@ FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 4, 128
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
 MANY = 40
+SLOW = 900.0
+"""So long a picture may take on a busy machine [s]."""
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
@@ -84,6 +86,7 @@ class Studio:
         self.page = ViewerPage(ServedSource(worlds), title="usarmjx")
         self.page.server.gui.main_panel.minimize()
         self._window = browser.open(f"http://127.0.0.1:{self.page.server.get_port()}/")
+        self._window.patience = SLOW
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
         self._window.call("Emulation.setDeviceMetricsOverride", **metrics)
         self._window.wait(lambda: self.page.refresh() or self.page.onlookers)

@@ -16,7 +16,8 @@ from usarmjx.models.spec.shapes import Shape
 
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """MuJoCo: a plane with zero half sizes is unbounded."""
-FLOOR_RGBA = (0.9, 0.85, 0.4, 1.0)
+FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
+"""Light grey, as pictures of cameras have it beyond their checkers."""
 ARENA, LOOSE_PREFIX, DOOR, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
 """What the names of the geoms of fixed solids, and of loose objects, doors and victims' bones start with."""
 MAX_BOX_PIECES = 512
