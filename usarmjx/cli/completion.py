@@ -16,8 +16,8 @@ ROBOT_NAMES = (
     *("StereoP2AT", "Submarine", "Talon", "Tarantula", "TeleMax", "UnitLoader", "Zerg"),
 )
 TASK_NAMES = (
-    *("convoy", "drive-to-goal", "explore", "hover-inspect", "relay-chain", "soccer", "stairs"),
-    *("victim-search", "wander"),
+    *("convoy", "drive-to-goal", "explore", "explore-v1", "explore-v2", "hover-inspect", "relay-chain"),
+    *("soccer", "stairs", "victim-search", "victim-search-v1", "victim-search-v2", "wander"),
 )
 POLICY_NAMES = ("drive-to-goal", "explore", "victim-search")
 ENGINE_NAMES = ("auto", "c", "jax", "planar", "warp")

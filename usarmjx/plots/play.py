@@ -100,7 +100,8 @@ def record_episode(
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state, step = env.step(state, actions), step + 1
-        done, late, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
+        done, cut, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
+        late = cut or (env.task.time_limit == "end" and step >= env.episode_steps)
         if done:
             end = "physics failed" if bad else "time is up" if late else "done"
             moments.append((step * env.period, float(np.asarray(state.final_score)[WORLD]), *moments[-1][2:]))

@@ -22,8 +22,9 @@ from usarmjx.train.envs.policy import Policy
 BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
 BASELINES.add("drive-to-goal", bug_policy)
 BASELINES.add("wander", roam_policy)
-BASELINES.add("explore", frontier_policy)
-BASELINES.add("victim-search", frontier_policy)
+for version in ("", "-v1", "-v2"):
+    BASELINES.add(f"explore{version}", frontier_policy)
+    BASELINES.add(f"victim-search{version}", frontier_policy)
 BASELINES.add("relay-chain", relay_policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
@@ -21,7 +22,13 @@ ARRIVED = 0.05
 
 
 def frontier_policy(env: Env) -> Policy:
-    """Return the policy for an environment of a team task; its carry is empty."""
+    """Return the policy for an environment of a team task; its carry is empty.
+
+    Raises:
+        UsageError: The robots do not observe the way that it drives.
+    """
+    if not getattr(env.task, "advice", True):
+        raise UsageError(f"{env.name} with advice=false: its baseline drives the way that this hides")
 
     def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key

@@ -20,10 +20,13 @@ def relay_policy(env: Env) -> Policy:
     The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
     which leads outward, and stops where the signal of the one before it gets weak; so the first ones become
     relays, and the last one goes farthest. Where the task's `talk` is none they do not look at the radio.
+
+    Raises:
+        UsageError: See `frontier_policy`.
     """
-    robots = env.scene.num_robots
+    robots, greedy = env.scene.num_robots, frontier_policy(env)
     if getattr(env.task, "talk", "all") == "none":
-        return frontier_policy(env)
+        return greedy
 
     def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from usarmjx.train.envs.episode import (
 )
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Restart
-from usarmjx.train.envs.task import StepResult, Task
+from usarmjx.train.envs.task import StepResult, Task, TimeLimit
 
 
 def restart_batch_size(worlds: int, episode_steps: int) -> int:
@@ -73,6 +73,8 @@ class Env:
             raise UsageError(
                 f"repeat {task.repeat}, episode_steps {task.episode_steps}: both must be at least 1"
             )
+        if task.time_limit not in get_args(TimeLimit):
+            raise UsageError(f"time_limit {task.time_limit!r}, expected {' or '.join(get_args(TimeLimit))}")
         self.task, self.name = task, name or type(task).__name__
         self.scene = task.scene()
         self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)

@@ -100,7 +100,7 @@ def evaluate_step(
         privileged=privileged,
         reward=tuple(jnp.where(bad[:, None], 0.0, reward) for reward in result.reward),
         done=done,
-        truncated=late & ~terminated & ~bad,
+        truncated=late & ~terminated & ~bad & (task.time_limit == "truncation"),
         final_obs=obs,
         final_privileged=privileged,
         score=score,

@@ -40,7 +40,8 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         privileged: What only critics observe (worlds, privileged_size).
         reward: Of the step, per group (worlds, robots); 0 in bad worlds.
         done: Whether the episode ended with this step; the world has started the next one (worlds,).
-        truncated: Whether that was because the time was up, and for no other reason (worlds,).
+        truncated: Whether it was only cut off: the time was up, for no other reason, in a task whose
+            `time_limit` is no end (worlds,).
         final_obs: As `obs` before the reset, the same where not done, per group (worlds, robots, obs_size).
         final_privileged: As `privileged`, before the reset (worlds, privileged_size).
         score: The score of the running episode (worlds,).

@@ -7,7 +7,7 @@ truly is.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,9 @@ from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import World, episode_key, robot_states, time_of
 from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, spec_of, with_sensors
 from usarmjx.train.envs.state import Memory
+
+TimeLimit = Literal["end", "truncation"]
+"""What the time limit is to an episode: its end, or where it is only cut off."""
 
 
 class TeamMaps(NamedTuple):
@@ -153,6 +156,9 @@ class Task(ABC):
         physics: Solver and time settings, or their name in `PHYSICS`.
         repeat: Control steps per action.
         episode_steps: Actions until the time is up.
+        time_limit: `end`: the task is one of so many steps, its score is over them and its agents see the
+            time that is left, so nothing follows; `truncation`: it would go on, and learners put a value in
+            for what follows.
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over it; None: there are none.
         shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
@@ -166,6 +172,7 @@ class Task(ABC):
     physics: Physics | str = "reference"
     repeat: int = 10
     episode_steps: int = 100
+    time_limit: TimeLimit = "truncation"
     radio: RadioSettings | None = None
     mail: MessageSettings | None = None
     shuffle: bool = True

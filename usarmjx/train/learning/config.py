@@ -154,8 +154,8 @@ _TEAM: dict[str, Any] = {
 # What each task is trained with, where it differs from the defaults. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"discount": 0.98, "learning_rate": 1e-3, "entropy": 0.002},
-    "explore": _TEAM,
-    "victim-search": _TEAM,
+    **{f"explore{version}": _TEAM for version in ("", "-v1", "-v2")},
+    **{f"victim-search{version}": _TEAM for version in ("", "-v1", "-v2")},
 }
 
 

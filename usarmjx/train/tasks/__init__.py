@@ -6,7 +6,10 @@ and `--set` override, so their names stay. What it observes, rewards and scores 
 docs/tasks.md; figures there hold for exactly these functions.
 """
 
+from dataclasses import replace
+
 from usarmjx.train.envs.task import TASKS
+from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore
@@ -17,10 +20,19 @@ from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
 
+BUILDINGS_V2 = Buildings(sizes=((14, 10), (16, 12), (20, 12)))
+SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
+
+TASKS.add("explore-v1", Explore())
+TASKS.add("explore-v2", Explore(arena=BUILDINGS_V2, episode_steps=400, haste=0.25))
+TASKS.add("victim-search-v1", VictimSearch())
+TASKS.add("victim-search-v2", VictimSearch(arena=SEARCHED_V2, episode_steps=450, haste=0.25, fence=True))
+# The versions that the packaged policies are for; with policies for version 2 these lines change.
+TASKS.add("explore", TASKS.get("explore-v1"))
+TASKS.add("victim-search", TASKS.get("victim-search-v1"))
+
 TASKS.add("drive-to-goal", DriveToGoal())
 TASKS.add("wander", Wander())
-TASKS.add("explore", Explore())
-TASKS.add("victim-search", VictimSearch())
 TASKS.add("relay-chain", RelayChain())
 TASKS.add("convoy", Convoy())
 TASKS.add("stairs", Stairs())

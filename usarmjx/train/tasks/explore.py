@@ -1,10 +1,12 @@
 """A team explores a building."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.train.envs.task import StepResult, TaskView
@@ -23,16 +25,17 @@ class Explore(TeamTask):
     Score, over the n steps of an episode:
     - 50 times the mean over all steps of the share of the building that the team has explored;
     - 50 times the mean over all steps and robots of the share of it that is on a robot's map;
+      both for a `haste` of 1; with less, the share at the end counts the more, see `TeamTask`;
     - less `price` for every contact.
     The building is the squares of 0.3 m whose middles a robot of class `passing` gets to. Such a square is
     explored once the scanner of any robot has truly seen it to be free (`maps.classify_scan`, drawn from
     where the scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by
     what others sent. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
 
-    Reward: what a step adds to the final score, shared out: a square explored in step k of n adds
-    50 (n - k + 1) / n over the number of squares, of which `share` goes to all in equal parts and the rest to
-    the robot that saw it; what comes onto maps goes to all in equal parts; contacts cost those that touch.
-    All rewards of an episode add up to its score less what the first scans are worth.
+    Reward: what a step adds to the final score, shared out: a square explored in step k of n adds 50 times
+    the `worth` of (n - k + 1) / n over the number of squares, of which `share` goes to all in equal parts and
+    the rest to the robot that saw it; what comes onto maps goes to all in equal parts; contacts cost those
+    that touch. All rewards of an episode add up to its score less what the first scans are worth.
 
     Attributes:
         robot: Class of the robots.
@@ -60,15 +63,15 @@ class Explore(TeamTask):
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """What was explored, what came onto maps, and who touched something."""
         steps, scene = self.episode_steps, view.scene
-        left = (steps - memory.step) / steps  # this step's number is one more
+        worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         first = 50.0 * (coverage(memory) + on_maps(memory))
         memory, credit, begun = self.advance(view, memory)
         before, memory = (
             on_maps(memory),
             memory.replace(extra=memory.extra | (memory.reachable & (memory.belief.squares == FREE))),
         )
-        found = 50.0 * left * ((1 - self.share) * credit + self.share * credit.mean())
-        learned = 50.0 * left * (on_maps(memory) - before) / scene.num_robots
+        found = 50.0 * worth * ((1 - self.share) * credit + self.share * credit.mean())
+        learned = 50.0 * worth * (on_maps(memory) - before) / scene.num_robots
         reward = found + learned - self.price * begun
         score = memory.score + jnp.where(memory.step == 1, first, 0.0) + reward.sum()
         memory = memory.replace(score=score)
@@ -79,6 +82,17 @@ class Explore(TeamTask):
             score=score,
             metrics={**self.metrics(memory), "known": on_maps(memory)},
         )
+
+    def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Points for what is explored and for what is known, and the contacts'."""
+        names = {"explored": 50.0, "known": 50.0}
+        found = {name: points * self.paid(series[name]) for name, points in names.items()}
+        return {**found, **super().score_parts(series)}
+
+    @property
+    def most_points(self) -> dict[str, float]:
+        """50 each, if all were explored and known at the start."""
+        return {"explored": 50.0, "known": 50.0, **super().most_points}
 
 
 def on_maps(memory: TeamMemory) -> jax.Array:

@@ -1,11 +1,13 @@
 """A chain of robots carries the radio of a base as far into a building as it can."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from usarmjx.comms.connectivity import reachable
@@ -144,6 +146,16 @@ class RelayChain(TeamTask):
                 "connected": linked[agents].mean(),
             },
         )
+
+    def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Points for depth, and the contacts'."""
+        depth = 100.0 * np.cumsum(series["reach"], axis=0) / self.episode_steps
+        return {"depth": depth, **super().score_parts(series)}
+
+    @property
+    def most_points(self) -> dict[str, float]:
+        """What would be so if the deepest square were reached from the start."""
+        return {"depth": 100.0, **super().most_points}
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact, and the powers."""

@@ -16,7 +16,7 @@ from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import StepResult, Task, TaskView
+from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
 from usarmjx.train.tasks.ranges import reduce_to_sectors
 from usarmjx.train.tasks.soccer_belief import (
     LOWER,
@@ -116,6 +116,7 @@ class Soccer(Task):
     arena: Arenas = SOCCER_FIELD
     repeat: int = 5
     episode_steps: int = 400
+    time_limit: TimeLimit = "end"
     radio: RadioSettings | None = field(default_factory=RadioSettings)
     mail: MessageSettings | None = MAIL_SETTINGS
     opponent: str = "self"

@@ -1,7 +1,8 @@
 """What the tasks for teams have in common: maps, messages about them, contacts, observations."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from usarmjx.sim.actions import Actions
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import Arenas
-from usarmjx.train.envs.task import Task, TaskView, TeamMaps
+from usarmjx.train.envs.task import Task, TaskView, TeamMaps, TimeLimit
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import (
     HEADER_SIZE,
@@ -51,6 +52,7 @@ from usarmjx.train.tasks.team_parts import (
 )
 
 Talk = Literal["all", "base", "none"]
+Number = TypeVar("Number", np.ndarray, jax.Array)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +72,8 @@ class TeamTask(Task):
     - for each other robot, the base too: where it said to be (x, y; 1 is 6 m), the age of that (1: 20 s or
       never), whether there is a link now;
     - its map around it, 11 x 11 points 0.6 m apart: walls (1, else 0), then what is unknown.
+    Where the way leads, its next position and its length are the planner's advice: without `advice` these
+    five numbers are 0.
 
     Action: speed and turn to the left, as shares of the wheels' highest speed: the left wheels get their
     difference, the right ones their sum.
@@ -80,6 +84,10 @@ class TeamTask(Task):
         talk: Whom robots send messages to: all others, the base station only, or nobody.
         touch: What is so near is touched [m].
         price: Of a contact, in points of the score.
+        advice: Whether the robots observe what their planner advises.
+        haste: Share of the points for a find that it loses by coming at the end of the episode instead of at
+            the start, the less the sooner it comes: at 1 it pays for the time that is left, at 0 it pays the
+            same whenever it comes.
     """
 
     reports: ClassVar[bool] = False
@@ -88,6 +96,7 @@ class TeamTask(Task):
     arena: Arenas = field(default_factory=Buildings)
     repeat: int = 10
     episode_steps: int = 500
+    time_limit: TimeLimit = "end"
     radio: RadioSettings | None = WALLED_RADIO
     shuffle: bool = False
     cell: float = 0.3
@@ -95,6 +104,8 @@ class TeamTask(Task):
     talk: Talk = "all"
     touch: float = 0.01
     price: float = 0.2
+    advice: bool = True
+    haste: float = 1.0
 
     def scene(self) -> Scene:
         """Return the scene, with room for maps in its messages if nothing else is said."""
@@ -150,6 +161,10 @@ class TeamTask(Task):
                 belief = update_from_scan(grid, belief, scan_of(view, g, belief.pose[group.slots]), view.time)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)
+
+    def first_belief(self, view: TaskView) -> Belief:
+        """Return what the robots believe before they scan: where all of them stand."""
+        return initial_belief(self.arena_grid(view.scene).grid, self.poses(view))
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots sensed what the task is about; by default nothing."""
@@ -210,7 +225,7 @@ class TeamTask(Task):
         squares = self.arena_grid(view.scene)
         zero = jnp.zeros(())
         memory = TeamMemory(
-            belief=self.update_belief(view, initial_belief(squares.grid, self.poses(view))),
+            belief=self.update_belief(view, self.first_belief(view)),
             step=jnp.zeros((), jnp.int32),
             reachable=reachable_of(view, squares),
             explored=jnp.zeros(squares.grid.shape, bool),
@@ -221,6 +236,39 @@ class TeamTask(Task):
         )
         shown, _ = newly_explored(view, memory, squares.grid)
         return memory.replace(explored=shown)
+
+    def worth(self, left: Number) -> Number:
+        """Return what share of its points a find still pays with that share of the time left (...,)."""
+        return (1.0 - self.haste) + self.haste * left
+
+    def worth_of_steps(self) -> np.ndarray:
+        """Return `worth` in each step of an episode (steps,)."""
+        return self.worth(1.0 - np.arange(self.episode_steps) / self.episode_steps)
+
+    def paid(self, share: np.ndarray) -> np.ndarray:
+        """Return what a point for a share that only grows has paid after each step (steps, ...).
+
+        Args:
+            share: After each step of whole episodes (steps, ...).
+        """
+        found = np.diff(share, axis=0, prepend=np.zeros_like(share[:1]))
+        return np.cumsum(found * self.worth_of_steps().reshape(-1, *[1] * (share.ndim - 1)), axis=0)
+
+    def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return what each part of the score has come to after each step of whole episodes.
+
+        Args:
+            series: The metrics after each step, by name (steps, ...).
+
+        Returns:
+            Points by part (steps, ...), negative where a part costs; all parts together are the score.
+        """
+        return {"contacts": -self.price * series["contacts"]}
+
+    @property
+    def most_points(self) -> dict[str, float]:
+        """The most that each part of the score can come to: the sum of its points."""
+        return {"contacts": 0.0}
 
     def touched(self, view: TaskView) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
@@ -271,10 +319,13 @@ class TeamTask(Task):
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
         number = jnp.arange(robots) / robots
         moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)
-        rows = [
+        advice = [
             to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
             to_robot_frame(belief.pose, belief.goal) / POSITION_SCALE,
             jnp.minimum(belief.path_length / PATH_SCALE, 1.0)[:, None],
+        ]
+        rows = [
+            *(advice if self.advice else [jnp.zeros_like(row) for row in advice]),
             jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
             jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0),
             jnp.stack([left, number], -1),
@@ -285,7 +336,8 @@ class TeamTask(Task):
             return egocentric_map(grid, squares, pose, LOCAL_MAP_WIDTH, SPACING)
 
         flyers = self.planner_settings(view.scene).flyers[:, None, None]
-        swept = jnp.where(belief.squares == MARK, MARK, jnp.where(belief.evidence < 0, FREE, UNKNOWN))
+        flown = jnp.where(belief.evidence < 0, FREE, jnp.where(belief.evidence > 0, WALL, UNKNOWN))
+        swept = jnp.where(belief.squares == MARK, MARK, flown)
         squares = jnp.where(flyers, swept, belief.squares)
         near = jax.vmap(local_map)(squares, belief.pose)
         near = near.reshape(robots, -1)

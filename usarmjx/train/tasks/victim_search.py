@@ -1,5 +1,6 @@
 """A mixed team searches a building for victims and reports them to its base."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -9,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.connectivity import reachable
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.actions import Actions, JointAction
@@ -18,9 +18,9 @@ from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, update_base_contact
-from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
+from usarmjx.train.mapping.maps import FREE, MARK
 from usarmjx.train.mapping.wavefront import UNREACHABLE
-from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.scenes.buildings import Buildings, extent_of
 from usarmjx.train.scenes.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import (
@@ -29,6 +29,14 @@ from usarmjx.train.tasks.team_parts import (
     TeamMemory,
     station_slot,
     to_robot_frame,
+)
+from usarmjx.train.tasks.victim_parts import (
+    ABSENT_VICTIM_DISTANCE,
+    FENCE_GAIN,
+    detected_positions,
+    fence_of,
+    mark_squares,
+    way_left,
 )
 
 FLIPPERS = {"FRFlipper": -1.3, "FLFlipper": -1.3, "RRFlipper": 1.3, "RLFlipper": 1.3}
@@ -84,12 +92,14 @@ class VictimSearch(TeamTask):
       squares of 0.3 m whose middles a robot of class `passing` gets to;
     - 10 times the mean over all steps of the share of robots that reach the base over any number of links;
     - less `price` for every contact and `wrong` for every square wrongly marked at the base.
+    The first two are so for a `haste` of 1; with less, the shares at the end count the more, see `TeamTask`.
 
     Observation: as `TeamTask`; then the way home to the base (x, y; 1 is 6 m), how long ago it had contact
     with the base (1: 60 s), whether it knows of marks that the base may not know, and marks on the map around
     it are walls. Robots that fly have no scanner; for them all is free that they have flown over.
 
-    Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height.
+    Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height. With
+    `fence` they know the building's outline: beyond it all is wall for them, and they brake before it.
 
     Reward: what a step adds to the final score, where contacts cost those that touch and all else goes to
     all in equal parts; and `hint` times 100 times the share of the building that the robot was the first to
@@ -102,6 +112,7 @@ class VictimSearch(TeamTask):
         near: So near to a victim is a mark right [m].
         wrong: Price of a square wrongly marked.
         hint: Reward for what a robot explores.
+        fence: Whether robots that fly are kept above the building.
     """
 
     about: ClassVar[str] = "A mixed team finds victims and reports them over the radio."
@@ -115,6 +126,7 @@ class VictimSearch(TeamTask):
     near: float = 1.5
     wrong: float = 0.5
     hint: float = 0.05
+    fence: bool = False
 
     @property
     def robots(self) -> tuple[RobotSpec, ...]:
@@ -125,6 +137,18 @@ class VictimSearch(TeamTask):
         )
 
     # What the robots believe.
+
+    def first_belief(self, view: TaskView) -> Belief:
+        """As `TeamTask`; beyond the fence all is wall for robots that fly."""
+        belief = super().first_belief(view)
+        flyers = self.planner_settings(view.scene).flyers
+        if not self.fence or not flyers.any():
+            return belief
+        squares = self.arena_grid(view.scene)
+        low, high = fence_of(extent_of(view, squares))
+        inside = ((squares.grid.centres > low) & (squares.grid.centres < high)).all(-1)
+        beyond = flyers[:, None, None] & ~inside
+        return belief.replace(evidence=jnp.where(beyond, 1, belief.evidence).astype(jnp.int8))
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Mark what victim sensors met and what flying robots have swept, and look at the radio."""
@@ -140,6 +164,7 @@ class VictimSearch(TeamTask):
             belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
         gap = jnp.linalg.norm(grid.centres - belief.pose[:, None, None, :2], axis=-1)
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
+        swept &= belief.evidence <= 0  # not beyond the fence
         belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
         if view.world.links is not None and self.talk != "none":
             belief = update_base_contact(belief, view.links.in_range, station_slot(scene), view.time)
@@ -183,11 +208,17 @@ class VictimSearch(TeamTask):
             return super().drive_values(view, memory, group, action)
         index = next(g for g, other in enumerate(view.scene.groups) if other is group)
         height = HEIGHT + FLIGHT_SPACING * np.arange(len(group.slots)) + view.scene.arena.floor
-        error = height - view.sensor(index, pose_sensor(group.robot))[:, 2]
+        pose = view.sensor(index, pose_sensor(group.robot))
+        error, speed = height - pose[:, 2], FLIGHT_SPEED * action[:, 0]
         low = error > MAX_HEIGHT_ERROR  # not yet above the walls
+        if self.fence:
+            fence = fence_of(extent_of(view, self.arena_grid(view.scene)))
+            ahead = jnp.stack([jnp.cos(pose[:, 5]), jnp.sin(pose[:, 5])], -1)
+            limits = [FENCE_GAIN * way_left(pose[:, :2], side * ahead, fence) for side in (-1.0, 1.0)]
+            speed = jnp.clip(speed, -limits[0], limits[1])
         return {
             "AltitudeVelocity": jnp.clip(CLIMB_GAIN * error, -1.0, 1.0),
-            "LinearVelocity": jnp.where(low, 0.0, FLIGHT_SPEED * action[:, 0]),
+            "LinearVelocity": jnp.where(low, 0.0, speed),
             "LateralVelocity": jnp.zeros(len(action)),
             "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * action[:, 1]),
         }
@@ -218,7 +249,7 @@ class VictimSearch(TeamTask):
         squares = jnp.maximum(memory.reachable.sum(), 1)
         mapped = (found.mapped.sum() - before.mapped.sum()) / squares
         linked = found.connected - before.connected
-        gain = left * (60.0 * share + 30.0 * mapped) + 10.0 * linked / steps
+        gain = self.worth(left) * (60.0 * share + 30.0 * mapped) + 10.0 * linked / steps
         gain -= self.wrong * (found.wrong - before.wrong)
         shared, contacts = gain / len(self.agents(scene)), self.price * begun
         reward = shared + self.hint * 100.0 * credit - contacts
@@ -234,8 +265,35 @@ class VictimSearch(TeamTask):
                 "mapped": found.mapped.sum() / squares,
                 "connected": found.connected / memory.step,
                 "wrong": found.wrong,
+                "outside": self._outside(view),
             },
         )
+
+    def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Points for victims, for the base's map and for links, and the costs."""
+        steps = np.arange(1, self.episode_steps + 1).reshape(-1, *[1] * (series["connected"].ndim - 1))
+        return {
+            "victims": 60.0 * self.paid(series["reported"]),
+            "mapped": 30.0 * self.paid(series["mapped"]),
+            "connected": 10.0 * series["connected"] * steps / self.episode_steps,
+            **super().score_parts(series),
+            "wrong": -self.wrong * series["wrong"],
+        }
+
+    @property
+    def most_points(self) -> dict[str, float]:
+        """What would be so if all were reported, mapped and connected from the start."""
+        shares = {"victims": 60.0, "mapped": 30.0, "connected": 10.0}
+        return {**shares, **super().most_points, "wrong": 0.0}
+
+    def _outside(self, view: TaskView) -> jax.Array:
+        """Return the share of the flying robots that truly are not above the building ()."""
+        flying = [g for g, group in enumerate(view.scene.groups) if flies(group.robot)]
+        if not flying:
+            return jnp.zeros(())
+        extent = extent_of(view, self.arena_grid(view.scene))
+        at = jnp.concatenate([view.robots(g).pos[:, :2] for g in flying])
+        return 1.0 - ((at > extent[:, 0]) & (at < extent[:, 1])).all(-1).mean()
 
     def _found(self, view: TaskView, memory: TeamMemory) -> VictimSearchState:
         """Return what the base knows now."""
@@ -274,30 +332,3 @@ class VictimSearch(TeamTask):
         mapped = found.mapped.sum() / jnp.maximum(memory.reachable.sum(), 1)
         more = jnp.concatenate([jnp.stack([reported, mapped]), found.linked])
         return jnp.concatenate([super().privileged(view, memory), more])
-
-
-ABSENT_VICTIM_DISTANCE = 1e5
-"""Victims that a world does not have are farther away than this [m]."""
-
-
-def detected_positions(view: TaskView, group: int) -> jax.Array:
-    """Return what a group's victim sensors met: whether, then x ahead and y to the left [m].
-
-    The robot is taken to stand level. Shape (robots, boxes, 3).
-    """
-    members = view.scene.groups[group]
-    mount = members.suite.sensors[members.suite.index("VictSensor")].mounts[0]
-    boxes = view.sensor(group, "VictSensor")
-    mat = mat_from_angles(*flip_angles(mount.direction)).astype(np.float32)
-    at = np.array(flip_vector(mount.at), np.float32)
-    position = (mat * boxes[..., None, 2:]).sum(-1) + at
-    return jnp.concatenate([boxes[..., :1], position[..., :2]], -1)
-
-
-def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
-    """Return the squares in which a robot at a pose (3,) met something (boxes, 3) (i, j)."""
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    x, y = met[:, 1], met[:, 2]
-    position = pose[:2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
-    there = grid.index(position)
-    return jnp.zeros(grid.shape, bool).at[there[:, 0], there[:, 1]].max(met[:, 0] > 0)

@@ -1,0 +1,255 @@
+"""What scores of a team task mean: what its parts can come to, and what simple teams get.
+
+    python -m usarmjx.train.evaluation.yardsticks explore-v2 --worlds 24 --engine c
+
+All teams play one episode in each of the same buildings, with the same seed: robots that act at random, one
+robot with the task's baseline, the team with the baseline, the same with a perfect radio, and the packaged
+policy if it fits. Beside the score stand the points of its parts, and what share of the points for finds was
+there after a quarter, a half and three quarters of the time.
+"""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Estimate, estimate
+from usarmjx.base.files import write_beside
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import TASKS
+from usarmjx.train.evaluation.radio_matters import few_arenas
+from usarmjx.train.make import make_task
+from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.sources import find_source, task_settings
+from usarmjx.train.tasks.team import TeamTask
+from usarmjx.train.tasks.team_parts import PERFECT_RADIO
+from usarmjx.train.tasks.victim_search import VictimSearch
+
+QUARTERS = (0.25, 0.5, 0.75)
+HELD_STEPS = 10
+"""Robots that act at random draw another action after so many steps: 2 s."""
+
+
+def random_policy(env: Env) -> Policy:
+    """Return a policy that draws speed and turn evenly, and keeps them for `HELD_STEPS`."""
+
+    def initial_carry(worlds: int) -> Any:  # noqa: ANN401 - the policy's own
+        still = tuple(jnp.zeros((worlds, len(g.agents), g.action_size)) for g in env.groups)
+        return jnp.zeros(worlds, jnp.int32), still
+
+    def act(carry: Any, obs: ObservationArrays, key: jax.Array) -> tuple[Any, ActionArrays]:  # noqa: ANN401
+        del obs
+        step, before = carry
+        anew = (step % HELD_STEPS == 0)[:, None, None]
+        drawn = [
+            jax.random.uniform(jax.random.fold_in(key, g), old.shape, minval=-1.0, maxval=1.0)
+            for g, old in enumerate(before)
+        ]
+        now = tuple(jnp.where(anew, new, old) for new, old in zip(drawn, before, strict=True))
+        return (step + 1, now), now
+
+    return Policy(initial_carry=initial_carry, act=act)
+
+
+def alone(task: TeamTask) -> TeamTask:
+    """Return a task with its first robot only; a base stays."""
+    if isinstance(task, VictimSearch):
+        return replace(task, wheeled=task.wheeled[:1], tracked=(), flying=())
+    return replace(task, count=1)
+
+
+def packaged_policy(env: Env) -> Policy:
+    """Return the packaged policy for any version of an environment's task.
+
+    Raises:
+        UsageError: There is none, or it is for other robots or observations.
+    """
+    name = re.sub(r"-v\d+$", "", env.name)
+    if name not in POLICIES:
+        raise UsageError(f"no policy is packaged for {name}; there are: {', '.join(POLICIES.names())}")
+    return find_source(name).policy(env)
+
+
+def baseline_policy(env: Env) -> Policy:
+    """Return the policy written by hand for an environment's task."""
+    return BASELINES.get(env.name)(env)
+
+
+def unchanged(task: TeamTask) -> TeamTask:
+    """Return a task as it is."""
+    return task
+
+
+def with_perfect_radio(task: TeamTask) -> TeamTask:
+    """Return a task in which all robots hear each other."""
+    return replace(task, radio=PERFECT_RADIO)
+
+
+TEAMS: dict[str, tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]] = {
+    "random": (unchanged, random_policy),
+    "one": (alone, baseline_policy),
+    "baseline": (unchanged, baseline_policy),
+    "perfect-radio": (with_perfect_radio, baseline_policy),
+    "packaged": (unchanged, packaged_policy),
+}
+"""Teams by name: how the task is changed for them, and what drives them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeamResult:
+    """What a team got.
+
+    Attributes:
+        name: One of `TEAMS`.
+        score: Mean of the episodes.
+        parts: Points of each part of the score, means of the episodes.
+        reached: Share of the points for finds after each of `QUARTERS` of the time.
+        outside: Share of the time that flying robots were not above the building.
+        bad: Episodes left out as their physics failed.
+    """
+
+    name: str
+    score: Estimate
+    parts: dict[str, float]
+    reached: tuple[float, ...]
+    outside: float
+    bad: int
+
+
+def play_team(env: Env, task: TeamTask, policy: Policy, name: str, seed: int) -> TeamResult:
+    """Return what a policy gets in the first episode of each world."""
+    act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
+    good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
+    for step in range(env.episode_steps):
+        carry, actions = act(carry, state.obs, jax.random.fold_in(jax.random.key(seed), step))
+        state = env.step(state, actions)
+        good &= ~np.asarray(state.bad)
+        score = np.asarray(state.final_score)
+        rows.append({key: np.asarray(value, float) for key, value in state.metrics.items()})
+    series = {key: np.stack([row[key] for row in rows])[:, good] for key in rows[0]}
+    return team_result(task, name, score[good], series, int((~good).sum()))
+
+
+def team_result(
+    task: TeamTask, name: str, scores: np.ndarray, series: dict[str, np.ndarray], bad: int = 0
+) -> TeamResult:
+    """Return a team's row from its scores (worlds,) and its metrics after each step (steps, worlds).
+
+    Raises:
+        UsageError: No episode ended well.
+    """
+    if not len(scores):
+        raise UsageError(f"{name}: no episode ended well")
+    parts = task.score_parts(series)
+    finds = sum(value.mean(-1) for part, value in parts.items() if task.most_points[part] > 0)
+    finds = np.asarray(finds)
+    at = [round(share * len(finds)) - 1 for share in QUARTERS]
+    return TeamResult(
+        name=name,
+        score=estimate([scores]),
+        parts={part: float(value[-1].mean()) for part, value in parts.items()},
+        reached=tuple(float(finds[k] / max(finds[-1], 1e-9)) for k in at),
+        outside=float(series["outside"].mean()) if "outside" in series else 0.0,
+        bad=bad,
+    )
+
+
+def measure_teams(
+    name: str,
+    worlds: int,
+    seed: int = 0,
+    engine: str = "auto",
+    teams: Sequence[str] = tuple(TEAMS),
+    tell: Callable[[TeamResult], None] = lambda row: None,
+    **overrides: object,
+) -> tuple[TeamResult, ...]:
+    """Return what each team gets.
+
+    Args:
+        name: Of a team task.
+        worlds: Episodes, each in a building of its own, the same for all teams.
+        seed: Of the environments.
+        engine: See `make`.
+        teams: Names of `TEAMS`.
+        tell: Is given each row as soon as it is known.
+        overrides: Fields of the task to set otherwise.
+
+    Raises:
+        UnknownNameError: No such task, or a field that it does not have.
+        UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
+            packaged policy that does not fit.
+    """
+    task = make_task(name, **overrides)
+    if not isinstance(task, TeamTask):
+        raise UsageError(f"{name} is no task for a team: its score has no parts")
+    envs: dict[TeamTask, Env] = {}  # each is compiled once
+    rows: list[TeamResult] = []
+    for team in teams:
+        change, driver = TEAMS[team]
+        own = change(few_arenas(task, worlds))
+        if own not in envs:
+            envs[own] = Env(own, worlds, name=name, engine=engine)
+        rows.append(play_team(envs[own], own, driver(envs[own]), team, seed))
+        tell(rows[-1])
+    return tuple(rows)
+
+
+def table(task: TeamTask, rows: Sequence[TeamResult]) -> str:
+    """Return the rows as a Markdown table, below the most that each part can come to."""
+    most = task.most_points
+    times = ["1/4", "1/2", "3/4"]
+    lines = ["| " + " | ".join(["team", "score", "95 % interval", *most, *times, "outside"]) + " |"]
+    lines.append("|---" * (len(most) + 7) + "|")
+    best = [f"{points:g}" for points in most.values()]
+    lines.append("| " + " | ".join(["at most", f"{sum(most.values()):g}", "", *best, "", "", "", ""]) + " |")
+    for row in rows:
+        cells = [row.name, f"{row.score.value:.1f}", f"{row.score.low:.1f} to {row.score.high:.1f}"]
+        cells += [f"{row.parts[part]:.1f}" for part in most]
+        cells += [f"{100 * share:.0f} %" for share in (*row.reached, row.outside)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print the table."""
+    names = [name for name, task in TASKS if isinstance(task, TeamTask)]
+    parser = argparse.ArgumentParser(description="What scores of a team task mean.")
+    parser.add_argument("task", choices=names)
+    parser.add_argument("--worlds", type=int, default=99, help="episodes, each in a building of its own")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--engine", default="auto")
+    parser.add_argument("--teams", nargs="+", choices=list(TEAMS), default=list(TEAMS))
+    parser.add_argument("--set", action="append", default=[], help="a field of the task as key=value")
+    parser.add_argument("--json", type=Path, help="file to write the rows to")
+    options = parser.parse_args(arguments)
+    settings, _ = task_settings(options.task, {}, options.set)
+    task = make_task(options.task, **settings)
+    assert isinstance(task, TeamTask)  # as the choices are
+
+    def tell(row: TeamResult) -> None:
+        print(f"{row.name}: {row.score.value:.1f}", file=sys.stderr, flush=True)
+
+    rows = measure_teams(
+        options.task, options.worlds, options.seed, options.engine, options.teams, tell, **settings
+    )
+    print(table(task, rows))
+    if options.json:
+        content = [{**vars(row), "score": vars(row.score)} for row in rows]
+        with write_beside(options.json) as fresh:
+            fresh.write_text(json.dumps({"task": options.task, "rows": content}, indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
