@@ -1,7 +1,7 @@
 """The interface that all engines have, and the check that a model means the same to all of them."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import jax
 import mujoco
@@ -70,6 +70,20 @@ class Inputs(struct.PyTreeNode, kw_only=True):
     qpos: Array
     geom_poses: GeomPoses | None = None
     varied: RandomizedValues | None = None
+
+
+class SolvedStep(NamedTuple):
+    """What the solver of each world met in the last physics step, for benchmarks.
+
+    Attributes:
+        contacts: Contacts in force (worlds,).
+        constraint_rows: Rows of constraints in force (worlds,).
+        solver_iterations: How often the solver improved its solution (worlds,); None: not told.
+    """
+
+    contacts: Array
+    constraint_rows: Array
+    solver_iterations: Array | None
 
 
 class Engine(ABC, Generic[EngineState]):
@@ -149,6 +163,10 @@ class Engine(ABC, Generic[EngineState]):
             engine_state: The state after the step.
             inputs: What the engine was told for it.
         """
+
+    def solved(self, engine_state: EngineState) -> SolvedStep | None:
+        """Return what the solver met in the last physics step; None: the engine has no solver."""
+        del engine_state
 
 
 # What MJX-JAX and MJX-Warp accept without a word and then compute something else (found by comparing

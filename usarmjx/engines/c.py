@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.threads import cores
-from usarmjx.engines.base import Engine, Inputs, PhysicsState
+from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies
@@ -34,6 +34,7 @@ class CState(NamedTuple):
         qvel: The velocities among them (worlds, nv).
         act: The activations among them (worlds, na).
         overflow: Warnings about full buffers in the last control step (worlds,).
+        solved: Contacts, rows and iterations of the last physics step (worlds, 3).
     """
 
     integration: np.ndarray
@@ -41,6 +42,7 @@ class CState(NamedTuple):
     qvel: np.ndarray
     act: np.ndarray
     overflow: np.ndarray
+    solved: np.ndarray
 
 
 def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -129,6 +131,7 @@ class CEngine(Engine[CState]):
             qvel=np.zeros((self.worlds, self.model.nv)),
             act=np.zeros((self.worlds, self.model.na)),
             overflow=np.zeros(self.worlds, np.int32),
+            solved=np.zeros((self.worlds, 3), np.int32),
         )
         return self.reset(blank, np.ones(self.worlds, bool), np.tile(self.model.qpos0, (self.worlds, 1)))
 
@@ -141,6 +144,7 @@ class CEngine(Engine[CState]):
         told = jax.tree.map(np.asarray, inputs)
         fields = self._varied_fields(inputs)
         everything, overflow = self._applied(engine_state, told), np.zeros(self.worlds, np.int32)
+        solved = np.zeros((self.worlds, 3), np.int32)
 
         def work(thread: int) -> None:
             model, data = self._models[thread], self._datas[thread]
@@ -158,13 +162,14 @@ class CEngine(Engine[CState]):
                 mujoco.mj_getState(model, data, everything[world], INTEGRATION_STATE)
                 warnings = buffer_warnings(data)
                 overflow[world], before = warnings - before, warnings
+                solved[world] = data.ncon, data.nefc, data.solver_niter[0]
 
         if self._pool is None:
             work(0)
         else:
             list(self._pool.map(work, range(len(self._datas))))
         qpos, qvel, act = (everything[:, self._parts[part]].copy() for part in VISIBLE)
-        return CState(integration=everything, qpos=qpos, qvel=qvel, act=act, overflow=overflow)
+        return CState(everything, qpos, qvel, act, overflow, solved)
 
     def _varied_fields(self, inputs: Inputs) -> dict[str, np.ndarray]:
         """Return the model's fields that differ between worlds (worlds, ...)."""
@@ -214,3 +219,7 @@ class CEngine(Engine[CState]):
         """Return the number of buffer warnings of the last step (worlds,)."""
         del inputs
         return jnp.asarray(engine_state.overflow)
+
+    def solved(self, engine_state: CState) -> SolvedStep:
+        """Return what the solver met in each world's last physics step."""
+        return SolvedStep(*engine_state.solved.T)

@@ -16,7 +16,7 @@ from usarmjx.base import threads
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.engines import cylinder_box
-from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
+from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
 from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.models.build.compose import Physics
@@ -213,6 +213,12 @@ class JaxEngine(MjxEngine):
             lost += jnp.maximum(near - self._pair_cap, 0)
         return lost.astype(jnp.int32)
 
+    def solved(self, engine_state: mjx.Data) -> SolvedStep:
+        """Return contacts and rows in force; MJX keeps no count of the iterations."""
+        impl = engine_state._impl
+        in_force = (impl.contact.dist < impl.contact.includemargin).sum(-1)
+        return SolvedStep(in_force, (impl.efc_J != 0.0).any(-1).sum(-1), None)
+
 
 class WarpEngine(MjxEngine):
     """NVIDIA GPUs; runs on a CPU too, slowly. Not bit-exact: its sums are atomic.
@@ -289,3 +295,11 @@ class WarpEngine(MjxEngine):
         return (
             (engine_state._impl.overflow & ~ITERATION_BITS).reshape(self.worlds, -1).max(-1).astype(jnp.int32)
         )
+
+    def solved(self, engine_state: mjx.Data) -> SolvedStep:
+        """Return contacts, rows and iterations of each world's last physics step."""
+        impl = engine_state._impl
+        used = jnp.arange(impl.contact__worldid.size) < impl.nacon.reshape(-1)[0]
+        world = jnp.where(used, impl.contact__worldid.reshape(-1), self.worlds)  # past the end: dropped
+        contacts = jnp.zeros(self.worlds, jnp.int32).at[world].add(1, mode="drop")
+        return SolvedStep(contacts, impl.nefc.reshape(-1), impl.solver_niter.reshape(-1))
