@@ -89,7 +89,8 @@ def test_the_team_starts_where_it_should():
     ("words", "says"),
     [
         (["--seconds", "5"], "--seconds is for --headless"),
-        (["--headless", "--port", "0"], "--port and --viewer-port are for the live demonstration"),
+        (["--headless", "--port", "0"], "ports are for the live demonstration"),
+        (["--headless", "--rosbridge-port", "0"], "ports are for the live demonstration"),
     ],
 )
 def test_options_of_the_other_form_are_refused(words, says):

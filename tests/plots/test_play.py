@@ -12,6 +12,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
 from usarmjx.server.pictures.spectator_server import SpectatorServer
+from usarmjx.server.rosbridge.net import RosbridgeServer
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in, sources
@@ -94,11 +95,14 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     monkeypatch.setattr("usarmjx.server.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
     how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
+    how += ["--rosbridge-port", "0"]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
     (((server,), clock, _),) = served
-    page, controls = server.services
+    ros, page, controls = server.services
+    assert isinstance(ros, RosbridgeServer)
+    assert ros.server is server, "robots that appear there report to it"
     assert isinstance(page, SpectatorServer)
     assert page.controls is controls
     assert isinstance(server.world, PolicyWorld)

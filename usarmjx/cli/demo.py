@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.cli.ros_options import RosbridgePortOption
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.viewer_options import ViewerPortOption
 from usarmjx.cli.waiting import announce
@@ -28,6 +29,7 @@ def demo(
         typer.Option(min=0, max=LAST_PORT, help="TCP port for clients; else 3000, or a free one."),
     ] = None,
     viewer_port: ViewerPortOption = None,
+    rosbridge_port: RosbridgePortOption = None,
     headless: Annotated[
         bool,
         typer.Option(
@@ -53,10 +55,10 @@ def demo(
                 raise UsageError("--seconds is for --headless; Ctrl-C ends the live demonstration")
             from usarmjx.cli.demo_live import run_live
 
-            run_live(browser, port, viewer_port)
+            run_live(browser, port, viewer_port, rosbridge_port)
             return
-        if port is not None or viewer_port is not None:
-            raise UsageError("--port and --viewer-port are for the live demonstration, without --headless")
+        if any(one is not None for one in (port, viewer_port, rosbridge_port)):
+            raise UsageError("ports are for the live demonstration, without --headless")
         announce("starting a server, and a robot to drive in it ...")
         from usarmjx.cli.demo_run import run_demo
 

@@ -17,6 +17,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
+from usarmjx.cli.ros_options import RosOptions
 from usarmjx.cli.service_options import SpectatorOptions, port_of
 from usarmjx.cli.waiting import announce
 from usarmjx.server.ports import BOT_PORT, bound_socket
@@ -107,13 +108,14 @@ def open_page(address: str) -> None:
         logging.getLogger(__name__).info("no browser: %s", error)
 
 
-def run_live(browser: bool, port: int | None, viewer_port: int | None) -> None:
+def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge_port: int | None) -> None:
     """Serve the demonstration until a signal comes.
 
     Args:
         browser: Whether to open a browser, where there is a display.
         port: Where clients connect; None: the usual port, or a free one where that is taken.
         viewer_port: Where the page is; None: likewise.
+        rosbridge_port: Where clients of ROS connect; None: nowhere.
 
     Raises:
         UsageError: A port is taken.
@@ -127,6 +129,7 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None) -> None:
         viewer=ViewerOptions(viewer_port=viewer_port),
         view=True,
         spectator=SpectatorOptions(),
+        services=(RosOptions(rosbridge_port=rosbridge_port),),
         layers=LAYERS,
     )
     with StopSignals() as signals, host.ports() as ports:

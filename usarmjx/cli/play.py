@@ -12,6 +12,7 @@ from usarmjx.cli.grouping import grouped
 from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
+from usarmjx.cli.ros_options import RosOptions
 from usarmjx.cli.service_options import SpectatorOptions
 from usarmjx.cli.tools import ErrorExit, WorldsOption
 from usarmjx.cli.viewer_options import ViewOption
@@ -44,6 +45,7 @@ def play(
     served: ServedOptions,
     listen: ListenOptions,
     run: RunOptions,
+    ros: RosOptions,
     spectator: SpectatorOptions,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
@@ -73,6 +75,7 @@ def play(
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
             spectator=spectator,
+            services=(ros,),
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias
 
 import typer
 
@@ -16,18 +16,21 @@ if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld
 
 
+RosbridgePortOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=LAST_PORT, help="Serve rosbridge clients of ROS at this port, usually 9090; else none."
+    ),
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class RosOptions:
     """Robots as ROS sees them; each field is an option."""
 
     panel: ClassVar[str] = "ROS"
 
-    rosbridge_port: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=LAST_PORT, help="Serve rosbridge clients of ROS at this port, usually 9090; else none."
-        ),
-    ] = None
+    rosbridge_port: RosbridgePortOption = None
     ros_version: Annotated[
         int,
         typer.Option(

@@ -2,20 +2,26 @@
 
 import base64
 import contextlib
+import io
 import json
 import math
 import re
 import socket
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cbor2 import loads
+from PIL import Image
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.arenas import COURSE, FLAT
 from tests.server.peers import PATIENCE, Peer, looping
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.cameras.mounts import cameras_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.robot import Mount
 from usarmjx.sensors.suite import suite_of
@@ -25,12 +31,17 @@ from usarmjx.server.net import BotServer
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
 from usarmjx.server.rosbridge.readings import sensor_topics
+from usarmjx.server.rosbridge.topics import WorldTopics
+from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 NUMBERS = {
     **dict.fromkeys(("float32", "float64"), (float, int, type(None))),
     **dict.fromkeys(("int8", "int32", "uint8", "uint16", "uint32"), (int,)),
     "string": (str,),
+    "bool": (bool,),
 }
 
 
@@ -125,9 +136,50 @@ def test_every_topic_has_messages_as_they_are_defined(ros):
             continue
         kinds.add(kind)
         check(RosVersion.ROS2, kind, ros.topic(topic, type=name), topic)
-    assert len(kinds) == 9
+    assert len(kinds) == 11
     texts = dict(zip(listed["types"], listed["typedefs_full_text"], strict=True))
     assert "MSG: geometry_msgs/msg/Quaternion\nfloat64 x\n" in texts["nav_msgs/msg/Odometry"]
+
+
+def test_pictures_come_raw_and_with_what_they_are_of(ros):
+    spawn(ros)
+    raw = ros.topic("/R1/Camera/image_raw")
+    assert (raw["width"], raw["height"], raw["step"], raw["encoding"]) == (32, 24, 96, "rgb8")
+    pixels = np.frombuffer(base64.b64decode(raw["data"]), np.uint8).reshape(24, 32, 3)
+    assert pixels.std() > 5.0
+    packed = ros.topic("/R1/Camera/compressed")
+    jpeg = np.asarray(Image.open(io.BytesIO(base64.b64decode(packed["data"]))), float)
+    assert np.abs(jpeg - pixels).mean() < 12.0  # the same picture, but for what JPEG loses
+    info = ros.topic("/R1/Camera/camera_info")
+    fov = cameras_of(ROBOTS.get("P2AT"))[0].default_fov
+    assert info["k"][0] == pytest.approx(16 / math.tan(fov / 2))
+    assert (info["k"][2], info["k"][5], info["width"], info["height"]) == (15.5, 11.5, 32, 24)
+    told = ros.topic("/tf_static")["transforms"] + ros.topic("/tf")["transforms"]
+    frames = {one["child_frame_id"]: one for one in told}
+    assert raw["header"]["frame_id"] == info["header"]["frame_id"] == packed["header"]["frame_id"]
+    picture, camera = (axes_of(frames[name]) for name in (raw["header"]["frame_id"], "R1/Camera"))
+    assert picture == pytest.approx(np.stack((-camera[1], -camera[2], camera[0])), abs=1e-6)
+
+
+def axes_of(transform):
+    """The x, y and z axis of a frame in its parent's (3, 3)."""
+    turned = transform["transform"]["rotation"]
+    return np.asarray(mat_from_quat(np.array([turned[axis] for axis in "wxyz"]))).T
+
+
+def test_cbor_says_what_json_does(ros):
+    spawn(ros)
+    plain = ros.topic("/map")
+    ros.say("subscribe", topic="/map", id="other", compression="cbor")
+    told = loads(ros.socket.recv(PATIENCE))
+    assert (told["op"], told["topic"]) == ("publish", "/map")
+    assert np.frombuffer(told["msg"].pop("data").value, np.int8).tolist() == plain.pop("data")
+    assert told["msg"] == plain
+    ros.say("unsubscribe", topic="/map")
+    ros.say("subscribe", topic="/R1/Camera/image_raw", compression="cbor-raw")
+    raw = loads(ros.socket.recv(PATIENCE))["msg"]["bytes"]
+    assert raw.startswith(b"\0\1\0\0")
+    assert len(raw) > 32 * 24 * 3
 
 
 def test_ros_1_has_its_own_times_and_headers():
@@ -290,3 +342,28 @@ def frame(text):
     data = text.encode()
     assert len(data) < 126
     return bytes([0x81, 0x80 | len(data), 0, 0, 0, 0]) + data
+
+
+def test_a_world_of_a_batch_lends_its_parked_robots():
+    scene = build_scene(FLAT, [RosterEntry(robot="P2DX", parked=True)])
+    with serving_ros(BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)) as (port, server):
+        ros = Ros(port)
+        spawn(ros, "P2DX")
+        ros.say("publish", topic="/R1/cmd_vel", msg={"angular": {"z": 0.5}})
+        ros.say("subscribe", topic="/R1/odom", type="nav_msgs/msg/Odometry")
+        while ros.hear("publish", topic="/R1/odom")["msg"]["pose"]["pose"]["orientation"]["z"] < 0.1:
+            pass
+        assert "parked" in spawn(ros, "P2DX", name="R2")["values"]
+        assert ros.call("/simulator/remove", name="R1")["result"] is True
+        assert not server.world.robots
+        ros.socket.close()
+
+
+def test_a_map_is_told_anew_when_a_reset_brings_another_arena():
+    world = SimpleNamespace(arena=FLAT, robots={}, time=0.0)
+    topic = WorldTopics(world, (32, 24)).all()["/map"]
+    before = topic.news(), topic.make(RosVersion.ROS2)
+    assert topic.news() == before[0]
+    world.arena = COURSE
+    assert topic.news() != before[0]
+    assert topic.make(RosVersion.ROS2)["data"] != before[1]["data"]

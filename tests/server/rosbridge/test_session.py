@@ -41,7 +41,14 @@ def heard(session):
         ('{"op": "subscribe"}', "subscribe needs topic"),
         ('{"op": "subscribe", "topic": "/nowhere"}', "no topic '/nowhere' yet: name its type"),
         ('{"op": "subscribe", "topic": "/clock", "type": "std_msgs/String"}', "rosgraph_msgs/Clock, not"),
-        ('{"op": "subscribe", "topic": "/clock", "compression": "cbor-raw"}', "no compression but none"),
+        (
+            '{"op": "subscribe", "topic": "/clock", "compression": "zip"}',
+            "no compression 'zip'; there is: none, png",
+        ),
+        (
+            '{"op": "subscribe", "topic": "/clock", "fragment_size": 7}',
+            "fragment_size is 7, expected 0 or at",
+        ),
         ('{"op": "subscribe", "topic": "/clock", "throttle_rate": -1}', "throttle_rate is '-1'"),
         (
             '{"op": "advertise", "topic": "/chat", "type": "std_msgs/String"}',
@@ -80,6 +87,28 @@ def test_a_client_that_does_not_read_keeps_the_latest(session):
     for _ in range(2 * MAX_REPLIES):
         say(session, op="dance")
     assert len(heard(session)) == MAX_REPLIES
+
+
+def test_long_texts_go_in_fragments_one_after_the_other(session):
+    say(session, op="subscribe", topic="/clock", id="a", fragment_size=300)
+    say(session, op="subscribe", topic="/clock", id="b", fragment_size=100)
+    session.subscriptions["/clock"].put(json.dumps("x" * 248), 1, 0.0)
+    first = json.loads(session.take())
+    say(session, op="dance")  # its answer waits until the message is whole
+    *rest, status = heard(session)
+    assert [one["num"] for one in (first, *rest)] == [0, 1, 2]
+    assert "".join(one["data"] for one in (first, *rest)) == json.dumps("x" * 248)
+    assert status["op"] == "status"
+    session.subscriptions["/clock"].put(b"x" * 248, 2, 0.0)
+    assert session.take() == b"x" * 248
+
+
+def test_the_latest_of_a_topics_subscriptions_says_how_messages_travel(session):
+    for name, how in (("a", "cbor"), ("b", "png"), ("a", "cbor-raw")):
+        say(session, op="subscribe", topic="/clock", id=name, compression=how)
+        assert session.subscriptions["/clock"].compression == how
+    say(session, op="unsubscribe", topic="/clock", id="a")
+    assert session.subscriptions["/clock"].compression == "png"
 
 
 def test_the_shortest_throttle_of_a_topics_subscriptions_counts(session):

@@ -6,9 +6,10 @@ from enum import IntEnum
 from typing import Any, TypeAlias
 
 MessageFields: TypeAlias = Mapping[str, str]
-"""Types of a message's fields by their names; `[]` behind a type is a list, `[9]` one of that length."""
+"""Types of a message's fields by their names, in the order of their definition; `[]` behind a type is a list,
+`[9]` one of that length."""
 RosMessage: TypeAlias = dict[str, Any]
-"""A message as JSON has it."""
+"""A message: its fields by names; bytes where the type is uint8[], None for a number that is not known."""
 
 
 class RosVersion(IntEnum):
@@ -120,6 +121,22 @@ SHARED: dict[str, MessageFields] = {
         "linear_acceleration_covariance": "float64[9]",
     },
     "sensor_msgs/CompressedImage": {"header": "std_msgs/Header", "format": "string", "data": "uint8[]"},
+    "sensor_msgs/Image": {
+        "header": "std_msgs/Header",
+        "height": "uint32",
+        "width": "uint32",
+        "encoding": "string",
+        "is_bigendian": "uint8",
+        "step": "uint32",
+        "data": "uint8[]",
+    },
+    "sensor_msgs/RegionOfInterest": {
+        "x_offset": "uint32",
+        "y_offset": "uint32",
+        "height": "uint32",
+        "width": "uint32",
+        "do_rectify": "bool",
+    },
     "sensor_msgs/JointState": {
         "header": "std_msgs/Header",
         "name": "string[]",
@@ -148,15 +165,34 @@ _RANGE = {
     "range": "float32",
 }
 _STAMPED = {"stamp": TIME, "frame_id": "string"}
+_LENS = {"d": "float64[]", "k": "float64[9]", "r": "float64[9]", "p": "float64[12]"}
+
+
+def _camera_info(lens: MessageFields) -> MessageFields:
+    """Return the fields of a CameraInfo, of which the lens's have other names in each version."""
+    return {
+        "header": "std_msgs/Header",
+        "height": "uint32",
+        "width": "uint32",
+        "distortion_model": "string",
+        **lens,
+        "binning_x": "uint32",
+        "binning_y": "uint32",
+        "roi": "sensor_msgs/RegionOfInterest",
+    }
+
+
 _ONLY: dict[RosVersion, dict[str, MessageFields]] = {
     RosVersion.ROS1: {
         "std_msgs/Header": {"seq": "uint32", **_STAMPED},
         "sensor_msgs/Range": _RANGE,
+        "sensor_msgs/CameraInfo": _camera_info({name.upper(): kind for name, kind in _LENS.items()}),
         TIME: {"secs": "uint32", "nsecs": "uint32"},
     },
     RosVersion.ROS2: {
         "std_msgs/Header": _STAMPED,
         "sensor_msgs/Range": {**_RANGE, "variance": "float32"},
+        "sensor_msgs/CameraInfo": _camera_info(_LENS),
         TIME: {"sec": "int32", "nanosec": "uint32"},
     },
 }

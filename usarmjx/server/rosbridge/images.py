@@ -1,17 +1,34 @@
-"""What robots' cameras see, as CompressedImage."""
+"""What robots' cameras see: Image and CompressedImage."""
 
-import base64
-import json
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.pictures.render_thread import ViewImages
 from usarmjx.server.pictures.views import CompositeView, robot_view
 from usarmjx.server.protocol.images import format_number, jpeg
-from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.topics import RosTopic
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
+from usarmjx.server.rosbridge.motion import optical_name
+from usarmjx.server.rosbridge.topics import RAW_IMAGE, RosTopic
 
 FORMAT = format_number("good")
+
+
+class PictureRequest(NamedTuple):
+    """A picture that is to be told.
+
+    Attributes:
+        topic: Of its camera, and whether it is compressed.
+        version: Whose names are spoken.
+        compression: How the message travels.
+    """
+
+    topic: RosTopic
+    version: RosVersion
+    compression: Compression
 
 
 def image_view(topic: RosTopic, size: tuple[int, int]) -> CompositeView:
@@ -21,24 +38,39 @@ def image_view(topic: RosTopic, size: tuple[int, int]) -> CompositeView:
     return robot_view(topic.robot, topic.robot.cameras[topic.camera].mount.name, size)
 
 
-def picture_texts(
-    asked: Sequence[tuple[RosTopic, RosVersion]],
+def picture_messages(
+    asked: Sequence[PictureRequest],
     views: Mapping[RosTopic, CompositeView],
     time: float,
     pictures: ViewImages,
-) -> list[str]:
+) -> list[BridgeFrame]:
     """Return what is told of topics with pictures; may run in another thread.
 
     Args:
-        asked: Topics, and whose names are spoken.
+        asked: What is wanted.
         views: What each topic shows.
         time: When that was [s].
         pictures: The pictures.
     """
-    jpegs = {view: base64.b64encode(jpeg(FORMAT, pictures[view])).decode() for view in set(views.values())}
-    texts: list[str] = []
-    for topic, version in asked:
-        header = version.header(time, topic.name.strip("/").removesuffix("/compressed"))
-        message = {"header": header, "format": "jpeg", "data": jpegs[views[topic]]}
-        texts.append(json.dumps({"op": "publish", "topic": topic.name, "msg": message}))
-    return texts
+    made: dict[PictureRequest, BridgeFrame] = {}
+    for one in asked:
+        if one not in made:
+            topic, version, compression = one
+            header = version.header(time, optical_name(topic.name.strip("/").rpartition("/")[0]))
+            message = {"header": header, **_image(topic.type, pictures[views[topic]])}
+            made[one] = publication(topic.name, topic.type, message, version, compression, time)
+    return [made[one] for one in asked]
+
+
+def _image(kind: str, pixels: np.ndarray) -> RosMessage:
+    if kind != RAW_IMAGE:
+        return {"format": "jpeg", "data": jpeg(FORMAT, pixels)}
+    height, width = pixels.shape[:2]
+    size = {"height": height, "width": width}
+    return {
+        **size,
+        "encoding": "rgb8",
+        "is_bigendian": 0,
+        "step": 3 * width,
+        "data": np.ascontiguousarray(pixels, np.uint8).tobytes(),
+    }

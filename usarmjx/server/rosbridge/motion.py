@@ -19,6 +19,8 @@ MAP = "map"
 """The world's frame."""
 UPRIGHT = mat_from_angles(np.pi / 2, 0.0, 0.0)
 """From the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
+AHEAD_IS_Z = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From the frame of a picture to that of its camera: ROS has x to the right, y down and z ahead there."""
 UNKNOWN = -1.0
 """First number of the covariance of what is not measured."""
 
@@ -45,6 +47,11 @@ def frame_name(text: str) -> str:
     return plain if plain[:1].isalpha() else f"r{plain}"
 
 
+def optical_name(camera: str) -> str:
+    """Return what the frame of a camera's pictures is called, by that of the camera."""
+    return f"{camera}_optical"
+
+
 def frames_of(robot: Robot) -> list[SensorFrame]:
     """Return the frames of a robot's sensors and cameras; of mounts with one name the first."""
     found: dict[str, SensorFrame] = {}
@@ -59,6 +66,8 @@ def frames_of(robot: Robot) -> list[SensorFrame]:
     for camera in robot.cameras:
         name = camera.mount.name
         found.setdefault(name, SensorFrame(name, camera.body, camera.pos, camera.mat))
+        picture = optical_name(name)
+        found.setdefault(picture, SensorFrame(picture, camera.body, camera.pos, camera.mat @ AHEAD_IS_Z))
     return list(found.values())
 
 

@@ -1,7 +1,6 @@
 """The rosbridge port of a served world: websockets, and whose turn it is."""
 
 import asyncio
-import json
 import logging
 import socket
 import time
@@ -10,7 +9,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -26,7 +25,8 @@ from usarmjx.server.pictures.render_thread import RenderThread
 from usarmjx.server.ports import bound_socket
 from usarmjx.server.rosbridge.crew import RosCrew
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.images import image_view, picture_texts
+from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
+from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages
 from usarmjx.server.rosbridge.services import REMOVE, SPAWN, TopicServices, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
@@ -42,6 +42,9 @@ MESSAGES_PER_STEP = 32
 """A client that has said so much waits for the next control step: nobody may keep the world from it."""
 IMAGE_PERIOD = 0.1
 """Pictures are told no more often than this [s]."""
+
+PublicationKey: TypeAlias = tuple[str, RosVersion, Compression]
+"""Of what is told only once: topic, whose names, and how it travels."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +90,12 @@ class RosClient:
     async def send(self) -> None:
         """Send what waits, for ever; who reads slowly loses older messages and holds up nobody."""
         while True:
-            text = self.session.take()
-            if text is None:
+            frame = self.session.take()
+            if frame is None:
                 self.wake.clear()
                 await self.wake.wait()
             else:
-                await self.socket.send(text)
+                await self.socket.send(frame)
 
 
 class WantedPicture(NamedTuple):
@@ -121,7 +124,7 @@ class RosbridgeServer:
         self._world, self._settings, self._bound = world, settings, bound
         self.port = settings.port
         self.server: BotServer | None = None
-        self._topics = WorldTopics(world)
+        self._topics = WorldTopics(world, settings.size)
         self._services = TopicServices(self._topics, settings.version, lambda: world.time)
         self._clients: list[RosClient] = []
         self._left: deque[RosCrew] = deque()
@@ -154,7 +157,7 @@ class RosbridgeServer:
             self._left.popleft()
         if self._left:
             self._left[0].let_one_go()
-        texts: dict[tuple[str, int], str] = {}
+        made: dict[PublicationKey, BridgeFrame] = {}
         pictures: list[WantedPicture] = []
         topics = self._topics.all() if self._clients else {}
         for client in self._clients:
@@ -166,8 +169,8 @@ class RosbridgeServer:
                     continue
                 if topic.make is None:
                     pictures.append(WantedPicture(client, wanted, topic, news))
-                elif text := self._text(topic, wanted.version, texts):
-                    wanted.put(text, news, self._world.time)
+                elif frame := self._told(topic, wanted, made):
+                    wanted.put(frame, news, self._world.time)
                     client.wake.set()
         if pictures and self._render_thread.is_ready(time.monotonic()):
             self._render_thread.begin(self._show(pictures))
@@ -179,29 +182,35 @@ class RosbridgeServer:
             self._listener.close()
         self._render_thread.close()
 
-    def _text(self, topic: RosTopic, version: RosVersion, texts: dict[tuple[str, int], str]) -> str:
+    def _told(
+        self, topic: RosTopic, wanted: TopicSubscription, made: dict[PublicationKey, BridgeFrame]
+    ) -> BridgeFrame:
         """Return what is told of a topic, made once for all clients; nothing if it cannot be told."""
-        key = topic.name, int(version)
-        if key not in texts and topic.make is not None:
-            texts[key] = ""
+        version, how = wanted.version, wanted.compression
+        key = topic.name, version, how
+        if key not in made and topic.make is not None:
+            made[key] = ""
             try:
-                message = {"op": "publish", "topic": topic.name, "msg": topic.make(version)}
-                texts[key] = json.dumps(message, allow_nan=False)
+                message = topic.make(version)
+                made[key] = publication(topic.name, topic.type, message, version, how, self._world.time)
             except Exception as error:  # sensors may be anybody's
                 self._fault_log.warning("%s is not told: %s", topic.name, error)
-        return texts[key]
+        return made[key]
 
     async def _show(self, wanted: Sequence[WantedPicture]) -> None:
         now, size = self._world.time, self._settings.size
         views = {one.topic: image_view(one.topic, size) for one in wanted}
-        asked = [(one.topic, one.subscription.version) for one in wanted]
-        make = partial(picture_texts, asked, views, now)
+        asked = [
+            PictureRequest(one.topic, one.subscription.version, one.subscription.compression)
+            for one in wanted
+        ]
+        make = partial(picture_messages, asked, views, now)
         for one in wanted:
             one.subscription.told, one.subscription.due = one.news, now + IMAGE_PERIOD
-        texts = await self._render_thread.render(views.values(), make)
-        for one, text in zip(wanted, texts, strict=True):
+        frames = await self._render_thread.render(views.values(), make)
+        for one, frame in zip(wanted, frames, strict=True):
             if one.subscription.wishes:
-                one.subscription.put(text, one.news, now)
+                one.subscription.put(frame, one.news, now)
                 one.subscription.due = max(one.subscription.due, now + IMAGE_PERIOD)
                 one.client.wake.set()
 

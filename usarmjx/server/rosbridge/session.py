@@ -9,12 +9,15 @@ from typing import Any, NamedTuple, TypeAlias
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, fragments
 
 MAX_SUBSCRIPTIONS = 512
 MAX_QUEUE = 64
 """Most messages of one topic that wait for a client; the oldest goes for a new one."""
 MAX_REPLIES = 256
 """Most answers and status messages that wait for a client; the oldest goes for a new one."""
+SHORTEST_FRAGMENT = 100
+"""Nobody may have messages cut into smaller pieces [characters]."""
 LEVELS = ("error", "warning", "info", "none")
 
 
@@ -36,6 +39,22 @@ class ServiceCall(NamedTuple):
 BridgeRequest: TypeAlias = Published | ServiceCall
 
 
+class SubscriptionWish(NamedTuple):
+    """What one of a client's subscriptions to a topic asks for.
+
+    Attributes:
+        pause: Least time between two messages [s].
+        length: Of the queue.
+        fragment_size: Longest piece of a text [characters]; 0: whole messages.
+        compression: How messages travel.
+    """
+
+    pause: float = 0.0
+    length: int = 0
+    fragment_size: int = 0
+    compression: Compression = Compression.NONE
+
+
 @dataclass
 class TopicSubscription:
     """What a client wants of a topic.
@@ -43,27 +62,43 @@ class TopicSubscription:
     Attributes:
         type: Its type as short as possible; empty: whatever it is.
         version: Whose names it is told in.
-        wishes: Least time between two messages [s] and length of the queue, by the client's ids.
+        wishes: What is asked for, by the client's ids; the latest says how messages travel.
         told: What `RosTopic.news` was when it was told last; None: never.
         due: When it may be told next [s].
         waiting: Messages that have not been sent yet.
+        sent: How many have been cut into fragments.
     """
 
     type: str
     version: RosVersion
-    wishes: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
+    wishes: dict[str, SubscriptionWish] = field(default_factory=dict[str, SubscriptionWish])
     told: Hashable = None
     due: float = 0.0
-    waiting: deque[str] = field(default_factory=deque[str])
+    waiting: deque[BridgeFrame] = field(default_factory=deque[BridgeFrame])
+    sent: int = 0
 
-    def put(self, text: str, news: Hashable, now: float) -> None:
+    @property
+    def compression(self) -> Compression:
+        """How its messages travel."""
+        return list(self.wishes.values())[-1].compression if self.wishes else Compression.NONE
+
+    def put(self, text: BridgeFrame, news: Hashable, now: float) -> None:
         """Let a message wait for being sent, in the place of the oldest if there are too many."""
         self.told = news
-        self.due = now + min(pause for pause, _ in self.wishes.values())
-        room = max(1, max(length for _, length in self.wishes.values()))
+        self.due = now + min(wish.pause for wish in self.wishes.values())
+        room = max(1, max(wish.length for wish in self.wishes.values()))
         while len(self.waiting) >= min(room, MAX_QUEUE):
             self.waiting.popleft()
         self.waiting.append(text)
+
+    def next_frames(self, topic: str) -> Iterator[BridgeFrame]:
+        """Return what goes over the websocket for the message that has waited longest."""
+        whole = self.waiting.popleft()
+        size = min((wish.fragment_size for wish in self.wishes.values() if wish.fragment_size), default=0)
+        if isinstance(whole, bytes) or not size:
+            return iter((whole,))
+        self.sent += 1
+        return fragments(whole, size, f"{topic}:{self.sent}")
 
 
 class BridgeSession:
@@ -81,6 +116,7 @@ class BridgeSession:
         self._version, self._type_of = version, type_of
         self.subscriptions: dict[str, TopicSubscription] = {}
         self._replies: deque[str] = deque(maxlen=MAX_REPLIES)
+        self._frames: Iterator[BridgeFrame] = iter(())
         self._advertised: set[str] = set()
         self._level = LEVELS.index("info")
         self._handlers: dict[str, Callable[[RosMessage], BridgeRequest | None]] = {
@@ -116,15 +152,18 @@ class BridgeSession:
         """Yield topics that may be told at a time [s]."""
         return ((name, one) for name, one in self.subscriptions.items() if now >= one.due - 1e-6)
 
-    def take(self) -> str | None:
+    def take(self) -> BridgeFrame | None:
         """Return what is to be sent next: answers first, then topics in turn; None: nothing is."""
+        if (frame := next(self._frames, None)) is not None:
+            return frame
         if self._replies:
             return self._replies.popleft()
         for name, one in self.subscriptions.items():
             if one.waiting:
                 # To the end of the line: every topic has its turn.
                 self.subscriptions[name] = self.subscriptions.pop(name)
-                return one.waiting.popleft()
+                self._frames = one.next_frames(name)
+                return next(self._frames)
         return None
 
     def _reply(self, message: RosMessage, about: object) -> None:
@@ -160,9 +199,7 @@ class BridgeSession:
 
     def _subscribe(self, said: RosMessage) -> None:
         topic, asked = _text(said, "topic"), _text(said, "type", "")
-        if _text(said, "compression", "none") != "none":
-            raise UsageError("there is no compression but none: messages are JSON")
-        pause, length = _number(said, "throttle_rate") / 1000, int(_number(said, "queue_length"))
+        wish = _wish(said)
         short = self._check_type(topic, asked)
         if not short and self._type_of(topic) is None:
             raise UsageError(f"there is no topic {clip(topic)} yet: name its type to wait for it")
@@ -172,7 +209,9 @@ class BridgeSession:
                 raise UsageError(f"more than {MAX_SUBSCRIPTIONS} topics are too many for one client")
             version = RosVersion.ROS2 if "/msg/" in asked else self._version
             one = self.subscriptions[topic] = TopicSubscription(short, version)
-        one.wishes[str(said.get("id", ""))] = pause, length
+        name = str(said.get("id", ""))
+        one.wishes.pop(name, None)
+        one.wishes[name] = wish
         if len(one.wishes) > MAX_SUBSCRIPTIONS:
             one.wishes.pop(next(iter(one.wishes)))
 
@@ -212,6 +251,22 @@ def _read(text: str | bytes) -> RosMessage:
     if not isinstance(said, dict):
         raise UsageError("a message is a JSON object with op")
     return said
+
+
+def _wish(said: RosMessage) -> SubscriptionWish:
+    """Return what a subscription asks for.
+
+    Raises:
+        UsageError: It asks for something that there is not.
+    """
+    compression = _text(said, "compression", "none")
+    if compression not in set(Compression):
+        raise UsageError(f"no compression {clip(compression)}; there is: {', '.join(Compression)}")
+    size = 0 if said.get("fragment_size") is None else int(_number(said, "fragment_size"))
+    if 0 < size < SHORTEST_FRAGMENT:
+        raise UsageError(f"fragment_size is {size}, expected 0 or at least {SHORTEST_FRAGMENT}")
+    pause, length = _number(said, "throttle_rate") / 1000, int(_number(said, "queue_length"))
+    return SubscriptionWish(pause, length, size, Compression(compression))
 
 
 def _text(said: RosMessage, key: str, default: str | None = None) -> str:

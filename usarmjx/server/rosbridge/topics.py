@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from usarmjx.models.build.raster import Grid
+from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.floor_map import floor_map, occupancy_grid
+from usarmjx.server.rosbridge.lens import camera_info, has_info
 from usarmjx.server.rosbridge.readings import ReadingMaker, sensor_topics
 from usarmjx.server.rosbridge.velocity import can_follow
 from usarmjx.server.worlds.robot import Robot
@@ -17,7 +18,7 @@ from usarmjx.server.worlds.served_world import ServedWorld
 
 STATE_PERIOD = 0.04
 """Poses and joints are told so often [s]."""
-TWIST, IMAGE = "geometry_msgs/Twist", "sensor_msgs/CompressedImage"
+TWIST, RAW_IMAGE, IMAGE = "geometry_msgs/Twist", "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +47,13 @@ class WorldTopics:
 
     Args:
         world: The world.
+        size: Width and height of pictures [pixels].
     """
 
-    def __init__(self, world: ServedWorld) -> None:
-        self._world = world
+    def __init__(self, world: ServedWorld, size: tuple[int, int]) -> None:
+        self._world, self._size = world, size
+        self._drawn: tuple[ArenaSpec, Grid, np.ndarray] | None = None
+        self._maps = 0
         self._known: list[tuple[Robot, int]] = []
         self._changes = 0
         self._by_name: dict[str, RosTopic] = {}
@@ -79,9 +83,18 @@ class WorldTopics:
             names[robot.slot] = f"{name}_{robot.slot}" if name in names.values() else name
         return names
 
-    @cached_property
-    def _map(self) -> tuple[Grid, np.ndarray]:
-        return floor_map(self._world.arena)
+    def _map_news(self) -> int:
+        """Return how many maps there have been: worlds of a batch get other arenas at resets."""
+        arena = self._world.arena
+        if self._drawn is None or self._drawn[0] is not arena:
+            self._drawn, self._maps = (arena, *floor_map(arena)), self._maps + 1
+        return self._maps
+
+    def _map(self, version: RosVersion) -> RosMessage:
+        self._map_news()
+        assert self._drawn is not None
+        arena, grid, filled = self._drawn
+        return occupancy_grid(version, arena.floor, grid, filled)
 
     def _all(self) -> Iterator[RosTopic]:
         world = self._world
@@ -94,12 +107,7 @@ class WorldTopics:
         yield RosTopic("/tf", "tf2_msgs/TFMessage", self._tick, self._moving_frames)
         changes = self._changes
         yield RosTopic("/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames)
-        yield RosTopic(
-            "/map",
-            "nav_msgs/OccupancyGrid",
-            lambda: world.arena.name,
-            lambda version: occupancy_grid(version, world.arena.floor, *self._map),
-        )
+        yield RosTopic("/map", "nav_msgs/OccupancyGrid", self._map_news, self._map)
         for robot in world.robots.values():
             yield from self._of_robot(robot)
 
@@ -122,9 +130,21 @@ class WorldTopics:
         for index, sensor in enumerate(robot.suite.sensors):
             for below, kind, make in sensor_topics(sensor, world.arena.gps):
                 yield self._of_sensor(robot, index, f"/{name}/{motion.frame_name(below)}", kind, make)
-        for index, camera in enumerate(robot.cameras):
-            where = f"/{name}/{motion.frame_name(camera.mount.name)}/compressed"
-            yield RosTopic(where, IMAGE, self._tick, robot=robot, camera=index)
+        for index in range(len(robot.cameras)):
+            yield from self._of_camera(robot, index)
+
+    def _of_camera(self, robot: Robot, index: int) -> Iterator[RosTopic]:
+        camera, name = robot.cameras[index], self._names[robot.slot]
+        where = f"/{name}/{motion.frame_name(camera.mount.name)}"
+        for below, kind in (("compressed", IMAGE), ("image_raw", RAW_IMAGE)):
+            yield RosTopic(f"{where}/{below}", kind, self._tick, robot=robot, camera=index)
+
+        def info(version: RosVersion) -> RosMessage:
+            fov = float(robot.fovs[index])
+            return camera_info(version, self._world.time, name, camera, fov, self._size)
+
+        if has_info(camera):
+            yield RosTopic(f"{where}/camera_info", "sensor_msgs/CameraInfo", self._tick, info)
 
     def _of_sensor(self, robot: Robot, index: int, where: str, kind: str, make: ReadingMaker) -> RosTopic:
         name = self._names[robot.slot]
