@@ -73,6 +73,40 @@ def test_rewards_of_exploring_add_up_to_its_score_but_for_the_first_scans(explor
     np.testing.assert_allclose(rewards + first, float(steps[-1][2].score), rtol=1e-4)
 
 
+def series_of(results):
+    """Metrics after each step, by name (steps,)."""
+    return {key: np.array([float(result.metrics[key]) for result in results]) for key in results[0].metrics}
+
+
+def test_the_parts_of_the_score_of_exploring_are_all_of_it(explored):
+    task, steps = explored
+    results = [result for _, _, result in steps[1:]]
+    parts = task.score_parts(series_of(results))
+    assert parts.keys() == task.most_points.keys()
+    np.testing.assert_allclose(sum(parts.values()), [float(r.score) for r in results], rtol=1e-4)
+    assert parts["contacts"][-1] == -task.price
+
+
+def test_a_find_that_comes_late_pays_more_with_less_haste(explored):
+    """The step before is played again: what is new in it is worth 1/2 + 1/2 of the time left, not that."""
+    task, steps = explored
+    (view, _, hasty), (_, memory, _) = steps[4], steps[3]
+    calm = replace(task, haste=0.5, price=0.0).evaluate(view, memory)
+    left = (STEPS - 3) / STEPS
+    gain = float(hasty.score) - float(memory.score)
+    assert gain > 1.0
+    np.testing.assert_allclose(float(calm.score) - float(memory.score), gain * (0.5 / left + 0.5), rtol=1e-3)
+
+
+def test_without_advice_the_planners_numbers_are_hidden_and_no_others(explored):
+    task, steps = explored
+    view, memory, _ = steps[-1]
+    ((shown,), (hidden,)) = (replace(task, advice=on).observe(view, memory) for on in (True, False))
+    assert np.abs(np.asarray(shown)[:, :5]).max(0).min() > 0
+    assert not np.asarray(hidden)[:, :5].any()
+    np.testing.assert_array_equal(hidden[:, 5:], shown[:, 5:])
+
+
 def test_maps_are_shared_over_links_alone(explored):
     _, steps = explored
     maps = [np.asarray(memory.belief.squares) == FREE for _, memory, _ in steps]
@@ -165,6 +199,10 @@ def test_a_victim_is_reported_when_the_word_reaches_the_base_over_others():
     contacts = float(result.metrics["contacts"])
     expected = 60 * np.mean(reported) + 30 * mapped.mean() + 10 * np.mean(connected) / 2
     np.testing.assert_allclose(result.score, expected - task.price * contacts, rtol=1e-4)
+    results = [result for _, _, result in steps[1:]]
+    parts = task.score_parts(series_of(results))
+    assert parts.keys() == task.most_points.keys()
+    np.testing.assert_allclose(sum(parts.values()), [float(r.score) for r in results], rtol=1e-4)
 
 
 def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
@@ -184,11 +222,13 @@ def test_a_wrong_mark_costs_and_an_unheard_one_is_worth_nothing():
 
 def test_contacts_cost_those_that_touch_and_the_rest_goes_to_all():
     path = paths((0.6, 0.9), (0.235, 2.1), (1.8, 0.9))  # robot 1 ends as near to the wall as half its width
-    _, steps = searching([chain(3, (0, 1))] * (STEPS + 1), path, [], hint=0.0, price=0.25)
+    task, steps = searching([chain(3, (0, 1))] * (STEPS + 1), path, [], hint=0.0, price=0.25, haste=0.25)
     rewards = np.array([np.asarray(result.reward[0]) for _, _, result in steps[1:]])
     assert float(steps[-1][2].metrics["contacts"]) == 1
     np.testing.assert_allclose(rewards[:, 0].sum() - rewards[:, 1].sum(), -0.25, atol=1e-5)
     np.testing.assert_allclose(rewards.sum(), float(steps[-1][2].score), rtol=1e-4)
+    parts = task.score_parts(series_of([result for _, _, result in steps[1:]]))
+    np.testing.assert_allclose(sum(parts.values())[-1], float(steps[-1][2].score), rtol=1e-4)
 
 
 def test_without_messages_to_each_other_robots_still_write_to_the_base():
@@ -214,6 +254,8 @@ def test_the_chain_is_as_long_as_its_deepest_robot_that_reaches_the_base():
         np.testing.assert_allclose(result.metrics["reach"], max(deep), rtol=1e-5)
         total += max(deep)
     np.testing.assert_allclose(steps[-1][2].score, 100 * total / STEPS, rtol=1e-4)
+    parts = task.score_parts(series_of([result for _, _, result in steps[1:]]))
+    np.testing.assert_allclose(parts["depth"][-1], 100 * total / STEPS, rtol=1e-4)
 
 
 def test_depths_in_a_room_are_lengths_of_ways_over_squares():

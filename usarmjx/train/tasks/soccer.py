@@ -112,6 +112,7 @@ class Soccer(Task):
     """
 
     about: ClassVar[str] = "Two robots play soccer against two others."
+    needs_solver: ClassVar[str] = "a ball that is pushed"
 
     arena: Arenas = SOCCER_FIELD
     repeat: int = 5

@@ -95,6 +95,7 @@ class Stairs(Task):
     """
 
     about: ClassVar[str] = "A tracked robot climbs stairs."
+    needs_solver: ClassVar[str] = "flippers that lift"
 
     repeat: int = 5
     episode_steps: int = 200

@@ -10,7 +10,7 @@ from usarmjx.train.mapping.maps import MapGrid
 
 ABSENT_VICTIM_DISTANCE = 1e5
 """Victims that a world does not have are farther away than this [m]."""
-FENCE_MARGIN = 0.3
+FENCE_MARGIN = 0.25
 """The fence of robots that fly is so far inside the building's outline [m]."""
 FENCE_GAIN = 1.3
 """Their speed over the way that is left to it, at most [1/s]."""

@@ -1,0 +1,237 @@
+"""Versions of team tasks: the first stay as they were, the second measure search; advice; ends."""
+
+import hashlib
+from dataclasses import fields, replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import struct
+
+from tests.train.rooms import begin, room, view_of
+from usarmjx.base.errors import UsageError
+from usarmjx.sim.world import FaultCounts
+from usarmjx.train.baselines.frontier import frontier_policy
+from usarmjx.train.envs import episode
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.state import TaskState
+from usarmjx.train.envs.task import StepResult
+from usarmjx.train.learning.gae import advantages
+from usarmjx.train.mapping.maps import WALL
+from usarmjx.train.scenes.buildings import NEAR_START, Buildings, extent_of, thin_victims
+from usarmjx.train.tasks import TASKS
+from usarmjx.train.tasks.explore import Explore
+from usarmjx.train.tasks.victim_parts import FENCE_GAIN, FENCE_MARGIN, fence_of, way_left
+from usarmjx.train.tasks.victim_search import VictimSearch
+
+LIBRARIES = {"explore": "05befc8fdd74e531", "victim-search": "4c75cb61092e929a"}
+"""Digests of one building of each level, before there was a version 2."""
+
+
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_the_bare_name_is_version_1_whose_buildings_are_what_they_were(name):
+    task = TASKS.get(name)
+    assert task == TASKS.get(f"{name}-v1")
+    assert (task.haste, task.advice, getattr(task, "fence", False)) == (1.0, True, False)
+    arenas = replace(task.arena, count=1).arenas()
+    told = repr([(a.name, a.shapes, a.starts, a.victims, a.extent) for a in arenas])
+    assert hashlib.sha256(told.encode()).hexdigest()[:16] == LIBRARIES[name]
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """Buildings of the second version of the search."""
+    return replace(TASKS.get("victim-search-v2").arena, count=12).arenas()
+
+
+def test_victims_lie_in_every_part_but_seldom_near_the_start(searched):
+    assert len({arena.extent for arena in searched}) == 3
+    parts = np.zeros((3, 3), int)
+    for arena in searched:
+        at = np.array([victim.at[:2] for victim in arena.victims])
+        assert len(at) == 6
+        assert (np.hypot(*(at - arena.starts[0].at[:2]).T) < NEAR_START).sum() <= 1
+        size = np.array([high - low for low, high in arena.extent])
+        np.add.at(parts, tuple((3 * at / size).astype(int).T), 1)
+    assert parts.sum() == 6 * len(searched)
+    assert parts.min() >= 6, parts  # of 216; the ninth with the start has the fewest
+    assert parts.max() <= 48, parts
+
+
+def test_of_victims_near_the_start_only_some_stay():
+    near, far = [(1.0 + k / 4, 1.0) for k in range(6)], [(5.8, 0.5), (5.8, 1.5), (5.8, 2.5)]
+    arena = room([(0.6, 0.9)], [*near, *far])
+    for seed in range(8):
+        kept = [victim.at[0] for victim in thin_victims(arena, 4, 1, seed).victims]
+        assert sorted(kept)[1:] == [5.8] * 3
+    drawn = {tuple(v.name for v in thin_victims(arena, 4, 1, seed).victims) for seed in range(8)}
+    assert len(drawn) > 2
+    assert len(thin_victims(arena, 9, 0, 0).victims) == 3
+
+
+def test_version_2_asks_for_longer_search_and_has_the_same_team():
+    for name in LIBRARIES:
+        one, two = TASKS.get(f"{name}-v1"), TASKS.get(f"{name}-v2")
+        assert two.robots == one.robots
+        assert two.episode_steps > one.episode_steps
+        same = {field.name for field in fields(one)} - {"arena", "episode_steps", "haste", "fence"}
+        assert all(getattr(one, name) == getattr(two, name) for name in same)
+
+
+# The fence of robots that fly
+
+
+@pytest.fixture(scope="module")
+def fenced():
+    """Two buildings of different sizes, one robot that flies, and what it sees in the smaller one."""
+    library = Buildings(count=2, levels=(0.5,), sizes=((3, 3), (5, 4)), victims=1)
+    task = VictimSearch(arena=library, wheeled=(), tracked=(), flying=("AirRobot",), fence=True)
+    scene, world, physics = begin(task)
+    small = jax.tree.map(lambda rows: jnp.asarray(rows[0]), scene.arenas.states)
+    world = world.replace(arena_state=small)
+
+    def view(*pose):
+        return view_of(scene, world, physics, [(0.6, 0.6, 0.0), pose])
+
+    return task, view
+
+
+def test_each_world_knows_the_outline_of_its_own_building(fenced):
+    task, view = fenced
+    seen = view(1.8, 1.8, 0.0)
+    grid = task.arena_grid(seen.scene)
+    np.testing.assert_allclose(extent_of(seen, grid), [[0.0, 3.6]] * 2, atol=1e-6)
+    large = jax.tree.map(lambda rows: jnp.asarray(rows[1]), seen.scene.arenas.states)
+    seen = seen.replace(world=seen.world.replace(arena_state=large))
+    np.testing.assert_allclose(extent_of(seen, grid), [[0.0, 6.0], [0.0, 4.8]], atol=1e-6)
+
+
+def test_beyond_its_fence_all_is_wall_for_a_robot_that_flies(fenced):
+    task, view = fenced
+    grid = task.arena_grid(view(1.8, 1.8, 0.0).scene).grid
+    belief = task.first_belief(view(1.8, 1.8, 0.0))
+    beyond = ((grid.centres < FENCE_MARGIN) | (grid.centres > 3.6 - FENCE_MARGIN)).any(-1)
+    np.testing.assert_array_equal(np.asarray(belief.squares[1]) == WALL, beyond)
+    assert not np.asarray(belief.squares[0]).any()  # the base has no fence
+    free = replace(task, fence=False).first_belief(view(1.8, 1.8, 0.0))
+    assert not np.asarray(free.squares).any()
+
+
+@pytest.mark.parametrize(
+    ("pose", "fence", "speed"),
+    [
+        ((1.8, 1.8, 0.0), True, 1.2),
+        ((3.0, 1.8, 0.0), True, 0.35 * FENCE_GAIN),  # 0.35 m to go
+        ((3.0, 1.8, np.pi), True, 1.2),
+        ((3.5, 1.8, 0.0), True, 0.0),  # beyond it, and outward
+        ((3.5, 1.8, np.pi), True, 1.2),  # and back again
+        ((3.5, 1.8, 0.0), False, 1.2),
+    ],
+)
+def test_a_robot_that_flies_brakes_before_its_fence(fenced, pose, fence, speed):
+    task, view = fenced
+    task, seen = replace(task, fence=fence), view(*pose)
+    (number,) = task.agent_groups(seen.scene)
+    members = seen.scene.groups[number]
+    high = tuple(
+        reading.replace(value=reading.value.at[:, 2].set(2.0)) if sensor.kind == "GroundTruth" else reading
+        for sensor, reading in zip(members.suite.sensors, seen.readings[number], strict=True)
+    )
+    seen = seen.replace(readings=tuple(high if g == number else r for g, r in enumerate(seen.readings)))
+    told = task.drive_values(seen, None, members, jnp.array([[1.0, 0.0]]))
+    np.testing.assert_allclose(told["LinearVelocity"], [speed], atol=1e-5)
+
+
+def test_the_way_to_a_fence_is_along_the_heading():
+    fence = fence_of(jnp.array([[0.0, 10.0], [0.0, 4.0]]))
+    at = jnp.array([[2.0, 2.0]] * 4)
+    ahead = jnp.array([[1.0, 0.0], [0.0, -1.0], [0.6, 0.8], [-0.8, 0.6]])
+    np.testing.assert_allclose(way_left(at, ahead, fence), [7.75, 1.75, 1.75 / 0.8, 1.75 / 0.8], rtol=1e-6)
+
+
+# What a find pays
+
+
+def test_a_late_find_pays_less_by_haste_alone():
+    task = Explore(episode_steps=4, haste=0.25)
+    share = np.array([0.2, 0.2, 0.2, 1.0])
+    np.testing.assert_allclose(task.paid(share), [0.2, 0.2, 0.2, 0.2 + 0.8 * (0.75 + 0.25 / 4)])
+    np.testing.assert_allclose(replace(task, haste=0.0).paid(share)[-1], 1.0)
+    np.testing.assert_allclose(replace(task, haste=1.0).paid(share)[-1], share.mean())
+    columns = task.paid(np.stack([share, share], -1))
+    np.testing.assert_allclose(columns[:, 0], columns[:, 1])
+
+
+# The planner's advice
+
+
+def test_the_baseline_refuses_to_drive_without_advice():
+    env = SimpleNamespace(task=Explore(advice=False), name="explore", episode_steps=3)
+    with pytest.raises(UsageError, match="explore with advice=false: its baseline drives the way that this"):
+        frontier_policy(env)
+
+
+# Ends and truncations
+
+
+class Endless(struct.PyTreeNode):
+    """Worlds of which nothing is known but that nothing went wrong."""
+
+    faults: FaultCounts
+
+
+def played(time_limit, steps, monkeypatch):
+    """Ends of a task that pays 1 in every step, (steps, 1) each: done, truncated, bad."""
+    monkeypatch.setattr(episode, "make_view", lambda scene, world, physics: (world, physics))
+    no, zero = jnp.zeros((), bool), jnp.zeros(())
+    task = SimpleNamespace(
+        time_limit=time_limit,
+        episode_steps=steps,
+        evaluate=lambda view, memory: StepResult(memory, (jnp.ones(1),), no, zero, {}),
+        observe=lambda view, memory: (jnp.ones((1, 1)),),
+        privileged=lambda view, memory: jnp.zeros(0),
+    )
+    none, world = jnp.zeros((1, 0)), jnp.zeros(1)
+    state = TaskState(
+        memory=world,
+        obs=(none,),
+        privileged=none,
+        reward=(world[:, None],),
+        done=world > 0,
+        truncated=world > 0,
+        final_obs=(none,),
+        final_privileged=none,
+        score=world,
+        final_score=world,
+        length=jnp.zeros(1, jnp.int32),
+        bad=world > 0,
+        metrics={},
+    )
+    faults = FaultCounts(**{one.name: jnp.zeros(1, jnp.int32) for one in fields(FaultCounts)})
+    rows = []
+    for _ in range(steps):
+        _, state = episode.evaluate_step(None, task, state, Endless(faults), world, faults)
+        rows.append((state.done, state.truncated, state.bad))
+    return tuple(jnp.stack(column) for column in zip(*rows, strict=True))
+
+
+@pytest.mark.parametrize(("time_limit", "after"), [("end", 0.0), ("truncation", 1.0)])
+def test_a_value_stands_in_for_what_follows_only_where_something_does(time_limit, after, monkeypatch):
+    """n steps of 1 are worth (1 - g^n) / (1 - g), and g^n V more if the episode was only cut off."""
+    steps, discount, value = 5, 0.9, 7.0
+    ends = played(time_limit, steps, monkeypatch)
+    assert ends[0][:, 0].tolist() == [False] * (steps - 1) + [True]
+    none = jnp.zeros((steps, 1))
+    found = advantages(none + 1, none, none + value, jnp.array([99.0]), ends, discount, 1.0)
+    closed = (1 - discount**steps) / (1 - discount) + after * discount**steps * value
+    np.testing.assert_allclose(found[0, 0], closed, rtol=1e-6)
+
+
+def test_tasks_over_a_number_of_steps_say_so():
+    ends = {name for name, task in TASKS if task.time_limit == "end"}
+    versions = {f"{name}{version}" for name in LIBRARIES for version in ("", "-v1", "-v2")}
+    assert ends == {*versions, "relay-chain", "soccer"}
+    with pytest.raises(UsageError, match="time_limit 'never', expected end or truncation"):
+        Env(replace(TASKS.get("wander"), time_limit="never"), 1)
