@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.train import _served
 from usarmjx.cli.waiting import say
+from usarmjx.train.learning.config import Config, task_config
+from usarmjx.train.learning.record import EnvArguments, RunRecord
+from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.export import NumpyPolicy
 
 SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
@@ -51,6 +55,40 @@ def test_a_run_is_trained_and_exported(tmp_path):
     group = policy.groups[policy.group("P2AT")]
     actions, _ = policy.act(0, np.zeros(group["obs_size"]), policy.initial_carry(0))
     assert actions.shape == (2,)  # Left and Right of DRIVE
+
+
+def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path, monkeypatch):
+    """What it was started with need not be typed again, and what is typed holds."""
+    asked = []
+
+    def train(env, config, out, resume, *, origin, **_):
+        asked.append((config, out, resume, origin))
+        return TrainResult(out, 1, 8, {})
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
+    assert invoke("train", "drive-to-goal").exit_code == 0
+    config, folder, *_ = asked.pop()
+    assert (config, folder) == (task_config("drive-to-goal"), Path("runs/drive-to-goal"))
+    assert (
+        invoke("train", "drive-to-goal", "--resume").exit_code == 0
+    )  # nothing is there: left to the trainer
+    assert asked.pop() == (config, folder, True, EnvArguments("auto"))
+    before = Config(worlds=3, minibatches=3, seed=5, memory=7)
+    shape = {"groups": (), "privileged_size": 0, "episode_steps": 7, "period": 0.2, "processes": 1}
+    folder.mkdir(parents=True)
+    RunRecord(
+        task="drive-to-goal", engine="c", overrides={"episode_steps": "7"}, config=before, **shape
+    ).save(folder)
+    assert invoke("train", "drive-to-goal", "--resume", "--steps", 12).exit_code == 0
+    assert asked.pop() == (replace(before, steps=12), folder, True, EnvArguments("c", {"episode_steps": "7"}))
+    more = ["--seed", 6, "--set", "rollout=3", "--set", "episode_steps=8", "--engine", "jax"]
+    assert invoke("train", "drive-to-goal", "--resume", *more).exit_code == 0
+    config, _, _, origin = asked.pop()  # which the trainer refuses
+    assert (config, origin) == (
+        replace(before, seed=6, rollout=3),
+        EnvArguments("jax", {"episode_steps": "8"}),
+    )
 
 
 @pytest.mark.parametrize(

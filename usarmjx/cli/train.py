@@ -15,7 +15,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
-from usarmjx.cli.tools import ErrorExit, OldOutArgument, SeedOption, chosen_out
+from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce
 from usarmjx.server.signals import PARENT_PIPE
@@ -41,7 +41,6 @@ SetOption = Annotated[
 
 @app.command()
 def train(
-    out: Annotated[Path, typer.Option(help="Folder of the run.")],
     named: Annotated[
         str | None,
         typer.Argument(
@@ -51,13 +50,24 @@ def train(
     task: Annotated[
         str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)
     ] = None,
-    worlds: Annotated[int | None, typer.Option(min=1, help="Worlds in all.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Agent steps in all.")] = None,
-    seed: SeedOption = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
+    ] = None,
+    worlds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worlds in all; each task has its number, and more on a GPU."),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Agent steps in all; each task has its number.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")
+    ] = None,
     engine: PolicyEngineOption = "auto",
     settings: SetOption = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where the run in the folder was left.")
+        bool,
+        typer.Option("--resume", help="Go on where the run in the folder was left, with its settings."),
     ] = False,
     processes: Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")] = 1,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
@@ -78,6 +88,7 @@ def train(
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
         task = _task_of(named, task)
+        out = out or Path("runs") / task.rpartition(":")[2].removesuffix(".py")
         from usarmjx.train.processes.launch import process_info, spawn
 
         joined = process_info(os.environ)
@@ -163,7 +174,9 @@ def _train(
 
     out, engine, resume, bar = how
     chosen = {key: value for key, value in given.items() if value is not None}
-    config, overrides = _split_settings(task, pairs, chosen)
+    if resume:
+        chosen, pairs, engine = _as_before(out, chosen, pairs, engine)
+    config, overrides = _split_settings(task, pairs, chosen, engine)
 
     def worlds_of(count: int, first: int) -> "Env":
         env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
@@ -259,11 +272,28 @@ class _RecordedTraining:
         self._held.close()
 
 
-def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple["Config", dict[str, Any]]:
+def _as_before(
+    run: Path, given: dict[str, int], pairs: list[str], engine: str
+) -> tuple[dict[str, Any], list[str], str]:
+    """Return settings, others as typed, and engine: as the run was started, unless asked for otherwise."""
+    from usarmjx.train.learning.record import RECORD_FILE, load_record
+
+    if not (run / RECORD_FILE).exists():
+        return given, pairs, engine
+    record, typed = load_record(run), {pair.partition("=")[0] for pair in pairs}
+    kept = {key: value for key, value in vars(record.config).items() if key not in typed}
+    fields = [f"{key}={text}" for key, text in record.overrides.items() if key not in typed]
+    return {**kept, **given}, [*fields, *pairs], record.engine if engine == "auto" else engine
+
+
+def _split_settings(
+    task: str, pairs: list[str], given: dict[str, Any], engine: str
+) -> tuple["Config", dict[str, Any]]:
     """Return the settings of the training, and the fields of the task that are set otherwise."""
     from dataclasses import asdict, fields
 
     from usarmjx.train.learning.config import Config, parse_settings, task_config
+    from usarmjx.train.learning.defaults import on_gpu
     from usarmjx.train.make import make_task
 
     chosen = make_task(task)
@@ -274,7 +304,8 @@ def _split_settings(task: str, pairs: list[str], given: dict[str, Any]) -> tuple
     training = asdict(Config())
     found = parse_settings(pairs, {**simple, **training}, f"{task} and its training")
     overrides = {key: value for key, value in found.items() if key not in training}
-    return task_config(task, **{**given, **{k: v for k, v in found.items() if k in training}}), overrides
+    chosen_here = {**given, **{key: value for key, value in found.items() if key in training}}
+    return task_config(task, gpu=on_gpu(engine), **chosen_here), overrides
 
 
 @app.command()

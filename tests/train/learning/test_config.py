@@ -1,14 +1,20 @@
 """Settings: what they may be, and how they are typed."""
 
+import json
+import math
 from dataclasses import asdict
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.train.learning.config import HYPERPARAMETERS, Config, from_record, parse_settings, task_config
+from usarmjx.train.learning.config import Config, from_record, parse_settings, task_config
+from usarmjx.train.learning.defaults import HYPERPARAMETERS, ON_GPU, on_gpu
 from usarmjx.train.learning.metrics import Log, read_lines, summary
 from usarmjx.train.tasks import TASKS
+
+ROOT = Path(__file__).parents[3]
 
 
 def test_settings_are_read_with_their_type():
@@ -68,8 +74,57 @@ def test_settings_that_make_no_sense_are_refused(settings, words):
 def test_the_table_of_hyper_parameters_is_of_tasks_and_settings_that_there_are():
     for task in HYPERPARAMETERS:
         assert task in TASKS
-        assert task_config(task) == Config(**HYPERPARAMETERS[task])
+        for gpu, more in ((False, {}), (True, ON_GPU[task])):
+            found, given = asdict(task_config(task, gpu=gpu)), {**HYPERPARAMETERS[task], **more}
+            assert {name: found[name] for name in given} == given
+    assert set(HYPERPARAMETERS) == {name.lower() for name in TASKS.names()} == set(ON_GPU)
     assert task_config("Drive-To-Goal", discount=0.5).discount == 0.5
+    assert task_config("trek") == Config()
+
+
+@pytest.mark.parametrize(("task", "worlds"), [("explore-v1", 2048), ("victim-search-v1", 1024)])
+def test_a_bare_command_has_the_settings_of_the_runs_that_are_told_of(task, worlds):
+    """As their records say what was set otherwise then: benchmarks/results/train.jsonl."""
+    records = map(json.loads, (ROOT / "benchmarks/results/train.jsonl").read_text().splitlines())
+    name = task.removesuffix("-v1")
+    runs = [r for r in records if r["task"] == name and r["when"] == "2026-11-22T12:15:00+00:00"]
+    assert len(runs) == 5
+    config = task_config(task, gpu=True)
+    for run in runs:
+        assert run["settings"]["training"] == [
+            f"minibatches: 4 -> {config.minibatches}",
+            f"imitate: 0 -> {config.imitate}",
+            f"checkpoint_every: 20 -> {config.checkpoint_every}",
+        ]
+        assert run["worlds"] == config.worlds == worlds
+    longest = max(run["agent_steps"] for run in runs)
+    assert 0 <= longest - config.steps < 0.02 * longest  # the last iteration is a whole one
+    assert (config.discount, config.trace, config.layers) == (0.97, 0.9, (256, 128))
+
+
+@pytest.mark.parametrize("task", sorted(set(HYPERPARAMETERS) - {"drive-to-goal"}))
+def test_new_settings_see_to_the_end_of_an_episode(task):
+    """What comes at its end counts 1/e at its start; those that figures are told of did not."""
+    config, steps = task_config(task), TASKS.get(task).episode_steps
+    if TASKS.get(task) in (TASKS.get("explore-v1"), TASKS.get("victim-search-v1")):
+        assert config.discount**steps < 0.01
+    else:
+        assert config.discount**steps == pytest.approx(math.exp(-1), rel=0.01)
+        assert 1 / (1 - config.discount * config.trace) == pytest.approx(steps / 10)
+
+
+def test_minibatches_that_nobody_set_divide_the_worlds():
+    assert task_config("explore", gpu=True, worlds=24).minibatches == 8
+    assert task_config("explore", worlds=3).minibatches == 1
+    with pytest.raises(UsageError, match="3 worlds cannot be divided into 2 minibatches"):
+        task_config("explore", worlds=3, minibatches=2)
+
+
+def test_engines_that_need_no_gpu_use_none(monkeypatch):
+    monkeypatch.setattr("jax.default_backend", lambda: "gpu")
+    assert [on_gpu(engine) for engine in ("auto", "warp", "jax", "c", "planar")] == [True] * 3 + [False] * 2
+    monkeypatch.setattr("jax.default_backend", lambda: "cpu")
+    assert not on_gpu("auto")
 
 
 def test_settings_come_back_from_json():

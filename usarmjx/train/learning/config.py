@@ -1,10 +1,13 @@
-"""How a policy is trained: hyper-parameters, those of each task, and how they are set on a command line."""
+"""How a policy is trained: hyper-parameters, and how they are set on a command line."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, cast
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.train.learning.defaults import HYPERPARAMETERS, ON_GPU, horizon_of
+from usarmjx.train.tasks import TASKS
 
 SCHEDULES = ("constant", "linear", "adaptive")
 
@@ -143,42 +146,48 @@ class Config:
         return -(-self.imitate // (self.rollout * self.worlds * agents))
 
 
-_TEAM: dict[str, Any] = {
-    "entropy": 0.0,
-    "target_kl": 0.02,
-    "discount": 0.97,
-    "trace": 0.9,
-    "layers": (256, 128),
-    "critic_layers": (256, 128),
-}
-# What each task is trained with, where it differs from the defaults. Keys are task names in lower case.
-HYPERPARAMETERS: dict[str, dict[str, Any]] = {
-    "drive-to-goal": {"discount": 0.98, "learning_rate": 1e-3, "entropy": 0.002},
-    **{f"explore{version}": _TEAM for version in ("", "-v1", "-v2")},
-    **{f"victim-search{version}": _TEAM for version in ("", "-v1", "-v2")},
-}
+def check_names(settings: Iterable[str]) -> None:
+    """Refuse settings that there are not.
+
+    Raises:
+        UnknownNameError: Lists those there are.
+    """
+    known = [field.name for field in fields(Config)]
+    if bad := sorted(set(settings) - set(known)):
+        raise UnknownNameError(f"unknown setting {', '.join(bad)}; known: {', '.join(known)}")
 
 
-def task_config(task: str, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
+def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
     """Return the settings for a task, some of them set otherwise.
+
+    Args:
+        task: Name of the task; of one that is not in the table `Config` has the settings.
+        gpu: Whether the worlds are on a GPU.
+        settings: What is set otherwise. Minibatches that are not set are as many as the worlds allow.
 
     Raises:
         UnknownNameError: No such setting; lists those there are.
         UsageError: A value that it may not have.
     """
-    known = [field.name for field in fields(Config)]
-    if bad := sorted(set(settings) - set(known)):
-        raise UnknownNameError(f"unknown setting {', '.join(bad)}; known: {', '.join(known)}")
-    return Config(**{**HYPERPARAMETERS.get(task.lower(), {}), **settings})
+    check_names(settings)
+    name = task.lower()
+    own = {**HYPERPARAMETERS.get(name, {}), **(ON_GPU.get(name, {}) if gpu else {})}
+    if own and "discount" not in own:
+        own |= horizon_of(TASKS.get(task).episode_steps)
+    chosen: dict[str, Any] = {**own, **settings}
+    if "minibatches" not in settings and isinstance(worlds := chosen.get("worlds", Config.worlds), int):
+        chosen["minibatches"] = max(1, math.gcd(worlds, chosen.get("minibatches", Config.minibatches)))
+    return Config(**chosen)
 
 
 def from_record(record: Mapping[str, Any]) -> Config:
     """Return the settings from what `asdict` gave, read back from JSON."""
-    values = {
+    values: dict[str, Any] = {
         key: tuple(cast(list[Any], value)) if isinstance(value, list) else value
         for key, value in record.items()
     }
-    return task_config("", **values)
+    check_names(values)
+    return Config(**values)
 
 
 def differences(old: Config, new: Config, but: tuple[str, ...] = ()) -> list[str]:

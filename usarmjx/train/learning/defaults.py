@@ -1,0 +1,56 @@
+"""What each task is trained with unless one says otherwise; more worlds where there is a GPU."""
+
+from typing import Any
+
+CPU_ENGINES = ("c", "planar")
+MEASURED: dict[str, Any] = {
+    "entropy": 0.0,
+    "target_kl": 0.02,
+    "layers": (256, 128),
+    "critic_layers": (256, 128),
+    "imitate": 1_000_000,
+    "checkpoint_every": 10,
+}
+"""What the runs of `explore` and `victim-search` were made with that docs/training.md tells of."""
+SHORT_SIGHT = {"discount": 0.97, "trace": 0.9}
+# What each task is trained with, where it differs from `Config`. Keys are task names in lower case.
+HYPERPARAMETERS: dict[str, dict[str, Any]] = {
+    "drive-to-goal": {"discount": 0.98, "learning_rate": 1e-3, "entropy": 0.002, "steps": 2_000_000},
+    **{f"explore{old}": {**MEASURED, **SHORT_SIGHT, "steps": 21_000_000} for old in ("", "-v1")},
+    **{f"victim-search{old}": {**MEASURED, **SHORT_SIGHT, "steps": 16_000_000} for old in ("", "-v1")},
+    **{
+        task: {**MEASURED, "steps": 20_000_000}
+        for task in ("explore-v2", "victim-search-v2", "relay-chain", "convoy", "soccer")
+    },
+    **{
+        task: {**MEASURED, "steps": 10_000_000, "layers": (128, 64), "critic_layers": (128, 64)}
+        for task in ("stairs", "hover-inspect", "wander")
+    },
+}
+# What else, where the worlds are on a GPU.
+ON_GPU: dict[str, dict[str, Any]] = {
+    "drive-to-goal": {"worlds": 1024},
+    **{f"victim-search{version}": {"worlds": 1024, "minibatches": 16} for version in ("", "-v1", "-v2")},
+    **{
+        task: {"worlds": 2048, "minibatches": 16}
+        for task in HYPERPARAMETERS
+        if task != "drive-to-goal" and not task.startswith("victim-search")
+    },
+}
+
+
+def horizon_of(episode_steps: int) -> dict[str, float]:
+    """Return a discount and a trace that see as far as an episode lasts.
+
+    What comes after a whole episode counts 1/e of what comes now, and the advantage estimate looks a tenth of
+    an episode ahead before it trusts the critic.
+    """
+    discount = 1.0 - 1.0 / max(episode_steps, 2)
+    return {"discount": discount, "trace": max(0.0, 1.0 - 10.0 / max(episode_steps, 10)) / discount}
+
+
+def on_gpu(engine: str) -> bool:
+    """Return whether the worlds of an engine are on a GPU here; JAX is started by that."""
+    import jax
+
+    return engine not in CPU_ENGINES and jax.default_backend() != "cpu"
