@@ -1,0 +1,85 @@
+"""The table of what scores mean: who plays, what the rows say, what is refused."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.state import AgentGroup
+from usarmjx.train.evaluation.yardsticks import (
+    HELD_STEPS,
+    alone,
+    measure_teams,
+    packaged_policy,
+    random_policy,
+    table,
+    team_result,
+    with_perfect_radio,
+)
+from usarmjx.train.make import make_task
+from usarmjx.train.tasks.team_parts import PERFECT_RADIO
+
+STEPS, WORLDS = 8, 3
+
+
+@pytest.fixture(scope="module")
+def row():
+    """A team that explores half at once and half of the rest in step 6, in three worlds."""
+    task = make_task("explore-v2", episode_steps=STEPS)
+    seen = np.repeat([0.5] * 5 + [0.75] * 3, WORLDS).reshape(STEPS, WORLDS)
+    series = {"explored": seen, "known": 0 * seen, "contacts": np.ones_like(seen)}
+    scores = 50 * (0.5 + 0.25 * (0.75 + 0.25 * 3 / 8)) - task.price + np.array([-1.0, 0.0, 1.0])
+    return task, team_result(task, "baseline", scores, series, bad=1)
+
+
+def test_a_row_says_how_the_score_is_made_up_and_how_early_it_came(row):
+    task, found = row
+    late = 50 * 0.25 * (0.75 + 0.25 * 3 / 8)
+    assert found.parts == pytest.approx({"explored": 25 + late, "known": 0.0, "contacts": -task.price})
+    assert sum(found.parts.values()) == pytest.approx(found.score.value)
+    assert found.reached == pytest.approx((25 / (25 + late), 25 / (25 + late), 1.0))
+    assert found.score.low < found.score.value < found.score.high
+    with pytest.raises(UsageError, match="baseline: no episode ended well"):
+        team_result(task, "baseline", np.zeros(0), {})
+
+
+def test_the_table_begins_with_what_can_be_reached_at_most(row):
+    head, _, most, line = table(row[0], [row[1]]).splitlines()
+    assert head == (
+        "| team | score | 95 % interval | explored | known | contacts | 1/4 | 1/2 | 3/4 | outside |"
+    )
+    assert most == "| at most | 100 |  | 50 | 50 | 0 |  |  |  |  |"
+    assert line.startswith("| baseline | 35.3 |")
+    assert line.endswith("| 35.5 | 0.0 | -0.2 | 70 % | 70 % | 100 % | 0 % |")
+
+
+def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
+    search, explore = make_task("victim-search-v2"), make_task("explore-v2")
+    assert [spec.name for spec in alone(search).robots] == ["ComStation", "P2AT"]
+    assert [spec.name for spec in alone(explore).robots] == ["P2AT"]
+    assert alone(explore).arena == explore.arena
+    assert with_perfect_radio(search).radio == PERFECT_RADIO
+
+
+def test_robots_at_random_keep_what_they_drew_for_a_while():
+    group = AgentGroup("P2AT", ("a", "b"), 5, 2)
+    policy, rows = random_policy(SimpleNamespace(groups=(group,))), []
+    carry = policy.initial_carry(WORLDS)
+    for step in range(2 * HELD_STEPS):
+        carry, (action,) = policy.act(carry, (jnp.zeros((WORLDS, 2, 5)),), jax.random.key(step))
+        rows.append(np.asarray(action))
+    first, second = np.split(np.stack(rows), 2)
+    assert (first == first[0]).all()
+    assert (second == second[0]).all()
+    assert len(np.unique(np.stack([first[0], second[0]]))) == 2 * WORLDS * 2 * 2
+    assert np.abs(rows).max() <= 1.0
+
+
+def test_what_has_no_parts_or_no_policy_is_refused():
+    with pytest.raises(UsageError, match="drive-to-goal is no task for a team: its score has no parts"):
+        measure_teams("drive-to-goal", 1)
+    with pytest.raises(UsageError, match="no policy is packaged for relay-chain; there are: drive-to-goal"):
+        packaged_policy(SimpleNamespace(name="relay-chain"))
