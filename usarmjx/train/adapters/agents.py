@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
@@ -66,6 +67,25 @@ def check_one_group(env: "Env", purpose: str) -> None:
 def compiled_step(env: "Env") -> "Callable[[EnvState, tuple[Array, ...]], EnvState]":
     """Return the environment's step, compiled where it can be."""
     return jax.jit(env.step) if env.traceable else env.step
+
+
+def with_held(before: "EnvState", after: "EnvState", held: Array) -> "EnvState":
+    """Return a state in which some worlds are as they were.
+
+    Args:
+        before: How all were.
+        after: How all are.
+        held: Which are as they were (worlds,).
+    """
+
+    def chosen(old: Any, new: Any) -> Any:  # noqa: ANN401 - arrays of NumPy or JAX, which stay what they are
+        shape = np.shape(new)
+        if new is old or shape[:1] != np.shape(held):
+            return new  # what all worlds share
+        xp: Any = np if isinstance(new, np.ndarray) else jnp
+        return xp.where(held.reshape(-1, *[1] * (len(shape) - 1)), old, new)
+
+    return jax.tree.map(chosen, before, after)
 
 
 def by_agent(env: "Env", values: tuple[Any, ...]) -> dict[str, Any]:
