@@ -154,6 +154,7 @@ def test_a_training_without_a_terminal_tells_how_far_it_is(tmp_path, monkeypatch
         with Log(tmp_path / str(terminal), 4, console=console) as log:
             log.write({"iteration": 1, **record})
         said[terminal] = file.getvalue()
+    assert "usarmjx: 0/4 iterations, compiling\n" in said[False]
     assert "usarmjx: 1/4 iterations  1,234 steps/s  return 0.5  score 2  bad worlds 0.00%\n" in said[False]
     assert "iterations" not in said[True]
     lines = (tmp_path / "False" / "metrics.jsonl").read_text().splitlines()

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-PERIOD = 15.0
+PERIOD = 30.0
 """Time between two lines [s]."""
 
 

@@ -77,6 +77,8 @@ class PolicyOptions:
                 f"no policy is packaged for {named}: name a run's folder too, or --baseline {named}"
             )
         found = find_source(named, self.checkpoint)
+        if found.checkpoint:
+            typer.echo(f"usarmjx: {found.checkpoint}", err=True)
         if self.task is None:
             return found
         # Another task has other fields than those that were set in training.

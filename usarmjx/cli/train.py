@@ -17,7 +17,7 @@ from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.waiting import announce, say
 from usarmjx.server.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
@@ -78,6 +78,9 @@ def train(
         ),
     ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
+    wandb: Annotated[
+        str | None, typer.Option(help="Project of Weights & Biases that the run is shown in, too.")
+    ] = None,
     view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
     record: RecordOption = None,
@@ -109,7 +112,8 @@ def train(
             if record is not None and process.index == 0:
                 watchers.append(_RecordedTraining(record, record_every))
             how = out, engine, resume, not quiet and not process.index
-            score = _train(task, chosen, settings or [], how, watchers)
+            project = None if process.index else wandb
+            score = _train(task, chosen, settings or [], how, watchers, project)
             if process.index == 0:
                 typer.echo(score)
 
@@ -155,6 +159,7 @@ def _train(
     pairs: list[str],
     how: tuple[Path, str, bool, bool],
     watchers: "Sequence[_TrainingWatcher]",
+    project: str | None,
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
@@ -164,6 +169,7 @@ def _train(
         pairs: Others, as typed.
         how: Folder, engine, whether to resume, whether to show a bar.
         watchers: Who gets to see the worlds.
+        project: Of Weights & Biases; None: it is not shown there.
 
     Returns:
         What came of it, in a line.
@@ -188,11 +194,23 @@ def _train(
         for watcher in watchers:
             watcher.look(state)
 
+    watch = None
+    if project is not None:
+        from usarmjx.train.learning.wandb_log import wandb_watch
+
+        watch = wandb_watch(project, out.name, {"task": task, **vars(config)}, say)
     typed = dict(pair.split("=", 1) for pair in pairs)
     origin = EnvArguments(engine, {key: typed[key] for key in overrides})
     try:
         done = run(
-            worlds_of, config, out, resume, origin=origin, progress=bar, look=look if watchers else None
+            worlds_of,
+            config,
+            out,
+            resume,
+            origin=origin,
+            progress=bar,
+            watch=watch,
+            look=look if watchers else None,
         )
     finally:
         for watcher in watchers:

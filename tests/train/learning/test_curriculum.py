@@ -1,9 +1,11 @@
 """Generated arenas that get harder during a run: which worlds meet when, and again after a restart."""
 
+import json
 import shutil
 from dataclasses import replace
 from itertools import pairwise
 
+import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -13,9 +15,11 @@ from tests.train.envs.test_env import LIGHT
 from tests.train.runs import checksums, lines
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.recipe import GeneratedArenas
-from usarmjx.train.learning.checkpoint import Checkpoints, read_part
+from usarmjx.train.evaluation.evaluate import run_episodes
+from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.learning.train_state import make_networks, policy_params
+from usarmjx.train.learning.trainer import JUDGING_SEED, Trainer, train
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings
 
@@ -88,6 +92,48 @@ def test_arenas_get_harder_during_a_run(env, trained):
         assert met[-1] <= allowed
     assert met[:2] == [{0}, {0}]
     assert set.union(*met[3:]) == {0, 1, 2}
+
+
+def test_the_best_under_a_curriculum_is_best_in_all_arenas(env, trained):
+    """A checkpoint's score is of the same episodes in arenas of all levels; what is in training stays."""
+    trainer = Trainer(env, CONFIG, ProcessGroup())
+    learner, worlds = trainer.start()
+    policy = make_networks(env.groups, env.privileged_size, CONFIG).policy
+    checkpoints = Checkpoints(trained)
+    path = checkpoints.find("1")
+    learner = read_part(path, "learner", learner)
+    before = jax.tree.leaves(worlds.env_state.obs)[0].copy()
+    expected = run_episodes(env, policy.as_policy(policy_params(learner)), env.worlds, JUDGING_SEED)
+    assert checkpoints.meta(path)["score"] == pytest.approx(expected.scores.mean())
+    assert trainer.full_score(learner) == pytest.approx(expected.scores.mean())
+    assert checkpoints.meta(path)["kind"] == "at full difficulty"
+    assert_array_equal(jax.tree.leaves(worlds.env_state.obs)[0], before)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "best"),
+    [
+        (("in training", "in training"), 1),  # the higher score
+        (("in training", "at full difficulty"), 2),  # arenas were easy then
+        (("at full difficulty", "at full difficulty"), 1),
+        ((None, None), 1),  # by an earlier version
+    ],
+)
+def test_a_score_of_easy_arenas_is_never_best(kinds, best, tmp_path):
+    for number, (kind, score) in enumerate(zip(kinds, (0.9, 0.4), strict=True), start=1):
+        folder = tmp_path / "checkpoints" / f"{number:08d}"
+        folder.mkdir(parents=True)
+        told = {} if kind is None else {"kind": kind}
+        about = {"format": FORMAT, "iteration": number, "agent_steps": 1000 * number, "score": score}
+        (folder / "meta.json").write_text(json.dumps({**about, **told}))
+    checkpoints = Checkpoints(tmp_path)
+    assert checkpoints.find("best").name == f"{best:08d}"
+    why = f"the best by score {kinds[best - 1] or 'in training'}: {(0.9, 0.4)[best - 1]} after {best},000"
+    assert checkpoints.describe("best") == (
+        f"checkpoint {best} of {tmp_path}, {why} agent steps (there are: {3 - best})"
+    )
+    assert checkpoints.describe("last").startswith(f"checkpoint 2 of {tmp_path}, the last: 0.4 after 2,000")
+    assert checkpoints.describe("1").startswith(f"checkpoint 1 of {tmp_path}, as asked for: 0.9")
 
 
 def test_a_run_goes_on_with_the_arenas_that_were_in_play(env, trained, tmp_path):

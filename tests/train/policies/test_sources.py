@@ -45,6 +45,7 @@ def test_the_policy_of_a_run_acts_as_its_checkpoint(reference):
     found = find_source(str(reference), "last")
     policy, params, record = load_policy(reference, "last")
     assert found.task == record.task
+    assert found.checkpoint.startswith(f"checkpoint 10 of {reference}, the last: ")
     driver, obs = (
         found.policy(env_with(*record.groups)),
         tuple(np.full((3, len(group.agents), group.obs_size), 0.3, np.float32) for group in record.groups),

@@ -1,7 +1,7 @@
 """How good a policy is: the scores of whole episodes, their mean and how sure that is."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -76,8 +76,19 @@ def run_episodes(
     """
     if episodes < 1:
         raise UsageError(f"{episodes} episodes, expected at least 1")
-    each = -(-episodes // env.worlds)
-    act, begin = jax.jit(policy.act), policy.initial_carry(env.worlds)
+    return play_episodes(env, replace(policy, act=jax.jit(policy.act)), episodes, seed, level, tell)
+
+
+def play_episodes(
+    env: Env,
+    policy: Policy,
+    episodes: int,
+    seed: int = 0,
+    level: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Episodes:
+    """Return the same as `run_episodes`, of a policy that is compiled already."""
+    each, act, begin = -(-episodes // env.worlds), policy.act, policy.initial_carry(env.worlds)
     state = env.reset(seed) if level is None else env.reset(seed, level)
     carry, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0

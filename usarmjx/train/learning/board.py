@@ -18,14 +18,14 @@ with extra("train"):
 
 
 class Board(AppendedFile):
-    """Numbers for TensorBoard.
+    """Numbers for TensorBoard, over agent steps.
 
     They are written at once: tensorboardX's own writer has a thread for that, which ends when the disk is
     full, and then whoever hands it more waits for ever.
 
     Args:
         folder: For the file.
-        after: Iterations that are behind already; TensorBoard forgets what it was shown of later ones.
+        after: Agent steps that are behind already; TensorBoard forgets what it was shown of later ones.
     """
 
     def __init__(self, folder: Path, after: int) -> None:
@@ -35,14 +35,14 @@ class Board(AppendedFile):
         first = Event(step=after + 1, file_version="brain.Event:2")
         self._waiting = [_framed(first), _framed(Event(step=after + 1, session_log=start))]
 
-    def show(self, iteration: int, numbers: Mapping[str, float]) -> None:
-        """Write down the numbers of an iteration.
+    def show(self, agent_steps: int, numbers: Mapping[str, float]) -> None:
+        """Write down the numbers of an iteration, after so many agent steps in all.
 
         Raises:
             WriteError: Nothing was written; they wait.
         """
         values = [Summary.Value(tag=name, simple_value=value) for name, value in numbers.items()]
-        self.append(_framed(Event(step=iteration, wall_time=time.time(), summary=Summary(value=values))))
+        self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=Summary(value=values))))
 
 
 def _framed(event: Any) -> bytes:  # noqa: ANN401 - protobuf's

@@ -38,6 +38,8 @@ FOLDER = "checkpoints"
 FORMAT = 2
 """Raised whenever a field of what is kept is renamed, added or taken away: leaves are found by these
 names."""
+FULL = "at full difficulty"
+"""The kind of a score that was measured with all arenas in play, on fixed seeds."""
 ROOM_PER_ARRAY = 3072
 """What orbax writes of an array besides its numbers: 1 kB, and the rest of a block on the disk [bytes]."""
 
@@ -246,9 +248,29 @@ class Checkpoints:
             raise UsageError(f"checkpoint {path} is broken: meta.json does not read: {error}") from error
         return meta
 
-    def _rank(self, path: Path) -> tuple[float, str]:
-        score = self.meta(path)["score"]
-        return (float("-inf") if score is None else score, path.name)
+    def _rank(self, path: Path) -> tuple[bool, float, str]:
+        """Return what checkpoints are compared by: those whose score is of full difficulty come first."""
+        meta = self.meta(path)
+        score = meta["score"]
+        # Whoever wrote no kind had no curriculum, or did not look.
+        return meta.get("kind") == FULL, float("-inf") if score is None else score, path.name
+
+    def describe(self, which: str) -> str:
+        """Return in a line which checkpoint that is, and why: for whoever plays it.
+
+        Raises:
+            UsageError: See `find` and `meta`.
+        """
+        path, there = self.find(which), self.all()
+        meta = self.meta(path)
+        score = "none" if meta["score"] is None else f"{meta['score']:.4g}"
+        kind = meta.get("kind", "in training")
+        why = {"best": f"the best by score {kind}", "last": "the last"}.get(which, "as asked for")
+        others = ", ".join(str(int(one.name)) for one in there if one != path) or "no others"
+        return (
+            f"checkpoint {meta['iteration']} of {self.run}, {why}: {score} after {meta['agent_steps']:,} "
+            f"agent steps (there are: {others})"
+        )
 
     def save(
         self, iteration: int, train_state: TrainState, worlds: RolloutState, note: dict[str, Any]
@@ -259,7 +281,7 @@ class Checkpoints:
             iteration: After which.
             train_state: The same in all processes.
             worlds: Of this process.
-            note: For `meta`; must have `score`, a number or None.
+            note: For `meta`; must have `score`, a number or None, and may have `kind`, what score that is.
 
         Raises:
             WriteError: In all processes; nothing of it is left, and the earlier ones are whole.

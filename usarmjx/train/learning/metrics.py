@@ -81,7 +81,8 @@ class Log:
         kept = [record for record in read_lines(file) if record["iteration"] <= after]
         with write_beside(file) as fresh:
             fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
-        self._lines, self._board = AppendedFile(file), Board(folder / "tensorboard", after)
+        behind = kept[-1]["agent_steps"] if kept else 0
+        self._lines, self._board = AppendedFile(file), Board(folder / "tensorboard", behind)
         self._faults: dict[Path, WriteError] = {}
         self._shown: dict[str, float] = {}
         self._bar = Progress(
@@ -100,6 +101,8 @@ class Log:
     def __enter__(self) -> "Log":
         """Begin."""
         self._bar.start()
+        if self._far is not None:
+            self.say(f"{self._bar.tasks[self._task].completed:.0f}/{self._total} iterations, compiling")
         return self
 
     def __exit__(
@@ -120,7 +123,7 @@ class Log:
             if isinstance(value, int | float) and name not in ("iteration", "agent_steps")
         }
         self._try(self._lines, lambda: self._lines.append(line.encode()))
-        self._try(self._board, lambda: self._board.show(iteration, numbers))
+        self._try(self._board, lambda: self._board.show(record["agent_steps"], numbers))
         self._shown |= numbers
         shown = {name: self._shown.get(name, math.nan) for name in ("steps_per_s", "return", "score", "bad")}
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"

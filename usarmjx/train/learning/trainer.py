@@ -17,9 +17,11 @@ from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, writing
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Carry, Policy
 from usarmjx.train.envs.splits import held_out
 from usarmjx.train.envs.state import EnvState
-from usarmjx.train.learning.checkpoint import Checkpoints, read_part
+from usarmjx.train.evaluation.evaluate import play_episodes
+from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.metrics import Log, read_lines, summary
@@ -33,7 +35,13 @@ from usarmjx.train.learning.record import (
     make_record,
 )
 from usarmjx.train.learning.rollout import Rollout
-from usarmjx.train.learning.train_state import ROLLOUT_STREAM, TrainState, make_networks, make_train_state
+from usarmjx.train.learning.train_state import (
+    ROLLOUT_STREAM,
+    TrainState,
+    make_networks,
+    make_train_state,
+    policy_params,
+)
 from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.processes.launch import check_parent
@@ -43,6 +51,8 @@ with extra("train"):  # said before anything is built, although it is needed onl
     import_module("brax")
     import_module("tensorboardX")
 
+JUDGING_SEED = 2**31 - 1
+"""Of the episodes in which policies are compared under a curriculum."""
 EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
 
@@ -108,12 +118,32 @@ class Trainer:
         self._key = process_group.device_put(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
         self._fold = jax.jit(jax.random.fold_in)
         self._sums = jax.jit(_with_axis)
+        self._best_actions = jax.jit(partial(self.networks.policy.act, deterministic=True))
 
     def start(self) -> tuple[TrainState, RolloutState]:
         """Return the train state before the first update, and worlds at their start."""
         return self.process_group.device_put(
             (make_train_state(self.networks, self.config), self.rollout.start(self.level(0)))
         )
+
+    def full_score(self, train_state: TrainState) -> float | None:
+        """Return the mean score of one episode of each world of this process, with all arenas in play.
+
+        The policy takes its most probable actions, and the seed is always the same: so what was trained on
+        easier arenas is compared with what was trained on harder ones. The worlds in training stay as they
+        are. None: no episode ended well.
+        """
+
+        def act(
+            carry: Carry, obs: tuple[jax.Array, ...], key: jax.Array
+        ) -> tuple[Carry, tuple[jax.Array, ...]]:
+            del key
+            actions, carry = self._best_actions(params, obs, carry)
+            return carry, actions
+
+        params, start = policy_params(train_state), self.networks.policy.initial_carry
+        scores = play_episodes(self.env, Policy(start, act), self.env.worlds, JUDGING_SEED).scores
+        return float(scores.mean()) if len(scores) else None
 
     def level(self, iteration: int) -> float:
         """Return how difficult the arenas in play are before an iteration, counted from 0."""
@@ -273,6 +303,14 @@ def _mean_score(lines: list[dict[str, Any]]) -> float | None:
     return sum(episodes * score for episodes, score in rows) / count if count else None
 
 
+def _judged(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a checkpoint's score and what kind of one it is: under a curriculum not that of easy arenas."""
+    if not trainer.config.curriculum:
+        return {"score": _mean_score(lines), "kind": "in training"}
+    first = trainer.process_group.index == 0  # who writes the note
+    return {"score": trainer.full_score(train_state) if first else None, "kind": FULL}
+
+
 def _save(
     checkpoints: Checkpoints, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
 ) -> WriteError | None:
@@ -317,7 +355,7 @@ def _run(
             if log:
                 log.write(line)
             if iteration % config.checkpoint_every == 0 or iteration == iterations:
-                note = {"agent_steps": agent_steps, "score": _mean_score(lines)}
+                note = {"agent_steps": agent_steps, **_judged(trainer, train_state, lines)}
                 missing = _save(checkpoints, iteration, (train_state, worlds), note)
                 if log and missing and iteration < iterations:
                     log.say(f"{missing}; training goes on, and the next checkpoint is tried")

@@ -29,12 +29,14 @@ class PolicySource:
         task: Name of the task that it is for.
         overrides: Fields of the task that were set otherwise when it was trained, as text.
         learned: Its network and weights; None: the baseline of `name`.
+        checkpoint: Of a run: which of its checkpoints, and why, in a line; else empty.
     """
 
     name: str
     task: str
     overrides: Mapping[str, str] = field(default_factory=dict[str, str])
     learned: tuple[LearnedPolicy, PolicyParams] | None = None
+    checkpoint: str = ""
 
     def policy(self, env: Env) -> Policy:
         """Return the policy for an environment: the most probable actions.
@@ -152,10 +154,16 @@ def find_source(what: str, checkpoint: str = "best") -> PolicySource:
     """
     path = Path(what)
     if path.is_dir():
-        from usarmjx.train.learning.checkpoint import load_policy  # which the extra `train` is for
+        from usarmjx.train.learning.checkpoint import Checkpoints, load_policy  # which `train` is for
 
         policy, params, record = load_policy(path, checkpoint)
-        return PolicySource(name=what, task=record.task, overrides=record.overrides, learned=(policy, params))
+        return PolicySource(
+            name=what,
+            task=record.task,
+            overrides=record.overrides,
+            learned=(policy, params),
+            checkpoint=Checkpoints(path).describe(checkpoint),
+        )
     if path.exists():
         return load_exported(path)
     if what in POLICIES:
