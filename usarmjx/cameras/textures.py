@@ -10,6 +10,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.cameras.qr_codes import QR_CELLS, QR_RIM, QR_SIDE
 from usarmjx.models.spec.textures import SIGNS, TEXTURES, numbers_of
 
 BRICK, MORTAR, MORTAR_SHADE = (0.24, 0.08), 0.01, 0.55
@@ -132,10 +133,21 @@ def _tag(u: Array, v: Array, number: Array) -> Array:
     return xp.where(rim | (inside & (bit == 1)), WHITE, BLACK)
 
 
+def _qr(u: Array, v: Array, number: Array) -> Array:
+    """A QR code with a white rim."""
+    cells = QR_SIDE + 2 * QR_RIM
+    column = xp.floor((u + 1) / 2 * cells).astype(xp.int32) - QR_RIM
+    row = xp.floor((1 - v) / 2 * cells).astype(xp.int32) - QR_RIM
+    inside = (column >= 0) & (column < QR_SIDE) & (row >= 0) & (row < QR_SIDE)
+    place = (number % len(QR_CELLS), xp.clip(row, 0, QR_SIDE - 1), xp.clip(column, 0, QR_SIDE - 1))
+    return xp.where(inside & xp.asarray(QR_CELLS)[place], BLACK, WHITE)
+
+
 DRAWINGS: dict[str, Callable[[Array, Array, Array], Array]] = {
     "chart": _chart,
     "hazmat": _hazmat,
     "tag": _tag,
+    "qr": _qr,
 }
 """Colours of signs (3, rays), by places on them from -1 to 1, to the right and up, and numbers (rays,)."""
 

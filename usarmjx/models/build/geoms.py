@@ -80,9 +80,9 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     """Add a mesh: MuJoCo makes faces for corners without any, and touches the hull of either."""
     described = spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())
     if mesh.faces is not None:
-        described.userface = np.asarray(mesh.faces, np.int32).ravel()
+        described.userface = np.asarray(mesh.faces, np.int32).ravel()  # type: ignore - not in the stubs
         # Mass is that of the hull, which is what others touch; faces need not be closed.
-        described.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        described.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # type: ignore - likewise
 
 
 def _add_terrain(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: Shape) -> None:

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag")
+TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag", "qr")
 """All there are: patterns of walls and floors, and signs."""
-SIGNS = {"chart": 999, "hazmat": 5, "tag": 9}
+SIGNS = {"chart": 999, "hazmat": 5, "tag": 9, "qr": 9}
 """Textures that are signs in the middle of each face of a box, and their largest numbers (`tag:7`)."""
 KINDS = 16
 """A code is the texture's place plus this times its number."""
