@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from tests.bench.records import faults
+from usarmjx.base.errors import UsageError
 from usarmjx.bench.step import StepCase, measure_step
 
 
@@ -13,7 +15,7 @@ def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "results.jsonl"
     case = StepCase(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4)
-    summary = measure_step(case, file)
+    summary = measure_step(case, file, "toy size", "cpu")
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
 
@@ -60,3 +62,43 @@ def test_the_sensors_share_is_that_of_the_step_without_them(outcome):
     blind, whole = np.median(record["blind_times_s"]), np.median(record["whole_times_s"])
     assert record["sensors_share"] == pytest.approx(1 - blind / whole)
     assert "Sonar" in record["sensors"]["P2AT"]
+
+
+def test_the_record_has_the_form_of_all(outcome):
+    record, summary = outcome
+    assert faults(record) == []
+    assert record["note"] == "toy size"
+    for name in ("bare", "whole", "blind"):
+        rate = record["rates"][name]
+        assert rate["least"] <= rate["rate"] <= rate["most"]
+        assert rate["times_s"] == record[f"{name}_times_s"]
+    on_cpu = record["baselines"]["mujoco_rollout"]
+    assert on_cpu["worlds"] >= on_cpu["cores"] >= 1
+    assert on_cpu["rate"] == pytest.approx(on_cpu["worlds"] * 4 * 2 / on_cpu["times_s"][0])
+    assert record["baselines"]["bare_mjx"] == {"missing": "not asked for"}
+    assert f"{on_cpu['rate']:,.0f} robot-steps/s" in summary
+
+
+def test_the_record_says_what_the_solver_met(outcome):
+    scene = outcome[0]["scene"]
+    assert scene["robots"] == 1
+    assert scene["geoms"] > scene["touching_geoms"] > 50  # the yellow arena, and what is only seen
+    assert scene["contacts"]["mean"] >= 4  # its wheels stand on the floor
+    assert scene["constraint_rows"]["mean"] >= 3 * scene["contacts"]["mean"]
+    assert 1 <= scene["solver_iterations"]["mean"] <= scene["solver_iterations"]["most"] <= 10
+    assert (scene["overflow"], scene["bad_worlds"]) == (0, 0)
+
+
+def test_the_schema_refuses_what_lacks_something(outcome):
+    record, _ = outcome
+    for name in ("hardware", "rates", "scene", "baselines", "note", "robot_steps_per_s"):
+        short = {key: value for key, value in record.items() if key != name}
+        assert any(f"'{name}' is a required property" in fault for fault in faults(short)), name
+    rates = {**record["rates"], "whole": {**record["rates"]["whole"], "rate": 0}}
+    assert any("rates.whole.rate" in fault for fault in faults({**record, "rates": rates}))
+    assert faults({**record, "baselines": {"mujoco_rollout": {}, "bare_mjx": {"missing": "why"}}})
+
+
+def test_an_unknown_word_for_baselines_is_refused():
+    with pytest.raises(UsageError, match="'some' is not one of all, cpu, none"):
+        measure_step(StepCase(worlds=1, engine="c"), baselines="some")

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.bench.records import faults
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.bench.camera import CameraCase, measure_camera
 from usarmjx.bench.peer import with_camera
@@ -23,6 +24,9 @@ def test_the_record_says_what_was_measured_where(tmp_path):
     record = json.loads(file.read_text())
     assert record["benchmark"] == "camera"
     assert record["device"]
+    assert faults(record) == []
+    on_cpu = record["baselines"]["mj_multiray"]
+    assert on_cpu["rate"] == pytest.approx(on_cpu["worlds"] / np.median(on_cpu["times_s"]))
     assert (record["case"]["width"], record["case"]["height"]) == (16, 8)
     assert record["frames_per_s"] == pytest.approx(2 * 2 * 2 / np.median(record["times_s"]))
     assert record["pixels_per_s"] == pytest.approx(record["frames_per_s"] * 16 * 8)

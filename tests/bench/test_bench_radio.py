@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from tests.bench.records import faults
 from tests.comms.solids import Geom, Solids, slab_count
 from usarmjx.bench.radio import ARENA_SIDE, RadioCase, measure_radio, random_walls
 
@@ -57,3 +58,10 @@ def test_the_walls_stand_in_the_way():
     counts = walls.count(*ends)
     np.testing.assert_array_equal(counts, slab_count(walls, *ends))
     assert counts.mean() > 3
+
+
+def test_the_record_has_the_form_of_all(outcome):
+    record, _ = outcome
+    assert faults(record) == []
+    on_cpu = record["baselines"]["mj_multiray"]
+    assert on_cpu["rate"] == pytest.approx(3 * 6 / np.median(on_cpu["times_s"]))

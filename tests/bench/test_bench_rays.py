@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from tests.bench.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.rays import RayCase, measure_rays
 from usarmjx.models.build.body_plan import kinematic_tree_of
@@ -52,3 +53,11 @@ def test_the_summary_has_the_rates(outcome):
 def test_a_robot_without_a_scanner_is_refused():
     with pytest.raises(UsageError, match=r"AirRobot has no range scanner to measure with; it has: "):
         measure_rays(RayCase(worlds=1, robot="AirRobot"))
+
+
+def test_the_record_has_the_form_of_all_and_mujoco_sees_the_same(outcome):
+    record, _ = outcome
+    assert faults(record) == []
+    on_cpu = record["baselines"]["mj_multiray"]
+    assert on_cpu["rate"] == pytest.approx(2 * 3 * 181 / np.median(on_cpu["times_s"]))
+    assert on_cpu["different"] == 0

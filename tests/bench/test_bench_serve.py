@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.bench.records import faults
 from tests.server.peers import serving
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.serving.clients import Crowd
@@ -235,6 +236,7 @@ def test_a_run_of_two_trees_by_the_command_line(other_tree, tmp_path, monkeypatc
     monkeypatch.setattr("usarmjx.bench.serve.OWN_TREE", other_tree)
     file = tmp_path / "new" / "serve.jsonl"
     words = ["--part", "start", "--part", "init", "--repeats", "1", "--note", "not idle", "--json", str(file)]
+    words += ["--baselines", "none"]
     result = CliRunner().invoke(app, ["bench", "serve", "--checkout", str(other_tree), *words])
     assert result.exit_code == 0, result.output
     (line,) = file.read_text().splitlines()
@@ -243,6 +245,7 @@ def test_a_run_of_two_trees_by_the_command_line(other_tree, tmp_path, monkeypatc
     assert record["versions"]["mujoco"] == "3.17.0"
     assert record["case"]["parts"] == ["start", "init"]
     assert record["cores"] >= 1
+    assert faults(record) == []
     ours, other = record["servers"]
     for server in (ours, other):
         for figures in server["figures"]["start"].values():

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from tests.bench.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.bench import viewer
 from usarmjx.bench.viewer import ViewerCase, measure_viewer
@@ -15,6 +16,8 @@ def test_the_record_has_what_an_update_costs_and_sends(tmp_path):
     record = json.loads(file.read_text())
     assert record["benchmark"] == "viewer"
     assert record["served"] is None
+    assert faults(record) == []
+    assert record["rates"]["1 robots"]["repeats"] <= 6
     one, two = record["updates"]["1 robots"], record["updates"]["2 robots"]
     for row in (one, two):
         assert 0.0 < row["update_cpu_ms"] <= row["update_cpu_most_ms"]

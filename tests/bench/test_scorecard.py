@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from tests.bench.records import faults
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.bench.fidelity.manoeuvres import drive_all, spin, top_speed
 from usarmjx.bench.fidelity.scorecard import differences, write_scorecard
@@ -50,6 +51,7 @@ def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
     reference, fast = record["numbers"]["Passarola"]["top speed"]
     assert fast == pytest.approx(reference, rel=0.02)  # in the air there is no contact to differ by
     assert record["settings"]["timestep"] == 0.01
+    assert faults(record) == []
     assert "1 of 1 numbers" in text
 
 

@@ -5,9 +5,9 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.bench import one_class
+from usarmjx.cli.bench_options import one_class
 from usarmjx.cli.commands_table import commands_of
-from usarmjx.cli.spelling import COUNTED, RENAMED, respelt
+from usarmjx.cli.spelling import COUNTED, OTHER_ROBOT, RENAMED, respelt
 from usarmjx.cli.tools import chosen_out
 
 
@@ -28,7 +28,12 @@ COMMANDS = dict(commands_of(app))
         ("bench rays --robot Zerg", "bench rays --roster Zerg:16", 1),
         ("bench camera --robots=2 --robot=P2DX", "bench camera --roster P2DX:2", 1),
         ("bench viewer --robots 1 --robots 4", "bench viewer --roster P2AT:1 --roster P2AT:4", 1),
-        ("bench radio --robots 4", "bench radio --robots 4", 0),
+        ("bench radio --robots 4", "bench radio --roster P2AT:4", 1),
+        (
+            "bench serve --robots 4 --robot Zerg --robots 16",
+            "bench serve --robot Zerg --roster P2AT:4 --roster P2AT:16",
+            1,
+        ),
         ("serve --ini a.ini", "serve --ini a.ini", 0),
         ("", "", 0),
     ],
@@ -45,7 +50,8 @@ def test_present_spellings_are_in_the_help_and_old_ones_are_not():
         assert not {*names} & names_of(COMMANDS[path])
     for path in COUNTED:
         assert "--roster" in names_of(COMMANDS[path])
-        assert not {"--robots", "--robot"} & names_of(COMMANDS[path])
+        old = {"--robots"} if path in OTHER_ROBOT else {"--robots", "--robot"}
+        assert not old & names_of(COMMANDS[path])
 
 
 def test_an_old_spelling_works_and_is_told_on_the_error_stream():

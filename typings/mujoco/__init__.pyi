@@ -85,6 +85,8 @@ class MjModel:
     geom_aabb: np.ndarray
     geom_adhesion: np.ndarray
     geom_bodyid: np.ndarray
+    cam_bodyid: np.ndarray
+    cam_fovy: np.ndarray
     geom_conaffinity: np.ndarray
     geom_contype: np.ndarray
     geom_dataid: np.ndarray
@@ -167,13 +169,17 @@ class _MjWarningStatList:
 class MjData:
     def __init__(self, model: MjModel) -> None: ...
     act: np.ndarray
+    cam_xmat: np.ndarray
+    cam_xpos: np.ndarray
     contact: _MjContactList
     ctrl: np.ndarray
     geom_xmat: np.ndarray
     geom_xpos: np.ndarray
     mocap_pos: np.ndarray
     mocap_quat: np.ndarray
+    nefc: int
     qacc_warmstart: np.ndarray
+    solver_niter: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
     time: float
@@ -450,6 +456,7 @@ class mjtState(_Enum):
     mjSTATE_CTRL: ClassVar[mjtState]
     mjSTATE_XFRC_APPLIED: ClassVar[mjtState]
     mjNSTATE: ClassVar[mjtState]
+    mjSTATE_FULLPHYSICS: ClassVar[mjtState]
     mjSTATE_INTEGRATION: ClassVar[mjtState]
 
 class mjtTrn(_Enum):
@@ -495,6 +502,7 @@ def mj_ray(
     normal: np.ndarray | None = None,
 ) -> float: ...
 def mj_resetData(m: MjModel, d: MjData) -> None: ...
+def mj_saveModel(m: MjModel, filename: str) -> None: ...
 def mj_setConst(m: MjModel, d: MjData) -> None: ...
 def mj_setState(m: MjModel, d: MjData, state: ArrayLike, sig: int) -> None: ...
 def mj_stateSize(m: MjModel, sig: int) -> int: ...

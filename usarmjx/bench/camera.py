@@ -17,8 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.threads import cores
+from usarmjx.bench.baselines import (
+    WORLDS_PER_CORE,
+    baseline_lines,
+    check_word,
+    missing,
+    multiray_rate,
+    posed,
+)
 from usarmjx.bench.peer import measure_mujoco_warp, with_camera
-from usarmjx.bench.tools import append_record, record_header, time_repeats
+from usarmjx.bench.scene_figures import sizes
+from usarmjx.bench.tools import append_record, rate_of, record_header, time_repeats
 from usarmjx.cameras.light import daylight
 from usarmjx.cameras.mounts import camera_index, cameras_of
 from usarmjx.cameras.picture import check_size
@@ -88,14 +98,47 @@ def _scene_summary(scene: Scene, batch: Batch, state: BatchState) -> dict[str, A
     return {"geoms": sum(materials.values()), "materials": materials, "lit_by": lit_by}
 
 
-def measure_camera(case: CameraCase, file: Path | None = None) -> str:
+def _on_cpu(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> dict[str, Any]:
+    """Return the rate of `mj_multiRay` for the pixels of a robot's camera: no colours, one ray each."""
+    robot, size = scene.groups[0].robot, (case.width, case.height)
+    try:
+        model = with_camera(scene, cameras_of(robot)[camera_index(robot)], size)
+    except UsageError as error:
+        return missing(str(error))
+    count = min(case.worlds, WORLDS_PER_CORE * cores())
+    datas = [posed(model, qpos) for qpos in np.asarray(batch.physics(state).qpos[:count], float)]
+    edge = np.tan(np.radians(model.cam_fovy[0]) / 2) / case.height
+    right, up = np.meshgrid(
+        (2 * np.arange(case.width) + 1 - case.width) * edge,
+        (case.height - 2 * np.arange(case.height) - 1) * edge,
+    )
+    pixels = np.stack([right, up, -np.ones_like(up)], -1).reshape(-1, 3)
+    pixels /= np.linalg.norm(pixels, axis=-1, keepdims=True)
+    body = int(model.cam_bodyid[0])
+    bundles = [
+        (world, data.cam_xpos[0], pixels @ data.cam_xmat[0].reshape(3, 3).T, body)
+        for world, data in enumerate(datas)
+    ]
+    rate, _ = multiray_rate("pictures/s", datas, bundles, case.repeats, 1 / len(pixels))
+    return {**rate, "worlds": count, "what": "depth and what is seen, one ray a pixel; no colours"}
+
+
+def measure_camera(case: CameraCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Args:
+        case: What to measure.
+        file: Of records.
+        note: What a reader of the record must know.
+        baselines: What is measured beside it, of `baselines.WORDS`.
 
     Raises:
         UnknownNameError: No such arena or robot, or a robot without a camera.
         SpecError: More robots than the arena has start poses.
         UsageError: A picture of that size cannot be taken; a peer is asked for, but warp-lang is missing.
     """
+    check_word(baselines)
+    header = record_header("camera", note=note)
     if case.peer and find_spec("warp") is None:
         raise UsageError("MuJoCo Warp's renderer needs warp-lang: pip install usarmjx[cuda]")
     scene = build_scene(case.arena, [case.robot] * case.robots)
@@ -104,11 +147,18 @@ def measure_camera(case: CameraCase, file: Path | None = None) -> str:
     first, times, _ = time_repeats(_loop(case, batch, state), jnp.zeros(()), case.repeats)
     work = case.worlds * case.robots * case.steps
     record = {
-        **record_header("camera"),
+        **header,
         "case": asdict(case),
         "in_the_picture": "colours with shadows, bricks and checkers, mirrors (once), glass, headlights; "
         "depth; segmentation",
         "scene": _scene_summary(scene, batch, state),
+        "model": sizes(scene),
+        "rates": {"pictures": rate_of("pictures/s", work, first, times)},
+        "baselines": {
+            "mj_multiray": missing("not asked for")
+            if baselines == "none"
+            else _on_cpu(case, scene, batch, state)
+        },
         "frames_per_s": work / statistics.median(times),
         "pixels_per_s": work * case.width * case.height / statistics.median(times),
         "times_s": times,
@@ -142,6 +192,7 @@ def _summary(record: dict[str, Any]) -> str:
             f"{case['width']} x {case['height']} pixels on {record['device']}",
             f"pictures      {record['frames_per_s']:15,.1f} /s",
             f"pixels        {record['pixels_per_s']:15,.0f} /s",
+            *baseline_lines(record),
             f"geoms         {scene['geoms']}, lit by {scene['lit_by']}",
             f"a picture     {record['in_the_picture']}",
             f"compile [s]   {record['compile_s']:.1f}",

@@ -17,7 +17,17 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.bench.tools import append_record, record_header, time_repeats
+from usarmjx.base.threads import cores
+from usarmjx.bench.baselines import (
+    WORLDS_PER_CORE,
+    baseline_lines,
+    check_word,
+    missing,
+    model_of,
+    multiray_rate,
+    posed,
+)
+from usarmjx.bench.tools import append_record, rate_of, record_header, time_repeats
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate_links, no_links
 from usarmjx.models.spec.shapes import OPAQUE
@@ -90,9 +100,30 @@ def _loop(case: RadioCase, geoms: Geoms, *, shared: bool, key: jax.Array) -> Cal
     return lambda links: run(links, geoms, positions, moves)
 
 
-def measure_radio(case: RadioCase, file: Path | None = None) -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people."""
-    key = jax.random.key(case.seed)
+def _on_cpu(case: RadioCase, walls: Geoms, key: jax.Array) -> dict[str, Any]:
+    """Return the rate of `mj_multiRay` from each antenna to those after it: the first wall, no power."""
+    count, datas, bundles = min(case.worlds, WORLDS_PER_CORE * cores()), [], []
+    for world in range(count):
+        datas.append(posed(model_of(jax.tree.map(lambda x, w=world: x[w], walls))))
+        at = np.asarray(_random_antennas(jax.random.fold_in(key, world), case.robots)[0], float)
+        for robot in range(case.robots - 1):
+            along = at[robot + 1 :] - at[robot]
+            bundles.append((world, at[robot], along / np.linalg.norm(along, axis=-1, keepdims=True), -1))
+    rate, _ = multiray_rate("links/s", datas, bundles, case.repeats)
+    return {**rate, "worlds": count, "what": "the first wall on the way, not their count; no power"}
+
+
+def measure_radio(case: RadioCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
+    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Args:
+        case: What to measure.
+        file: Of records.
+        note: What a reader of the record must know.
+        baselines: What is measured beside it, of `baselines.WORDS`.
+    """
+    check_word(baselines)
+    header, key = record_header("radio", note=note), jax.random.key(case.seed)
     many = jax.vmap(partial(random_walls, walls=case.walls))(jax.random.split(key, case.worlds))
     one = jax.tree.map(lambda x: x[0], many)
     start = jax.vmap(lambda _: no_links(case.robots))(jnp.arange(case.worlds))
@@ -101,8 +132,16 @@ def measure_radio(case: RadioCase, file: Path | None = None) -> str:
     work = case.worlds * case.robots * (case.robots - 1) // 2 * case.steps
     paired = np.asarray(links.paired)
     record = {
-        **record_header("radio"),
+        **header,
         "case": asdict(case),
+        "scene": {"robots": case.robots, "geoms": case.walls},
+        "rates": {
+            "own_walls": rate_of("links/s", work, own_first, own),
+            "shared_walls": rate_of("links/s", work, shared_first, shared),
+        },
+        "baselines": {
+            "mj_multiray": missing("not asked for") if baselines == "none" else _on_cpu(case, many, key)
+        },
         "in_the_step": "of every unordered pair of robots the distance, the walls on the way (boxes, own for "
         "each world), the power, whether it holds and whether that changed; as a table both ways",
         "links_per_evaluation": work // case.steps,
@@ -127,6 +166,7 @@ def _summary(record: dict[str, Any]) -> str:
             f"{case['worlds']} worlds x {case['robots']} robots, {case['walls']} walls on {record['device']}",
             f"own walls     {record['links_per_s']:15,.0f} links/s, counted on {record['counted_on']}",
             f"shared walls  {record['links_per_s_shared_walls']:15,.0f} links/s",
+            *baseline_lines(record),
             f"wall tests    {record['wall_tests_per_s']:15,.0f} /s, own walls",
             f"walls         {record['mean_walls']:.2f} on a link on average, {record['most_walls']} at most",
             f"a link        {record['in_the_step']}",

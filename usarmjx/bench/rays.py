@@ -18,8 +18,18 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.threads import cores
+from usarmjx.bench.baselines import (
+    WORLDS_PER_CORE,
+    baseline_lines,
+    check_word,
+    missing,
+    model_of,
+    multiray_rate,
+    posed,
+)
 from usarmjx.bench.radio import ARENA_SIDE, random_walls
-from usarmjx.bench.tools import append_record, record_header, time_repeats
+from usarmjx.bench.tools import append_record, rate_of, record_header, time_repeats
 from usarmjx.models.build.body_plan import (
     BodyPoses,
     KinematicTree,
@@ -173,14 +183,49 @@ def _loop(
     return lambda scans: run(scans, walls, moving)
 
 
-def measure_rays(case: RayCase, file: Path | None = None) -> str:
+def _on_cpu(
+    case: RayCase, plan: KinematicTree, walls: GeomBlock, moving: _MovingRobots, nearest: np.ndarray
+) -> dict[str, Any]:
+    """Return the rate of `mj_multiRay` for the last scans of some worlds, and how many of them differ.
+
+    Args:
+        case: What is measured.
+        plan: The robots' bodies.
+        walls: Of all worlds.
+        moving: Robots of all worlds.
+        nearest: Our distances in these scans [m] (worlds, robots, beams).
+    """
+    count, datas, bundles = min(case.worlds, WORLDS_PER_CORE * cores()), [], []
+    scanner = _scanner(plan)
+    for world in range(count):
+        here = jax.tree.map(lambda x, w=world: x[w], (walls, moving))
+        bodies = _bodies(plan, here[1].after(case.steps - 1))
+        datas.append(posed(model_of(_geoms(plan, here[0], bodies))))
+        for slot in range(case.robots):
+            fans = scanner.fans(jax.tree.map(lambda x, s=slot: x[s], bodies))
+            start, along = (np.asarray(part, float) for part in fans.rays())
+            bundles.append((world, start[0], along, slot + 1))
+    rate, found = multiray_rate("rays/s", datas, bundles, case.repeats)
+    theirs = np.array(found).reshape(count, case.robots, -1)
+    ours = np.where(np.isfinite(nearest[:count]), nearest[:count], -1.0)
+    return {**rate, "worlds": count, "different": float((np.abs(theirs - ours) > DISTANCE_TOLERANCE).mean())}
+
+
+def measure_rays(case: RayCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Args:
+        case: What to measure.
+        file: Of records.
+        note: What a reader of the record must know.
+        baselines: What is measured beside it, of `baselines.WORDS`.
 
     Raises:
         UnknownNameError: No such robot class.
         UsageError: One without a range scanner.
     """
-    key = jax.random.key(case.seed)
+    check_word(baselines)
+    header, key = record_header("rays", note=note), jax.random.key(case.seed)
     plan = kinematic_tree_of(ROBOTS.get(case.robot))
     walls = jax.vmap(lambda k: random_walls(k, case.walls).blocks[0])(jax.random.split(key, case.worlds))
     moving = jax.vmap(partial(_moving_robots, robots=case.robots, height=plan.clearance))(
@@ -198,9 +243,19 @@ def measure_rays(case: RayCase, file: Path | None = None) -> str:
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     both = np.isfinite(ours) & np.isfinite(theirs)
     apart = np.abs(ours[both] - theirs[both])
+    rates = {
+        "rays": rate_of("rays/s", rays * case.steps, first, times),
+        "brute_force": rate_of("rays/s", rays * case.steps, slow_first, slow),
+    }
+    on_cpu = missing("not asked for")
+    if baselines != "none":
+        on_cpu = _on_cpu(case, plan, walls, moving, ours)
     record = {
-        **record_header("rays"),
+        **header,
         "case": asdict(case),
+        "scene": {"robots": case.robots, "geoms": case.walls + 1 + case.robots * len(plan.geom_type)},
+        "rates": rates,
+        "baselines": {"mj_multiray": on_cpu, "mjx_ray": {"missing": "the rate `brute_force` is its way"}},
         "geoms_per_world": case.walls + 1 + case.robots * len(plan.geom_type),
         "geoms_per_robot": len(plan.geom_type),
         "in_the_step": "poses of all robots' geoms, beams, the distance of what each meets first, the own "
@@ -229,6 +284,7 @@ def _summary(record: dict[str, Any]) -> str:
             f"geoms         {record['geoms_per_world']:15,} in a world",
             f"rays          {record['rays_per_s']:15,.0f} /s, cast by {record['caster']}",
             f"brute force   {record['brute_force_rays_per_s']:15,.0f} /s",
+            *baseline_lines(record),
             f"ratio         {record['rays_per_s'] / record['brute_force_rays_per_s']:15.2f}",
             f"a ray         {record['in_the_step']}",
             f"hits          {record['hits']:.3f}; different from brute force {record['different']:.6f}",

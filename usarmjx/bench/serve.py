@@ -13,13 +13,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from usarmjx.base.errors import UsageError
+from usarmjx.bench.baselines import check_word, hall_baselines
 from usarmjx.bench.serving.figures import Missing, attempt, gather, ratios, rows, show
 from usarmjx.bench.serving.gaps import measure_gaps, measure_pictures
 from usarmjx.bench.serving.hall import make_hall
 from usarmjx.bench.serving.load import measure_load
 from usarmjx.bench.serving.process import OWN_TREE, ServerProcess, SourceTree
 from usarmjx.bench.serving.robots import Bounds, measure_inits
-from usarmjx.bench.tools import append_record, record_header
+from usarmjx.bench.tools import append_record, record_header, spread_of
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.files.save import save_arena
 
@@ -81,6 +82,7 @@ def measure_serve(
     file: Path | None = None,
     note: str = "",
     say: Callable[[str], None] = lambda text: None,
+    baselines: str = "all",
 ) -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
 
@@ -90,11 +92,14 @@ def measure_serve(
         file: Of records.
         note: What a reader must know, as that the machine was not idle.
         say: Hears what is measured now.
+        baselines: What is measured beside it, of `baselines.WORDS`.
 
     Raises:
         UsageError: A checkout has no server, or there is no such part.
         UnknownNameError: No such arena.
     """
+    check_word(baselines)
+    header = record_header("serve", host=True, note=note)
     if unknown := [part for part in case.parts if part not in PARTS]:
         raise UsageError(f"no part is called {unknown[0]!r}; known: {', '.join(PARTS)}")
     trees = [SourceTree(OWN_TREE), *(SourceTree(folder.resolve()) for folder in checkouts)]
@@ -107,9 +112,11 @@ def measure_serve(
         for number, (tree, figures) in enumerate(zip(trees, found, strict=True))
     ]
     record = {
-        **record_header("serve", host=True),
+        **header,
         "case": asdict(case),
-        "note": note,
+        "scene": {"robots": max(case.robots)} if "load" in case.parts else None,
+        "rates": _rates(found[0]),
+        "baselines": hall_baselines("P2AT", max(case.robots), case.windows, baselines),
         "cores": os.cpu_count(),
         "load_average": {"begin": began, "end": os.getloadavg()},
         "meaning": MEANING,
@@ -117,6 +124,16 @@ def measure_serve(
     }
     append_record(record, file)
     return _summary(record)
+
+
+def _rates(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how much simulated time our server makes of a second of processor time, by load."""
+    rates: dict[str, Any] = {}
+    for name, figure in rows({"load": figures.get("load", {})} if "load" in figures else {}):
+        if name.endswith("cpu_per_simulated_s") and figure["median"]:
+            values = [1 / value for value in figure["values"] if value > 0]
+            rates[name.removesuffix(" cpu_per_simulated_s")] = spread_of("simulated s/CPU s", values)
+    return rates
 
 
 def _run(case: ServeCase, trees: Sequence[SourceTree], say: Callable[[str], None]) -> list[dict[str, Any]]:

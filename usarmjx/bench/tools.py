@@ -1,10 +1,12 @@
 """What every benchmark needs: the clock, what it ran on, and the file of records."""
 
 import json
+import os
 import platform
+import statistics
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,6 +15,14 @@ from typing import Any
 import jax
 
 from usarmjx.base.files import AppendedFile
+from usarmjx.base.threads import cores
+
+FORM = 2
+"""Of records; those without the number, older, have the header up to `versions` and keys of their own."""
+WARM_UP = 1
+"""Calls before the clock starts: the first one compiles."""
+PROCESSOR_FILE, MEMORY_FILE = Path("/proc/cpuinfo"), Path("/proc/meminfo")
+GIGABYTE = 1e9
 
 
 def versions() -> dict[str, str]:
@@ -41,30 +51,114 @@ def device(*, host: bool = False) -> str:
     return platform.processor() or platform.machine() if host or kind == "cpu" else kind
 
 
-def record_header(benchmark: str, *, host: bool = False) -> dict[str, Any]:
-    """Return the first entries of a record: which benchmark, when, where, of what."""
+def processor() -> str:
+    """Return the processor's name, as the system has it."""
+    return _entry(PROCESSOR_FILE, "model name") or platform.processor() or platform.machine()
+
+
+def _entry(file: Path, name: str) -> str:
+    """Return what a file of the system says under a name; nothing where there is no such file."""
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return ""
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith(name)), "")
+
+
+def hardware() -> dict[str, Any]:
+    """Return what a benchmark ran on; the load at its end is filled in by `append_record`."""
+    devices = [device for device in jax.devices() if device.platform != "cpu"]
+    memory = _entry(MEMORY_FILE, "MemTotal").removesuffix(" kB")
     return {
-        "benchmark": benchmark,
-        "when": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": device(host=host),
-        "commit": commit(),
-        "versions": versions(),
+        "accelerator": devices[0].device_kind if devices else None,
+        "accelerators": len(devices),
+        "processor": processor(),
+        "cores": cores(),
+        "memory_gb": round(1024 * float(memory) / GIGABYTE, 1) if memory else None,
+        "load_average": {"begin": load(), "end": None},
     }
 
 
-def append_record(record: Mapping[str, Any], file: Path | None) -> None:
-    """Append a record to a file as a line of JSON; None: do not."""
+def load() -> float | None:
+    """Return how many processes wanted a core in the last minute, where the system tells."""
+    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
+
+
+def record_header(benchmark: str, *, host: bool = False, note: str = "") -> dict[str, Any]:
+    """Return the first entries of a record: which benchmark, when, where, of what.
+
+    Args:
+        benchmark: Its name.
+        host: Whether the work is the host's alone.
+        note: What a reader of the record must know.
+    """
+    return {
+        "form": FORM,
+        "benchmark": benchmark,
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "note": note,
+        "device": device(host=host),
+        "commit": commit(),
+        "versions": versions(),
+        "hardware": hardware(),
+    }
+
+
+def append_record(record: dict[str, Any], file: Path | None) -> None:
+    """Append a record to a file as a line of JSON, the load by now in it; None: do not."""
+    record["hardware"]["load_average"]["end"] = load()
     if file is not None:
         lines = AppendedFile(file)
         lines.append(json.dumps(record).encode() + b"\n")
         lines.close()
 
 
-def time_repeats(run: Callable[[Any], Any], state: Any, repeats: int) -> tuple[float, list[float], Any]:  # noqa: ANN401
-    """Return the first call's time (with compilation), the later ones', and the last state [s]."""
+def time_repeats(
+    run: Callable[[Any], Any],
+    state: Any,  # noqa: ANN401
+    repeats: int,
+    look: Callable[[Any], None] | None = None,
+) -> tuple[float, list[float], Any]:
+    """Return the first call's time (with compilation), the later ones', and the last state [s].
+
+    Args:
+        run: What is measured: from a state to the next.
+        state: The first.
+        repeats: Calls after the first.
+        look: Sees the state after each call, while the clock stands.
+    """
     times = []
-    for _ in range(repeats + 1):
+    for _ in range(repeats + WARM_UP):
         began = time.perf_counter()
         state = jax.block_until_ready(run(state))
         times.append(time.perf_counter() - began)
-    return times[0], times[1:], state
+        if look is not None:
+            look(state)
+    return times[0], times[WARM_UP:], state
+
+
+def rate_of(unit: str, work: float, first: float, times: Sequence[float]) -> dict[str, Any]:
+    """Return a rate as records have it: the median of the repeats and their spread, compilation apart.
+
+    Args:
+        unit: Of the rate, as `robot-steps/s`.
+        work: Done in each repeat, in that unit times a second.
+        first: Time of the call before, which compiled [s].
+        times: Of the repeats [s].
+    """
+    return {
+        "unit": unit,
+        "rate": work / statistics.median(times),
+        "least": work / max(times),
+        "most": work / min(times),
+        "repeats": len(times),
+        "warm_up": WARM_UP,
+        "compile_s": first - times[0],
+        "times_s": list(times),
+    }
+
+
+def spread_of(unit: str, rates: Sequence[float]) -> dict[str, Any]:
+    """Return rates that were measured otherwise than by `time_repeats`, in the same form."""
+    spread = {"rate": statistics.median(rates), "least": min(rates), "most": max(rates)}
+    return {"unit": unit, **spread, "repeats": len(rates), "warm_up": 0, "compile_s": None}

@@ -6,12 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.bench.tools import append_record, record_header
+from usarmjx.bench.baselines import check_word, missing, physics_baselines
+from usarmjx.bench.scene_figures import sizes
+from usarmjx.bench.tools import append_record, record_header, spread_of
 from usarmjx.plots.training_plots import Curve, curve_of_run
 from usarmjx.train.learning.config import differences, task_config
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.record import load_record
+from usarmjx.train.learning.record import RunRecord, load_record
+from usarmjx.train.make import make_task
+from usarmjx.train.policies.sources import task_settings
 
+STEPS, REPEATS = 5, 3
+"""Control steps of a repeat, and repeats, of what is measured beside a run."""
 DIGITS = 4
 """Decimals of scores in a record; times have one."""
 
@@ -22,21 +28,35 @@ def time_to_score(curve: Curve, score: float) -> float | None:
     return float(curve.seconds[there[0]]) if there.size else None
 
 
-def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
+def train_record(
+    folder: Path, baseline: float | None = None, note: str = "", baselines: str = "none"
+) -> dict[str, Any]:
     """Return the record of a run, made on this machine and by this version.
 
     Args:
         folder: Of the run.
         baseline: Score of the policy written by hand.
+        note: What a reader of the record must know.
+        baselines: What is measured of the task's scene beside it, of `baselines.WORDS`.
 
     Raises:
         UsageError: The folder is no run, or no episode has ended in it.
     """
     run, curve, lines = load_record(folder), curve_of_run(folder), read_lines(folder / "metrics.jsonl")
     rates = [line["steps_per_s"] for line in lines]
+    check_word(baselines)
+    header = record_header("train", note=note)
     changed = differences(task_config(run.task), run.config, but=("steps", "worlds", "seed"))
     return {
-        **record_header("train"),
+        **header,
+        "case": {
+            "task": run.task,
+            "worlds": run.config.worlds,
+            "engine": run.engine,
+            "seed": run.config.seed,
+        },
+        **_scene_beside(run, baselines),
+        "rates": {"training": spread_of("agent-steps/s", rates[1:] or rates)},
         "task": run.task,
         "engine": run.engine,
         "worlds": run.config.worlds,
@@ -57,9 +77,23 @@ def train_record(folder: Path, baseline: float | None = None) -> dict[str, Any]:
     }
 
 
-def record_run(folder: Path, baseline: float | None, file: Path | None) -> str:
+def _scene_beside(run: RunRecord, baselines: str) -> dict[str, Any]:
+    """Return the task's scene and its physics alone, if that is wanted."""
+    names = ("mujoco_rollout", "bare_mjx")
+    if baselines == "none":
+        return {"scene": None, "baselines": dict.fromkeys(names, missing("not asked for"))}
+    physics = [f"physics={run.overrides['physics']}"] if "physics" in run.overrides else []
+    overrides, _ = task_settings(run.task, run.overrides, physics)
+    scene = make_task(run.task, **overrides).scene()
+    found = physics_baselines(scene, run.config.worlds, STEPS, REPEATS, baselines)
+    return {"scene": sizes(scene), "baselines": found}
+
+
+def record_run(
+    folder: Path, baseline: float | None, file: Path | None, note: str = "", baselines: str = "none"
+) -> str:
     """Append the record of a run to a file; return it in a line."""
-    record = train_record(folder, baseline)
+    record = train_record(folder, baseline, note, baselines)
     append_record(record, file)
     reached, text = record["baseline_reached_s"], ""
     if baseline is not None:

@@ -16,12 +16,13 @@ from typing import Any
 import viser
 
 from usarmjx.base.errors import UsageError
+from usarmjx.bench.baselines import check_word, hall_baselines
 from usarmjx.bench.serving.figures import Missing, attempt
 from usarmjx.bench.serving.hall import make_hall
 from usarmjx.bench.serving.load import measure_load
 from usarmjx.bench.serving.process import OWN_TREE, VIEWER, ServerProcess, SourceTree
 from usarmjx.bench.serving.robots import Bounds
-from usarmjx.bench.tools import append_record, record_header
+from usarmjx.bench.tools import append_record, record_header, spread_of
 from usarmjx.models.files.save import save_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.viewing.served_source import ServedSource
@@ -102,23 +103,38 @@ def looking(port: int) -> Iterator[Browser]:
         browser.close()
 
 
-def measure_viewer(case: ViewerCase, file: Path | None = None) -> str:
+def measure_viewer(case: ViewerCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
     """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+
+    Args:
+        case: What to measure.
+        file: Of records.
+        note: What a reader of the record must know.
+        baselines: What is measured beside it, of `baselines.WORDS`.
 
     Raises:
         UnknownNameError: No such robot.
     """
-    began = os.getloadavg()
+    check_word(baselines)
+    began, header = os.getloadavg(), record_header("viewer", host=True, note=note)
+    updates = {f"{robots} robots": _measure_updates(case, robots) for robots in case.robots}
+    most = max(case.robots)
     record = {
-        **record_header("viewer", host=True),
+        **header,
         "case": asdict(case),
+        "scene": {"robots": most},
+        "rates": {
+            name: spread_of("updates/CPU s", [1e3 / ms for ms in row.pop("process_cpus_ms")])
+            for name, row in updates.items()
+        },
+        "baselines": hall_baselines(case.robot, most, case.windows, baselines),
         "cores": os.cpu_count(),
         "meaning": {
             "update_cpu_ms": "of the thread that steps the world: the world is looked at, what moved is sent",
             "process_cpu_ms": "of the server's whole process for an update, with one browser",
             "bytes_per_s": "to one browser, at 20 updates a second",
         },
-        "updates": {f"{robots} robots": _measure_updates(case, robots) for robots in case.robots},
+        "updates": updates,
         "served": _measure_served(case) if case.served else None,
         "load_average": {"begin": began, "end": os.getloadavg()},
     }
@@ -129,7 +145,7 @@ def measure_viewer(case: ViewerCase, file: Path | None = None) -> str:
 def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:
     world = _turning_world(case.robot, robots)
     page = ViewerPage(ServedSource([world]))
-    thread_times, process_time = list[float](), 0.0
+    thread_times, process_times = list[float](), list[float]()
     try:
         with looking(page.server.get_port()) as browser:
             _wait_until_looked_at(page, case.limit)
@@ -144,14 +160,15 @@ def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:
                 page.refresh()
                 thread_times.append(time.thread_time() - thread_began)
                 time.sleep(UPDATE_PERIOD / 2)  # viser's thread sends meanwhile
-                process_time += time.process_time() - began
+                process_times.append(time.process_time() - began)
             size = browser.size - before
     finally:
         page.close()
     return {
         "update_cpu_ms": 1e3 * statistics.median(thread_times),
         "update_cpu_most_ms": 1e3 * max(thread_times),
-        "process_cpu_ms": 1e3 * process_time / case.updates,
+        "process_cpu_ms": 1e3 * statistics.fmean(process_times),
+        "process_cpus_ms": [1e3 * one for one in process_times if one > 0.0],
         "bytes_per_s": size / case.updates / UPDATE_PERIOD,
     }
 

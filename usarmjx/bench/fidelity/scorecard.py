@@ -47,7 +47,11 @@ def differences(reference: Card, other: Card) -> Iterator[tuple[str, str, float,
 
 
 def write_scorecard(
-    physics: Physics, names: Iterable[str] | None = None, jobs: int = 1, file: Path | None = None
+    physics: Physics,
+    names: Iterable[str] | None = None,
+    jobs: int = 1,
+    file: Path | None = None,
+    note: str = "",
 ) -> str:
     """Measure settings beside the reference settings; append a record to `file`; return a summary for people.
 
@@ -56,14 +60,20 @@ def write_scorecard(
         names: The classes; None: all that are driven.
         jobs: Processes at once.
         file: Where the record goes, a JSON line.
+        note: What a reader of the record must know.
 
     Raises:
         UnknownNameError: There is no such class.
     """
     classes = [ROBOTS.get(name).name for name in names or ROBOTS.names()]
+    header = record_header("physics", host=True, note=note)
     reference, card = measure_cards((Physics(), physics), classes, jobs)
     record: dict[str, Any] = {
-        **record_header("physics", host=True),
+        **header,
+        "case": {"classes": classes, "jobs": jobs},
+        "scene": None,
+        "rates": {},
+        "baselines": {"reference settings": {"what": "each number has the reference's before it"}},
         "reference": asdict(Physics()),
         "settings": asdict(physics),
         "units": {name: manoeuvre.unit for name, manoeuvre in MANOEUVRES.items()},

@@ -1,0 +1,74 @@
+"""The benchmarks of compilation and of memory: their records, at toy size."""
+
+import json
+import os
+from dataclasses import asdict
+
+import jax
+import numpy as np
+import pytest
+
+from tests.bench.records import faults
+from usarmjx.base.errors import UsageError
+from usarmjx.bench import compiling
+from usarmjx.bench.compiling import STAGES, CompileCase, measure_compile, measure_start
+from usarmjx.bench.memory import MemoryCase, bytes_per_world, measure_memory, size_of
+from usarmjx.bench.scenes import SceneCase
+
+KEY = jax.dtypes.prng_key
+SCENE = {"worlds": 2, "roster": "P2DX", "arena": "soccer", "engine": "c", "substeps": 2}
+
+
+def test_the_stages_to_the_first_step_are_told_cold_and_cached(tmp_path, monkeypatch):
+    folders = []
+
+    def here(case, cache):  # in this process: another would only import the same once more
+        folders.append((cache, os.path.isdir(cache)))
+        return measure_start(case.scene)
+
+    monkeypatch.setattr(compiling, "_in_a_process", here)
+    monkeypatch.setattr(jax.config, "update", lambda name, value: None)
+    file = tmp_path / "compile.jsonl"
+    text = measure_compile(CompileCase(scene=SCENE), file, baselines="none")
+    record = json.loads(file.read_text())
+    assert faults(record) == []
+    (cold, there), (cached, _) = folders
+    assert cold == cached
+    assert there
+    for stages in record["stages"].values():
+        assert [*stages] == [*STAGES]
+        assert stages["trace_s"] is None, "engine c is not traced"
+        assert stages["first_step_s"]["median"] > 0.0
+    assert "first step" in text
+
+
+def test_a_process_that_fails_says_why():
+    with pytest.raises(UsageError, match="Dalek"):
+        compiling._in_a_process(CompileCase(scene={**SCENE, "roster": "Dalek"}), "")
+
+
+def test_the_memory_of_worlds_is_that_of_their_arrays(tmp_path):
+    file = tmp_path / "memory.jsonl"
+    scene = SceneCase(**{**SCENE, "worlds": 1})
+    text = measure_memory(MemoryCase(scene=scene, counts=(3, 1)), file, baselines="none")
+    record = json.loads(file.read_text())
+    assert faults(record) == []
+    one, three = record["rows"]
+    assert (one["worlds"], three["worlds"]) == (1, 3)
+    assert sum(one["parts"].values()) == one["state_bytes"]
+    batch = scene.batch(scene.scene())
+    state = batch.reset()
+    arrays = [
+        jax.random.key_data(x) if jax.dtypes.issubdtype(x.dtype, KEY) else x for x in jax.tree.leaves(state)
+    ]
+    assert one["state_bytes"] == sum(np.asarray(x).nbytes for x in arrays)
+    assert record["bytes_per_world"] == pytest.approx((three["state_bytes"] - one["state_bytes"]) / 2)
+    assert f"{record['bytes_per_world']:14,.0f} bytes" in text
+    assert asdict(scene)["roster"] == record["case"]["roster"]
+
+
+def test_sizes_of_trees():
+    assert size_of({"a": np.zeros((3, 2), np.float32), "b": (np.zeros(5, bool), None, 3)}) == 29
+    rows = [{"worlds": 2, "state_bytes": 10}, {"worlds": 4, "state_bytes": 30}]
+    assert bytes_per_world(rows) == 10
+    assert bytes_per_world(rows[:1]) == 5

@@ -1,0 +1,147 @@
+"""Peers as folders: what each is, the environment it runs in, and a process that measures it."""
+
+import json
+import os
+import subprocess
+import sys
+import venv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from usarmjx.base.errors import UsageError, UsarmjxError
+
+DESCRIPTION, SCRIPT, REQUIREMENTS = "peer.yaml", "measure.py", "requirements.txt"
+LAST_LINES = 3
+"""Of what a process complained about, in a message."""
+
+
+class PeerError(UsarmjxError):
+    """A peer could not be installed or measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peer:
+    """Another simulator, as its `peer.yaml` has it.
+
+    Attributes:
+        folder: With its script and its requirements.
+        name: What it is called.
+        variants: What of it is measured.
+        robot: What a robot is in it.
+        has: What is in its step.
+        lacks: What is not.
+        settings: How it is run.
+        beams: Rays of a robot, by variant.
+        authors: A figure of its authors', in their words; none: "".
+        citation: Where that is from.
+        host: Whether it runs on the host's processor alone.
+    """
+
+    folder: Path
+    name: str
+    variants: Mapping[str, Any]
+    robot: str
+    has: str
+    lacks: str
+    settings: str
+    beams: Mapping[str, int] = field(default_factory=dict[str, int])
+    authors: str = ""
+    citation: str = ""
+    host: bool = False
+
+    def about(self, variant: str) -> dict[str, Any]:
+        """Return what a reader must know of a variant's rate."""
+        told = {name: getattr(self, name) for name in ("robot", "has", "lacks", "settings")}
+        return {
+            **told,
+            "beams": self.beams.get(variant, 0),
+            "authors": self.authors,
+            "citation": self.citation,
+        }
+
+
+def read_peers(folder: Path, names: Sequence[str] = ()) -> list[Peer]:
+    """Return the peers of a folder.
+
+    Args:
+        folder: Of the folders.
+        names: Those that are wanted; none: all.
+
+    Raises:
+        UsageError: There are none there, or not these, or one does not describe itself.
+    """
+    found = {path.parent.name: path for path in sorted(folder.glob(f"*/{DESCRIPTION}"))}
+    if not found:
+        raise UsageError(f"{folder} has no peers; it is benchmarks/peers in a source tree: --folder DIR")
+    if unknown := [name for name in names if name not in found]:
+        raise UsageError(f"no peer is called {unknown[0]!r}; known: {', '.join(found)}")
+    return [_read(found[name]) for name in names or found]
+
+
+def _read(file: Path) -> Peer:
+    try:
+        return Peer(folder=file.parent, **yaml.safe_load(file.read_text(encoding="utf-8")))
+    except (TypeError, yaml.YAMLError) as error:
+        raise UsageError(f"{file}: {str(error).splitlines()[0]}") from error
+
+
+def python_of(environment: Path) -> Path:
+    """Return the interpreter of an environment."""
+    return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def ensure_environment(peer: Peer, folder: Path, *, install: bool) -> Path:
+    """Return the interpreter of a peer's environment, which is made if it is not there.
+
+    Args:
+        peer: The peer.
+        folder: Of the environments of all peers.
+        install: Whether one may be made; pip takes its index from its own settings.
+
+    Raises:
+        PeerError: There is none and none may be made, or its packages could not be installed.
+    """
+    environment = folder / peer.folder.name
+    python = python_of(environment)
+    if python.exists():
+        return python
+    if not install:
+        raise PeerError(f"{peer.name} has no environment at {environment}")
+    venv.create(environment, with_pip=True)
+    wanted = ["-m", "pip", "install", "--quiet", "-r", str(peer.folder / REQUIREMENTS)]
+    done = subprocess.run([str(python), *wanted], capture_output=True, text=True)
+    if done.returncode:
+        python.unlink()  # half of its packages may be there
+        raise PeerError(f"{peer.name} cannot be installed: {_last_lines(done.stderr)}")
+    return python
+
+
+def _last_lines(text: str) -> str:
+    return " / ".join(line.strip() for line in text.strip().splitlines()[-LAST_LINES:])
+
+
+def ask_process(words: Sequence[str], limit: float) -> dict[str, Any]:
+    """Return what a measuring process prints last, a line of JSON.
+
+    Args:
+        words: Its command line; without a path the interpreter is ours.
+        limit: After which it is ended [s].
+
+    Raises:
+        PeerError: It failed, took too long, or said nothing.
+    """
+    command = list(words) if Path(words[0]).exists() else [sys.executable, *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        raise PeerError(f"not done after {limit:g} s") from None
+    if done.returncode:
+        raise PeerError(_last_lines(done.stderr) or f"ended with status {done.returncode}")
+    try:
+        return json.loads(done.stdout.strip().splitlines()[-1])
+    except (IndexError, json.JSONDecodeError):
+        raise PeerError(f"said no figures: {_last_lines(done.stdout)}") from None

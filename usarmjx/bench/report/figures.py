@@ -1,0 +1,96 @@
+"""Figures of docs/performance.md: cost over size, and simulated time over robots, ours and others'."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from usarmjx.base.files import write_beside
+from usarmjx.bench.report.laws import laws_of
+from usarmjx.bench.report.records import BenchRecord
+from usarmjx.bench.report.tables import of
+
+DPI, PANEL = 100, (4.6, 3.6)
+"""Width and height of a panel [inches]."""
+DIGEST = "Description"
+"""Where a PNG says of which records it is."""
+OURS, OTHERS = "-", "--"
+"""Lines of ours and of others."""
+
+
+def _save(figure: Figure, out: Path, digest: str) -> None:
+    FigureCanvasAgg(figure)
+    with write_beside(out) as fresh:
+        figure.savefig(fresh, format="png", metadata={DIGEST: digest})
+
+
+def _logarithmic(panel: Axes, x: str, y: str) -> None:
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlabel(x, fontsize=9)
+    panel.set_ylabel(y, fontsize=9)
+    panel.grid(visible=True, which="major", alpha=0.3)
+    panel.tick_params(labelsize=8)
+
+
+def draw_laws(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
+    """Draw all laws, a panel for each thing that grows and unit.
+
+    Args:
+        records: The records.
+        out: PNG file.
+        digest: Of the records, kept in the file.
+    """
+    panels: dict[tuple[str, str], list] = {}
+    for law in laws_of(records):
+        panels.setdefault((law.axis, law.unit), []).append(law)
+    figure = Figure(figsize=(PANEL[0] * max(len(panels), 1), PANEL[1]), dpi=DPI, layout="constrained")
+    axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
+    for panel, ((axis, unit), laws) in zip(axes, panels.items(), strict=False):
+        for law in laws:
+            label = f"{law.group.rpartition(', ')[0]}: {law.exponent:.2f}"
+            panel.plot(law.sizes, law.costs, "o-", markersize=4, label=label)
+        _logarithmic(panel, axis, unit)
+        if len(laws) <= 8:
+            panel.legend(fontsize=6)
+    _save(figure, out, digest)
+
+
+def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
+    """Draw simulated robot-seconds per second over robots in all, a panel for each machine.
+
+    The dotted line is real time: as many as there are robots.
+
+    Args:
+        records: The records.
+        out: PNG file.
+        digest: Of the records, kept in the file.
+    """
+    machines: dict[str, list[Mapping]] = {}
+    for record in of(records, "peers"):
+        rows = [row for row in record.data["rows"] if "speed" in row]
+        machines.setdefault(f"{record.where}, {record.when}", []).extend(rows)
+    figure = Figure(
+        figsize=(2 * PANEL[0], 1.4 * PANEL[1] * max(len(machines), 1)), dpi=DPI, layout="constrained"
+    )
+    axes = figure.subplots(max(len(machines), 1), 1, squeeze=False)[:, 0]
+    for panel, (machine, rows) in zip(axes, machines.items(), strict=False):
+        lines: dict[str, list[tuple[int, float]]] = {}
+        for row in rows:
+            point = row["worlds"] * row["robots"], row["robot_seconds_per_s"]
+            lines.setdefault(f"{row['who']}: {row['variant']}", []).append(point)
+        for name, points in lines.items():
+            style = OURS if name.startswith("usarmjx") else OTHERS
+            panel.plot(*zip(*sorted(points), strict=True), f"o{style}", markersize=4, label=name)
+        sizes = sorted({x for points in lines.values() for x, _ in points})
+        panel.plot(sizes, sizes, "k:", label="real time")
+        _logarithmic(panel, "robots in all worlds", "simulated robot-seconds per second")
+        panel.set_title(machine, loc="left", fontsize=8)
+        panel.legend(fontsize=7, bbox_to_anchor=(1.0, 1.0), loc="upper left")
+    _save(figure, out, digest)
+
+
+FIGURES = {"performance-laws.png": draw_laws, "performance-peers.png": draw_peers}
+"""Files beside the page, and what draws them."""
