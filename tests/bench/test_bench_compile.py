@@ -16,15 +16,16 @@ from usarmjx.bench.memory import MemoryCase, bytes_per_world, measure_memory, si
 from usarmjx.bench.scenes import SceneCase
 
 KEY = jax.dtypes.prng_key
-SCENE = {"worlds": 2, "roster": "P2DX", "arena": "soccer", "engine": "c", "substeps": 2}
+SCENE = {"worlds": 2, "roster": "AirRobot", "arena": "soccer", "engine": "c", "substeps": 2}
 
 
 def test_the_stages_to_the_first_step_are_told_cold_and_cached(tmp_path, monkeypatch):
-    folders = []
+    folders, found = [], []
 
-    def here(case, cache):  # in this process: another would only import the same once more
+    def here(case, cache):  # in this process, and once: another would only import the same once more
         folders.append((cache, os.path.isdir(cache)))
-        return measure_start(case.scene)
+        found.append(measure_start(case.scene) if not found else {**found[0], "import_s": 9.0})
+        return found[-1]
 
     monkeypatch.setattr(compiling, "_in_a_process", here)
     monkeypatch.setattr(jax.config, "update", lambda name, value: None)
@@ -39,10 +40,25 @@ def test_the_stages_to_the_first_step_are_told_cold_and_cached(tmp_path, monkeyp
         assert [*stages] == [*STAGES]
         assert stages["trace_s"] is None, "engine c is not traced"
         assert stages["first_step_s"]["median"] > 0.0
+    assert record["stages"]["cached"]["import_s"] == {"median": 9.0, "values": [9.0]}
+    assert record["stages"]["cold"]["import_s"] == {
+        "median": found[0]["import_s"],
+        "values": [found[0]["import_s"]],
+    }
     assert "first step" in text
 
 
-def test_a_process_that_fails_says_why():
+def test_a_process_that_takes_too_long_is_told():
+    with pytest.raises(UsageError, match=r"a process was not done after 0\.05 s"):
+        compiling._in_a_process(CompileCase(scene=SCENE, limit=0.05), "")
+
+
+@pytest.mark.slow
+def test_processes_start_cold_and_with_a_cache(tmp_path):
+    file = tmp_path / "compile.jsonl"
+    measure_compile(CompileCase(scene={**SCENE, "engine": "planar"}), file, baselines="none")
+    cold, cached = (json.loads(file.read_text())["stages"][name] for name in ("cold", "cached"))
+    assert cached["compile_s"]["median"] < cold["compile_s"]["median"]
     with pytest.raises(UsageError, match="Dalek"):
         compiling._in_a_process(CompileCase(scene={**SCENE, "roster": "Dalek"}), "")
 

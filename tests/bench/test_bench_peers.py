@@ -10,7 +10,7 @@ from tests.bench.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.peering import contest, peers
 from usarmjx.bench.peering.contest import ContestCase, measure_peers, parse_sizes
-from usarmjx.bench.peering.peers import PeerError, ask_process, ensure_environment, read_peers
+from usarmjx.bench.peering.peers import ContestantError, ask_process, ensure_environment, read_peers
 
 FOLDER = dev.ROOT / "benchmarks" / "peers"
 CLOCK = """
@@ -107,7 +107,7 @@ def test_what_is_wrong_with_peers_is_told(folder, tmp_path):
     with pytest.raises(UsageError, match="has no peers"):
         read_peers(tmp_path / "nowhere")
     (toy,) = read_peers(folder)
-    with pytest.raises(PeerError, match="Toy has no environment at"):
+    with pytest.raises(ContestantError, match="Toy has no environment at"):
         ensure_environment(toy, tmp_path, install=False)
     (folder / "toy" / "peer.yaml").write_text("name: Toy\n")
     with pytest.raises(UsageError, match="missing 5 required"):
@@ -115,9 +115,9 @@ def test_what_is_wrong_with_peers_is_told(folder, tmp_path):
 
 
 def test_processes_that_say_nothing_or_take_too_long():
-    with pytest.raises(PeerError, match="said no figures"):
+    with pytest.raises(ContestantError, match="said no figures"):
         ask_process([sys.executable, "-c", "print('hello')"], 60.0)
-    with pytest.raises(PeerError, match=r"not done after 0\.1 s"):
+    with pytest.raises(ContestantError, match=r"not done after 0\.1 s"):
         ask_process([sys.executable, "-c", "import time; time.sleep(60)"], 0.1)
     assert peers.python_of(dev.ROOT).parent.name in ("bin", "Scripts")
 

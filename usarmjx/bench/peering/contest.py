@@ -15,8 +15,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.bench.peering.ours import PARTS
 from usarmjx.bench.peering.peers import (
     SCRIPT,
+    ContestantError,
     Peer,
-    PeerError,
     ask_process,
     ensure_environment,
     read_peers,
@@ -226,7 +226,7 @@ def _run(case: ContestCase, words: Words, worlds: int, robots: int) -> dict[str,
     """Return a contestant's figures, or why there are none."""
     try:
         found = ask_process(words(worlds, robots), case.limit)
-    except PeerError as error:
+    except ContestantError as error:
         return {"missing": str(error)}
     work = worlds * robots * found["steps"]
     speed = rate_of("robot-steps/s", work, found["first_s"], found["times_s"])

@@ -19,7 +19,7 @@ LAST_LINES = 3
 """Of what a process complained about, in a message."""
 
 
-class PeerError(UsarmjxError):
+class ContestantError(UsarmjxError):
     """A peer could not be installed or measured."""
 
 
@@ -103,20 +103,20 @@ def ensure_environment(peer: Peer, folder: Path, *, install: bool) -> Path:
         install: Whether one may be made; pip takes its index from its own settings.
 
     Raises:
-        PeerError: There is none and none may be made, or its packages could not be installed.
+        ContestantError: There is none and none may be made, or its packages could not be installed.
     """
     environment = folder / peer.folder.name
     python = python_of(environment)
     if python.exists():
         return python
     if not install:
-        raise PeerError(f"{peer.name} has no environment at {environment}")
+        raise ContestantError(f"{peer.name} has no environment at {environment}")
     venv.create(environment, with_pip=True)
     wanted = ["-m", "pip", "install", "--quiet", "-r", str(peer.folder / REQUIREMENTS)]
     done = subprocess.run([str(python), *wanted], capture_output=True, text=True)
     if done.returncode:
         python.unlink()  # half of its packages may be there
-        raise PeerError(f"{peer.name} cannot be installed: {_last_lines(done.stderr)}")
+        raise ContestantError(f"{peer.name} cannot be installed: {_last_lines(done.stderr)}")
     return python
 
 
@@ -132,16 +132,16 @@ def ask_process(words: Sequence[str], limit: float) -> dict[str, Any]:
         limit: After which it is ended [s].
 
     Raises:
-        PeerError: It failed, took too long, or said nothing.
+        ContestantError: It failed, took too long, or said nothing.
     """
     command = list(words) if Path(words[0]).exists() else [sys.executable, *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:
-        raise PeerError(f"not done after {limit:g} s") from None
+        raise ContestantError(f"not done after {limit:g} s") from None
     if done.returncode:
-        raise PeerError(_last_lines(done.stderr) or f"ended with status {done.returncode}")
+        raise ContestantError(_last_lines(done.stderr) or f"ended with status {done.returncode}")
     try:
         return json.loads(done.stdout.strip().splitlines()[-1])
     except (IndexError, json.JSONDecodeError):
-        raise PeerError(f"said no figures: {_last_lines(done.stdout)}") from None
+        raise ContestantError(f"said no figures: {_last_lines(done.stdout)}") from None

@@ -7,7 +7,7 @@ from statistics import median
 import numpy as np
 
 from usarmjx.bench.report.records import BenchRecord
-from usarmjx.bench.report.tables import Cells, number, of, table
+from usarmjx.bench.report.tables import MarkdownRow, number, of, table
 
 MILLISECONDS = 1e3
 
@@ -140,7 +140,7 @@ def _step_samples(records: Sequence[BenchRecord]) -> Iterator[Sample]:
 
 def laws_table(records: Sequence[BenchRecord]) -> str:
     """The laws: points, and the power by which the cost grows."""
-    rows: Iterator[Cells] = (
+    rows: Iterator[MarkdownRow] = (
         [
             law.axis,
             law.group,

@@ -9,10 +9,10 @@ from usarmjx.bench.serving.figures import rows as figure_rows
 
 NOTHING = "No record yet.\n"
 MILLION, BILLION = 1e6, 1e9
-Cells = Sequence[str]
+MarkdownRow = Sequence[str]
 
 
-def table(head: Cells, rows: Iterable[Cells]) -> str:
+def table(head: MarkdownRow, rows: Iterable[MarkdownRow]) -> str:
     """Return a Markdown table; a sentence where there are no rows."""
     lines = [" | ".join(cell.replace("|", "/") for cell in row) for row in rows]
     if not lines:
@@ -60,7 +60,7 @@ def step_table(records: Sequence[BenchRecord]) -> str:
     return table(head, (_step_row(record) for record in of(records, "step")))
 
 
-def _step_row(record: BenchRecord) -> Cells:
+def _step_row(record: BenchRecord) -> MarkdownRow:
     data, scene = record.data, record.data.get("scene") or {}
     met = [scene.get(name) for name in ("contacts", "constraint_rows", "solver_iterations")]
     return [
