@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -133,8 +134,9 @@ def test_the_heavier_of_two_pushes_the_lighter():
     )
     apart = prints.replace(pos=jnp.array([[0.0, 0.0], [1.2, 0.0]]))
     near, left_out = near_solids(prints, no_solids(), 8, 0.1)
-    kept, touched = keep_apart(apart, prints, near, jnp.ones(2, bool))
-    went = np.asarray(kept.pos - prints.pos)[:, 0]
+    of_one_world = jax.tree.map(lambda x: x[None], (apart, prints, near, jnp.ones(2, bool)))
+    kept, touched = keep_apart(*of_one_world)
+    went = np.asarray(kept.pos[0] - prints.pos)[:, 0]
     assert went.sum() == pytest.approx(went[1] + went[0])
     assert 30.0 * went[0] + 10.0 * went[1] == pytest.approx(0.0, abs=1e-3), "their centre of mass stays"
     assert touched.all()

@@ -1,17 +1,23 @@
 """`usarmjx calibrate`: how robots answer their motors, measured on engine `c` for engine `planar`."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from usarmjx.base.errors import UsageError
+from usarmjx.base.progress import Seldom
 from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.waiting import announce, say
 
 
 def calibrate(
-    robots: Annotated[
-        list[str] | None, typer.Argument(help="Classes; else all that roll on wheels or tracks.")
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Classes of robots; else all that roll on wheels or tracks. With --tasks, tasks; else all."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -22,18 +28,67 @@ def calibrate(
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Measure nothing: print the table of what ships.")
     ] = False,
+    drives: Annotated[
+        bool,
+        typer.Option(
+            "--drives",
+            help="Instead compare poses, ranges, odometry and contacts along random drives on an open floor "
+            "and in a maze.",
+        ),
+    ] = False,
+    tasks: Annotated[
+        bool, typer.Option("--tasks", help="Instead compare what policies score on several engines.")
+    ] = False,
+    engines: Annotated[str, typer.Option(help="With --tasks: on which.")] = "c,planar",
+    episodes: Annotated[
+        int, typer.Option(min=1, help="With --tasks: episodes of each seed, at least.")
+    ] = 100,
+    seeds: Annotated[int, typer.Option(min=1, help="With --tasks: how many seeds, from 0 on.")] = 1,
+    worlds: Annotated[int, typer.Option(min=1, help="With --tasks: worlds at once.")] = 20,
 ) -> None:
     """Measure how robots answer their motors, for engine planar, and how far off it is with that."""
     with ErrorExit():
+        if markdown + drives + tasks > 1:
+            raise UsageError("--markdown, --drives and --tasks are one each: name one of them")
         if markdown:
             from usarmjx.engines.planar.responses import error_table
 
             typer.echo(error_table())
-            return
-        from usarmjx.models.robots import ROBOTS
-        from usarmjx.sim.calibration import measure_all
+        elif tasks:
+            _print(_task_rows(names, engines, episodes, range(seeds), worlds))
+        elif drives:
+            _print(_drive_rows(names))
+        else:
+            _print(_figures(names, out))
 
-        chosen = [ROBOTS.get(name) for name in robots] if robots else [robot for _, robot in ROBOTS]
-        announce("driving robots by random orders on engines c and planar ...")
-        for line in measure_all(chosen, out, everything=not robots):
-            typer.echo(line)
+
+def _print(lines: Iterator[str]) -> None:
+    for line in lines:
+        typer.echo(line)
+
+
+def _figures(names: list[str] | None, out: Path | None) -> Iterator[str]:
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.sim.calibration import measure_all
+
+    chosen = [ROBOTS.get(name) for name in names] if names else [robot for _, robot in ROBOTS]
+    announce("driving robots by random orders on engines c and planar ...")
+    yield from measure_all(chosen, out, everything=not names)
+
+
+def _drive_rows(names: list[str] | None) -> Iterator[str]:
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.train.evaluation.drives import drive_table
+
+    announce("driving robots on a floor and in a maze, on engines c and planar ...")
+    return drive_table([ROBOTS.get(name) for name in names or ROBOTS.names()], everything=not names)
+
+
+def _task_rows(
+    names: list[str] | None, engines: str, episodes: int, seeds: range, worlds: int
+) -> Iterator[str]:
+    from usarmjx.train.evaluation.task_gap import TASKS_TRIED, sources_of, task_gap
+
+    announce("building the worlds that policies are tried in ...")
+    tried = sources_of(names or TASKS_TRIED)
+    return task_gap(engines.split(","), tried, episodes, seeds, worlds, Seldom(say))

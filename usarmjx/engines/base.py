@@ -106,6 +106,8 @@ class Engine(ABC, Generic[EngineState]):
     """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
     needs_robots: ClassVar[bool] = False
     """Whether it is told which robots are in the model, by slot."""
+    has_solver: ClassVar[bool] = True
+    """Whether it solves for contact forces, so that robots push things and climb."""
 
     def __init__(
         self,

@@ -33,6 +33,7 @@ from usarmjx.engines.planar.responses import (
     rolls,
     use_response,
 )
+from usarmjx.models.drives.ground import SkidSteer
 from usarmjx.models.drives.omni import OmniDrive
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.robot import RobotSpec
@@ -56,6 +57,8 @@ HORIZONS = (1.0, 5.0, 20.0)
 LOWEST = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
 HIGHEST = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
 """Within which the figures are looked for, in the order of `NAMES`."""
+WORTH_ANOTHER_MODEL = 0.8
+"""Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +154,16 @@ def drive_log(robot: RobotSpec, orders: np.ndarray, engine: str = "c") -> DriveL
 
 def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]:
     """Return the figures with which a log is explained best, and what is left of its twists (3,), rms."""
+    found, left, cost = _fit(robot, log, sides_apart=False)
+    if isinstance(robot.drive, SkidSteer):
+        other = _fit(robot, log, sides_apart=True)
+        if other[2] < WORTH_ANOTHER_MODEL * cost:
+            found, left, _ = other
+    return found, left
+
+
+def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Response, np.ndarray, float]:
+    """Return the best figures of a model, what is left of the twists (3,), rms, and the cost of that."""
     wheels = wheels_of(robot)
     told, joints = jnp.asarray(log.told, jnp.float32), jnp.asarray(log.joints, jnp.float32)
     wanted = jax.vmap(wheels.twist)(joints, told)
@@ -159,20 +172,8 @@ def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]
     reach = max(np.hypot(*robot.dimensions[:2]) / 2, 0.1)
     weight = jnp.array([1.0, 0.3, reach])
 
-    def twists(values: Array) -> Array:
-        answer = Response(**dict(zip(NAMES, values, strict=True)))  # type: ignore - numbers that are traced
-
-        def step(now: Array, asked: Array) -> tuple[Array, Array]:
-            now = follow(answer, now, asked, log.period)
-            return now, now
-
-        rolling = jax.lax.scan(step, jnp.zeros_like(wanted[0]), wanted)[1]
-        ahead, turn = answer.gain * rolling[..., 0], answer.turn_gain * rolling[..., 2]
-        aside = answer.gain * rolling[..., 1] + answer.drift * ahead * turn
-        return jnp.stack([ahead, aside, turn], -1)
-
     def misfit(values: Array) -> Array:
-        return ((twists(values) - real) * weight).reshape(-1)
+        return ((_twists(values, wanted, log.period, sides_apart) - real) * weight).reshape(-1)
 
     residual = jax.jit(misfit)
     slope = jax.jit(partial(_columns, misfit))
@@ -184,7 +185,7 @@ def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]
     def slope_at(values: np.ndarray) -> np.ndarray:
         return np.asarray(slope(jnp.asarray(values, jnp.float32)), float)
 
-    found: np.ndarray = least_squares(
+    found: Any = least_squares(
         misfit_at,
         first,
         slope_at,
@@ -193,10 +194,26 @@ def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]
         f_scale=0.1,
         x_scale=np.maximum(np.abs(first), 0.05),
         max_nfev=60,
-    ).x
-    left = np.asarray(twists(jnp.asarray(found, jnp.float32)) - real)
-    figures = {name: float(f"{x:.5g}") for name, x in zip(NAMES, found.tolist(), strict=True)}
-    return Response(**figures), np.sqrt((left**2).mean((0, 1)))
+    )
+    twists = _twists(jnp.asarray(found.x, jnp.float32), wanted, log.period, sides_apart)
+    left = np.sqrt((np.asarray(twists - real) ** 2).mean((0, 1)))
+    figures = {name: float(f"{x:.5g}") for name, x in zip(NAMES, found.x.tolist(), strict=True)}
+    return Response(**figures, sides_apart=sides_apart), left, float(found.cost)
+
+
+def _twists(values: Array, wanted: Array, period: float, sides_apart: bool) -> Array:
+    """Return the twists (steps, robots, 3) that figures make of those that wheels are told."""
+    figures = dict(zip(NAMES, values, strict=True))
+    answer = Response(**figures, sides_apart=sides_apart)  # type: ignore - numbers that are traced
+
+    def step(now: Array, asked: Array) -> tuple[Array, Array]:
+        now = follow(answer, now, asked, period)
+        return now, now
+
+    rolling = jax.lax.scan(step, jnp.zeros_like(wanted[0]), wanted)[1]
+    ahead, turn = answer.gain * rolling[..., 0], answer.turn_gain * rolling[..., 2]
+    aside = answer.gain * rolling[..., 1] + answer.drift * ahead * turn
+    return jnp.stack([ahead, aside, turn], -1)
 
 
 def _columns(function: Callable[[Array], Array], values: Array) -> Array:

@@ -2,9 +2,13 @@
 
 from typing import Any
 
+from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines import choose_engine, make_engine
 from usarmjx.engines.base import Engine
 from usarmjx.sim.scene import Scene
+
+LONGEST_SOLVED_STEP = 0.025
+"""With longer steps a solver of contacts throws robots about [s]."""
 
 
 def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
@@ -17,7 +21,7 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
 
     Raises:
         UnknownNameError: No such engine.
-        UnsupportedFeatureError: The scene has a feature that the engine would ignore.
+        UnsupportedFeatureError: The scene has a feature that the engine would ignore, or too long steps.
         EngineError: The engine cannot run here.
     """
     kind = choose_engine(name, "train")
@@ -25,5 +29,10 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
         from usarmjx.sim.calibration import ensure_calibrated  # it needs batches, which need engines
 
         ensure_calibrated(robot for robot, _ in scene.robots)
+    elif scene.physics.timestep > LONGEST_SOLVED_STEP:
+        raise UnsupportedFeatureError(
+            f"engine {kind!r} cannot run this scene: physics steps of {scene.physics.timestep:g} s are for "
+            f"engine planar, others take up to {LONGEST_SOLVED_STEP:g} s"
+        )
     built = scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
     return make_engine(kind, *built, robots=scene.robots)

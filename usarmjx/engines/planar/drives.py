@@ -228,6 +228,12 @@ def follow(response: Response, before: Array, told: Array, dt: float, grip: Arra
     sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), SLOW)
     told = set_at(told, np.s_[..., 2], jnp.clip(told[..., 2], -sharpest, sharpest))
     change = (told - before) * share
+    if response.sides_apart:
+        part = change / (most * dt * grip)
+        left = jnp.clip(part[..., 0] - part[..., 2], -1.0, 1.0)
+        right = jnp.clip(part[..., 0] + part[..., 2], -1.0, 1.0)
+        part = jnp.stack([(left + right) / 2, part[..., 1], (right - left) / 2], -1)
+        return before + part * most * dt * grip
     # The motors of both sides are as strong: what one side needs to turn is lost to going ahead.
     effort = (jnp.abs(change) / most).sum(-1, keepdims=True) / (dt * grip)
     return before + change / jnp.maximum(effort, 1.0)

@@ -1,22 +1,23 @@
 """The engine `planar`."""
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
-from usarmjx.engines.planar.bodies import PlanarRobots, robots_of
+from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
 from usarmjx.engines.planar.flight import fly
-from usarmjx.engines.planar.footprints import keep_apart, near_solids
+from usarmjx.engines.planar.footprints import Footprints, keep_apart, near_solids
 from usarmjx.engines.planar.poses import FixedBodies, fixed_bodies
 from usarmjx.engines.planar.rolling import place_on_ground, roll, rolled, stopped
 from usarmjx.engines.planar.servos import PlanarServos, move_joints, servos_of
-from usarmjx.engines.planar.solids import PlanSolids, floor_height, solid_geoms, solids_of
+from usarmjx.engines.planar.solids import PlanSolids, floor_height, joined, solid_geoms, solids_of
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.moved import MovedGeoms
@@ -37,7 +38,7 @@ class PlanarState(struct.PyTreeNode, kw_only=True):
         qvel: Velocities (worlds, nv).
         act: Activations (worlds, na).
         touched: Which robots touched a solid or each other in the last step (worlds, robots).
-        left_out: PlanSolids that were near a robot and not looked at (worlds,).
+        left_out: Solids that were near a robot and not looked at (worlds,).
     """
 
     qpos: Array
@@ -45,6 +46,24 @@ class PlanarState(struct.PyTreeNode, kw_only=True):
     act: Array
     touched: Array
     left_out: Array
+
+
+class Meetings(NamedTuple):
+    """What may meet in a step of one world.
+
+    Attributes:
+        before: The robots as they are.
+        after: Where they would go.
+        near: The solids that each may meet (robots, k).
+        left_out: How many more each may meet (robots,).
+        solids: All solids.
+    """
+
+    before: Footprints
+    after: Footprints
+    near: PlanSolids
+    left_out: Array
+    solids: PlanSolids
 
 
 class PlanarEngine(Engine[PlanarState]):
@@ -61,6 +80,7 @@ class PlanarEngine(Engine[PlanarState]):
     name: ClassVar[str] = "planar"
     traceable: ClassVar[bool] = True
     needs_robots: ClassVar[bool] = True
+    has_solver: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -80,8 +100,12 @@ class PlanarEngine(Engine[PlanarState]):
             )
         self._servos: PlanarServos = servos_of(self.model)
         own = {body for _, index in robots for body in index.body_ids}
-        self._geoms = solid_geoms(self.model, own, self.moved_ids)
         self._fixed: FixedBodies = fixed_bodies(self.model, own)
+        geoms = solid_geoms(self.model, own, self.moved_ids)
+        can_move = (geoms.moved >= 0) | np.isin(geoms.bodies, self._fixed.movable)
+        self._movable = geoms.where(can_move)
+        rest = jnp.asarray(self._fixed.pos, jnp.float32), jnp.asarray(self._fixed.mat, jnp.float32)
+        self._still: PlanSolids = solids_of(self.model, geoms.where(~can_move), rest, None)
         self._floor = floor_height(self.model)
 
     def start(self) -> PlanarState:
@@ -98,36 +122,56 @@ class PlanarEngine(Engine[PlanarState]):
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
         pinned = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
-        moved = jax.vmap(self._advance_world)(pinned, inputs)
+        moves = ~inputs.pinned[:, self._robots.root_qpos[:, 0]]
+        state, before, after, meetings = jax.vmap(self._aim)(pinned, inputs)
+        kept, touched = keep_apart(*meetings[:3], moves)
+        moved = jax.vmap(self._finish)(state, before, after, kept, touched, meetings.solids)
+        moved = moved.replace(
+            touched=touched & moves, left_out=jnp.where(moves, meetings.left_out, 0).sum(-1)
+        )
         return moved.replace(
             qpos=jnp.where(inputs.pinned, pinned.qpos, moved.qpos),
             qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
         )
 
-    def _advance_world(self, state: PlanarState, inputs: Inputs) -> PlanarState:
+    def _aim(self, state: PlanarState, inputs: Inputs) -> tuple[PlanarState, Motion, Motion, Meetings]:
+        """Return one world with its joints turned, where robots are and would go, and what they may meet."""
         dt, robots = self.physics.period, self._robots
-        moves = ~inputs.pinned[robots.root_qpos[:, 0]]
-        joined = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
-        state, twist = roll(robots, state, joined, inputs, dt)
+        moved = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
+        state, twist = roll(robots, state, moved, inputs, dt)
         solids = self._solids(state, inputs.geom_poses)
         before = robots.motion(state)
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
         )
-        left, aimed = robots.footprints(before), robots.footprints(after)
+        left = robots.footprints(before)
         near, left_out = near_solids(left, solids, NEAR, self._reach(dt))
-        kept, touched = keep_apart(left, aimed, near, moves)
+        return state, before, after, Meetings(left, robots.footprints(after), near, left_out, solids)
+
+    def _finish(
+        self,
+        state: PlanarState,
+        before: Motion,
+        after: Motion,
+        kept: Footprints,
+        touched: Array,
+        solids: PlanSolids,
+    ) -> PlanarState:
+        """Return one world with its robots where they were kept, on the ground."""
+        dt, robots = self.physics.period, self._robots
         after = stopped(robots, before, after, kept, touched, dt)
         after = place_on_ground(robots, before, after, solids, self._floor, dt)
-        return robots.written(state, after).replace(
-            touched=touched & moves, left_out=jnp.where(moves, left_out, 0).sum()
-        )
+        return robots.written(state, after)
 
     def _reach(self, dt: float) -> float:
         return 2.0 * self._robots.top_speed * dt + 0.05
 
     def _solids(self, state: PlanarState, poses: GeomPoses | None) -> PlanSolids:
-        return solids_of(self.model, self._geoms, self._fixed.poses(state.qpos), poses)
+        """Return the solids of one world: only those that may be elsewhere are worked out again."""
+        if not len(self._movable.ids):
+            return self._still
+        moved = solids_of(self.model, self._movable, self._fixed.poses(state.qpos), poses)
+        return joined(self._still, moved)
 
     def set_qpos(
         self, engine_state: PlanarState, pinned: Array, pinned_dof: Array, qpos: Array

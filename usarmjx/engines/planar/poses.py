@@ -36,6 +36,11 @@ class FixedBodies:
     hinge_qpos: np.ndarray
     axis: np.ndarray
 
+    @property
+    def movable(self) -> np.ndarray:
+        """Bodies that need not be where they are at rest (n,)."""
+        return np.concatenate([self.free, self.hinged])
+
     def poses(self, qpos: Array) -> tuple[Array, Array]:
         """Return origins (nbody, 3) and orientations (nbody, 3, 3) of the bodies; of robots those at rest."""
         pos, mat = jnp.asarray(self.pos, jnp.float32), jnp.asarray(self.mat, jnp.float32)

@@ -35,6 +35,8 @@ class Response:
         turn_acceleration: Most change of the rate of turn [rad/s^2].
         cornering: Most sideways acceleration in a bend [m/s^2]: what is faster turns less.
         drift: Sideways speed over forward speed times rate of turn, to the outside [s].
+        sides_apart: Whether the motors of each side go after its speed by themselves, up to their most, so
+            that a robot that is to speed up and to turn does the one before the other; else both in step.
     """
 
     gain: float = 1.0
@@ -45,9 +47,11 @@ class Response:
     turn_acceleration: float = 20.0
     cornering: float = 8.0
     drift: float = 0.0
+    sides_apart: bool = False
 
 
-NAMES = tuple(field.name for field in fields(Response))
+NAMES = tuple(field.name for field in fields(Response) if field.name != "sides_apart")
+"""The figures that are numbers."""
 
 
 @cache

@@ -12,7 +12,8 @@ from usarmjx.base.rotations import matmul, quat_from_mat
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
 from usarmjx.engines.planar.drives import follow
-from usarmjx.engines.planar.footprints import CORNERS, Footprints
+from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.overlap import SIGNS
 from usarmjx.engines.planar.solids import PlanSolids, ground_under
 
 GRAVITY = 9.81
@@ -121,7 +122,7 @@ def place_on_ground(
 ) -> Motion:
     """Return robots that roll on the ground below them, tilted as it is, or falling; others not below it."""
     yaw, half = after.yaw, STANCE * jnp.asarray(robots.half)
-    corners = jnp.asarray(CORNERS) * half[:, None]
+    corners = jnp.asarray(SIGNS) * half[:, None]
     stance = corners + jnp.asarray(robots.offset)[:, None]
     feet = after.pos[:, None, :2] + jax.vmap(on_plan, (1, None), 1)(stance, yaw)
     depth = jnp.concatenate(

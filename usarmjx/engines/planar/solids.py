@@ -7,6 +7,7 @@ A solid is a rectangle or a disc on the plan, from a height to another. A box wh
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -31,7 +32,7 @@ KINDS = {
 
 
 class PlanSolids(struct.PyTreeNode, kw_only=True):
-    """PlanSolids of one world.
+    """Solids of one world.
 
     Attributes:
         pos: Middles on the plan [m] (solids, 2).
@@ -42,6 +43,7 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
         top: Height of the top over the middle [m] (solids,).
         slope: How the top rises along x and y (solids, 2).
         highest: Highest point [m] (solids,).
+        discs: Whether any may be a disc.
     """
 
     pos: Array
@@ -52,6 +54,7 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
     top: Array
     slope: Array
     highest: Array
+    discs: bool = struct.field(pytree_node=False)
 
 
 class SolidGeoms(NamedTuple):
@@ -68,6 +71,10 @@ class SolidGeoms(NamedTuple):
     kinds: np.ndarray
     bodies: np.ndarray
     moved: np.ndarray
+
+    def where(self, mask: np.ndarray) -> "SolidGeoms":
+        """Return some of them, masked (n,)."""
+        return SolidGeoms(*(part[mask] for part in self))
 
 
 def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[int]) -> SolidGeoms:
@@ -127,6 +134,17 @@ def solids_of(
     return seen_from_above(geoms.kinds, pos, mat, size)
 
 
+def joined(one: PlanSolids, other: PlanSolids) -> PlanSolids:
+    """Return the solids of both."""
+    discs = one.discs or other.discs
+    both = one.replace(discs=discs), other.replace(discs=discs)
+    return jax.tree.map(_end_to_end, *both)
+
+
+def _end_to_end(first: Array, second: Array) -> Array:
+    return jnp.concatenate([first, second])
+
+
 def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> PlanSolids:
     """Return what geoms look like on the plan.
 
@@ -164,6 +182,7 @@ def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> P
         top=jnp.where(flat, over, pos[:, 2] + height),
         slope=slope,
         highest=pos[:, 2] + height,
+        discs=not box.all(),
     )
 
 
@@ -180,11 +199,12 @@ def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
 
 def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
     """Return how high the ground is under points (..., 2); what is above `reach` (...,) is not ground."""
-    apart = points[..., None, :] - solids.pos
-    along = (apart * solids.axis).sum(-1)
-    across = apart[..., 1] * solids.axis[:, 0] - apart[..., 0] * solids.axis[:, 1]
-    inside = (jnp.abs(along) <= solids.half[:, 0]) & (jnp.abs(across) <= solids.half[:, 1])
-    inside |= (apart * apart).sum(-1) <= solids.radius**2
-    height = solids.top + (apart * solids.slope).sum(-1)
+    dx, dy = (points[..., i, None] - solids.pos[:, i] for i in range(2))
+    cos, sin = solids.axis[:, 0], solids.axis[:, 1]
+    inside = jnp.abs(dx * cos + dy * sin) <= solids.half[:, 0]
+    inside &= jnp.abs(dy * cos - dx * sin) <= solids.half[:, 1]
+    if solids.discs:
+        inside |= dx * dx + dy * dy <= solids.radius**2
+    height = solids.top + dx * solids.slope[:, 0] + dy * solids.slope[:, 1]
     below = inside & (height <= reach[..., None])
     return jnp.max(jnp.where(below, height, floor), axis=-1, initial=-NOWHERE)

@@ -89,10 +89,16 @@ class Physics:
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
 
+    @classmethod
+    def coarse(cls) -> "Physics":
+        """Return settings for engine `planar` alone, which takes a control step of 50 ms at once."""
+        return cls(timestep=0.05, substeps=1)
+
 
 PHYSICS: Registry[Physics] = Registry("physics")
 PHYSICS.add("reference", Physics())
 PHYSICS.add("fast", Physics.fast())
+PHYSICS.add("coarse", Physics.coarse())
 
 
 def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sim.batch import Batch, BatchState
@@ -64,6 +64,7 @@ class Env:
 
     Raises:
         UsageError: The task cannot be built, or not run on this engine.
+        UnsupportedFeatureError: It needs something that this engine does not do.
     """
 
     def __init__(
@@ -78,6 +79,11 @@ class Env:
         self.task, self.name = task, name or type(task).__name__
         self.scene = task.scene()
         self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)
+        if task.needs_solver and not self.batch.engine.has_solver:
+            raise UnsupportedFeatureError(
+                f"engine {self.batch.engine.name!r} cannot run {self.name}, which needs {task.needs_solver}; "
+                "engines c, jax and warp can"
+            )
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed

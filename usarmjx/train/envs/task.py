@@ -150,6 +150,7 @@ class Task(ABC):
 
     Attributes:
         about: What it is, in a sentence.
+        needs_solver: What in it only an engine with a solver of contacts does, `planar` does not.
         arena: Its arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a
             kind of generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
@@ -166,6 +167,7 @@ class Task(ABC):
     """
 
     about: ClassVar[str] = ""
+    needs_solver: ClassVar[str] = ""
 
     arena: Arenas = "floor"
     sensors: tuple[str | Mount, ...] | None = None

@@ -1,0 +1,177 @@
+"""How far engine `planar` is from another along random drives: poses, ranges, odometry, contacts."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.engines.planar.responses import rolls
+from usarmjx.models.generate import generate
+from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.calibration import HORIZONS, random_orders
+from usarmjx.sim.scene import build_scene
+from usarmjx.train.envs.recipe import open_floor
+from usarmjx.train.envs.task import TaskView
+from usarmjx.train.scenes.clearance import clearance
+from usarmjx.train.tasks.ranges import first_kind
+
+PLACES = ("floor", "maze")
+"""An open floor, and a generated maze that the robot gets through."""
+LOOK_EVERY = 10
+"""Sensors and contacts are looked at once in so many control steps: five times a second."""
+TOUCH = 0.01
+"""What is so near is touched, as in tasks [m]."""
+RANGE_KINDS = ("RangeScanner", "Sonar", "IR")
+MOST_RANGE = 5.0
+"""Ranges beyond this count as this [m]: what is far says nothing of where the robot is."""
+HEAD = (
+    "| class, place | after 1 s | after 5 s | after 20 s | ranges after these | odometry off by, c / planar "
+    "| contacts a minute, c / planar |\n|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What robots of a class met on a drive, one in each world.
+
+    Attributes:
+        pose: Positions on the plan [m] and headings [rad] (looks, robots, 3).
+        ranges: What their range sensors said [m] (looks, robots, readings); no readings: they have none.
+        odometry: Where their odometry has them since the start, likewise; NaN: they have none.
+        touching: Whether they touched what stands around them, as tasks count it (looks, robots).
+        period: Time between looks [s].
+    """
+
+    pose: np.ndarray
+    ranges: np.ndarray
+    odometry: np.ndarray
+    touching: np.ndarray
+    period: float
+
+    @property
+    def contacts_per_minute(self) -> float:
+        """How often a robot began to touch something."""
+        begun = self.touching[1:] & ~self.touching[:-1]
+        return float(begun.sum() / begun.size * 60.0 / self.period)
+
+    @property
+    def slip(self) -> np.ndarray:
+        """How far odometry is from where the robot got to since the start [m] (looks, robots)."""
+        way = self.pose[..., :2] - self.pose[0, :, :2]
+        c, s = np.cos(self.pose[0, :, 2]), np.sin(self.pose[0, :, 2])
+        own = np.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
+        return np.linalg.norm(own - self.odometry[..., :2], axis=-1)
+
+
+def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
+    """Return a place to drive in; see `PLACES`.
+
+    Raises:
+        UsageError: No such place.
+    """
+    if name not in PLACES:
+        raise UsageError(f"no place {name!r} to drive in, expected one of {', '.join(PLACES)}")
+    return open_floor() if name == "floor" else generate("maze", (5, 4), 0, robot=robot.name)
+
+
+def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> Drive:
+    """Return what robots meet that are told orders (steps, robots, keys), one in each world."""
+    ranging = first_kind(robot, RANGE_KINDS)
+    kept = tuple(one for one in robot.sensors if one.kind in (ranging, "Odometry"))
+    scene = build_scene(arena, [replace(robot, sensors=kept, cameras=(), battery_life=1e6)])
+    batch = Batch(scene, worlds=orders.shape[1], engine=engine, shuffle=True)
+    kinds = [sensor.kind for sensor in scene.groups[0].suite.sensors]
+    meets = jax.jit(jax.vmap(partial(_touches, scene)))
+    state, looks = batch.reset(), list[tuple[np.ndarray, ...]]()
+    for number, order in enumerate(orders):
+        if not number or (order != orders[number - 1]).any():
+            keys = enumerate(robot.drive.keys)
+            state = batch.drive(state, 0, {key: order[:, None, i] for i, key in keys})
+        if number % LOOK_EVERY == 0:
+            state, seen = _look(batch, state, kinds, ranging)
+            looks.append((*seen, np.asarray(meets(state.worlds, batch.physics(state)))))
+        state = batch.step(state)
+    pose, ranges, odometry, touching = (np.array(part) for part in zip(*looks, strict=True))
+    return Drive(pose, ranges, odometry, touching, LOOK_EVERY * scene.physics.period)
+
+
+def _touches(scene: Any, world: Any, physics: Any) -> jax.Array:  # noqa: ANN401 - of one world
+    view = TaskView(world=world, physics=physics, readings=(), scene=scene)
+    return clearance(view)[0][0] <= TOUCH
+
+
+def _look(
+    batch: Batch, state: BatchState, kinds: list[str], ranging: str | None
+) -> tuple[BatchState, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return the state with its sensors read; poses, ranges and odometry of all worlds' robots."""
+    state, readings = batch.observe(state)
+    worlds, root = (
+        batch.worlds,
+        np.asarray(batch.physics(state).qpos)[:, batch.scene.groups[0].root_qposadr[0]],
+    )
+    w, x, y, z = root[:, 3:].T
+    pose = np.column_stack([root[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+    values = {kind: np.asarray(one.value)[:, 0] for kind, one in zip(kinds, readings[0], strict=True)}
+    ranges = np.zeros((worlds, 0)) if ranging is None else values[ranging].reshape(worlds, -1)
+    odometry = values.get("Odometry", np.full((worlds, 3), np.nan))
+    return state, (pose, np.minimum(ranges, MOST_RANGE), odometry)
+
+
+def drive_gap(
+    robot: RobotSpec, place: str, engines: tuple[str, str] = ("c", "planar"), robots: int = 16, seed: int = 1
+) -> str:
+    """Return how far two engines come apart by the same random orders, as a row of a table in Markdown.
+
+    Medians over robots: the distance of poses after each of `HORIZONS`, the difference of a range at the last
+    of them, how far odometry is from where the robot got to, and contacts.
+
+    Args:
+        robot: The class.
+        place: Where it drives, one of `PLACES`.
+        engines: Which; the first is the truth.
+        robots: How many drive, each in a world of its own.
+        seed: Of their orders.
+
+    Raises:
+        UsageError: No such place.
+    """
+    arena = place_of(place, robot)
+    orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
+    real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
+    apart = np.linalg.norm((other.pose - real.pose)[..., :2], axis=-1)
+    looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
+    cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
+    cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))
+    cells.append(" / ".join(f"{np.median(one.slip[-1]):.2f} m" for one in (real, other)))
+    cells.append(" / ".join(f"{one.contacts_per_minute:.1f}" for one in (real, other)))
+    return f"| {robot.name}, {place} | {' | '.join(cells)} |"
+
+
+def _ranges_apart(real: Drive, other: Drive, look: int) -> str:
+    if not real.ranges.shape[-1]:
+        return "-"
+    return f"{np.median(np.abs(other.ranges[look] - real.ranges[look])):.2f} m"
+
+
+def drive_table(robots: Iterable[RobotSpec], *, everything: bool = False) -> Iterator[str]:
+    """Yield a table of `drive_gap` in Markdown, row by row, of classes in all places.
+
+    Args:
+        robots: The classes.
+        everything: Leave out what does not roll, instead of refusing it.
+
+    Raises:
+        UsageError: A class does not roll.
+    """
+    yield HEAD
+    for robot in robots:
+        if rolls(robot.drive):
+            yield from (drive_gap(robot, place) for place in PLACES)
+        elif not everything:
+            raise UsageError(f"{robot.name} does not roll on wheels or tracks: its drives are not compared")
