@@ -39,6 +39,10 @@ COMMANDS = (
     "bench camera",
     "bench step",
     "bench train x",
+    "bench compile",
+    "bench memory",
+    "bench peers",
+    "bench report",
 )
 WITHOUT_JAX = """
 import contextlib, io, json, sys, threading
