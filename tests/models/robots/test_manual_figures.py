@@ -69,6 +69,15 @@ def test_built_robots_fill_the_manuals_box(name):
     np.testing.assert_allclose(high - low, FIGURES[name][0], atol=BUILT)
 
 
+@pytest.mark.parametrize("name", ["ATRVJr", "Hummer", "SnowStorm", "Zerg", "Rugbot", "Kenaf"])
+def test_built_robots_are_as_long_and_wide_as_the_manual_says(name):
+    """Their scanners and cameras stand above the listed height."""
+    low, high = extent(ROBOTS.get(name))
+    length, width, height = FIGURES[name][0]
+    np.testing.assert_allclose((high - low)[:2], (length, width), atol=BUILT)
+    assert (high - low)[2] > height + BUILT
+
+
 def test_single_figures_are_the_manuals():
     assert ROBOTS.get("Submarine").drive.rudder_area == 0.3378
     telemax, kenaf = ROBOTS.get("TeleMax"), ROBOTS.get("Kenaf")
