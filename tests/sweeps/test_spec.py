@@ -121,6 +121,14 @@ def test_episodes_go_through_the_levels_in_turn():
     assert many.arena_of(7) == many.arenas[1]
 
 
+def test_a_size_goes_before_the_sizes_of_the_task():
+    def lengths(**said):
+        return {arena.extent[0][1] for arena in resolved(task="explore-v2", episodes=9, **said).arenas}
+
+    assert len(lengths()) == 3
+    assert lengths(**{"arena.size": [5, 4]}) == {6.0}
+
+
 def test_data_share_a_signature_and_what_is_compiled_in_does_not():
     def differs(**other):
         one, two = resolved(arena={"level": 0.4}), resolved(**{"arena.level": 0.4, **other})

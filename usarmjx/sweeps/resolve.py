@@ -248,6 +248,7 @@ def _said_recipe(recipe: GeneratedArenas, said: dict[str, Any]) -> GeneratedAren
         said["levels"] = (float(level),)
     if "size" in said:
         said["size"] = tuple(said["size"]) if isinstance(said["size"], list) else said["size"]
+        said["sizes"] = ()  # the task's own would go before
     known = {field.name for field in fields(recipe)}
     if missing := sorted(set(said) - known):
         raise UsageError(f"arena.{missing[0]}: the arenas of this task have: {', '.join(sorted(known))}")
