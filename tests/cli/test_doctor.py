@@ -136,6 +136,20 @@ def test_a_small_batch_steps_and_sees_its_wall():
     assert rays.about == "rays"
 
 
+def test_only_engine_c_has_a_wall_to_see(monkeypatch):
+    """MJX would compile for many seconds what boxes do to each other."""
+    seen = {}
+
+    def batch(scene, *, worlds, engine):
+        seen[engine] = len(scene.arena.shapes)
+        raise RuntimeError("far enough")
+
+    monkeypatch.setattr("usarmjx.sim.batch.Batch", batch)
+    for check in (self_test.try_c, self_test.try_jax):
+        assert verdicts(run_checks([check])) == [(check.__name__.removeprefix("try_"), "wrong")]
+    assert seen == {"c": 1, "jax": 0}
+
+
 def test_a_batch_that_stands_still_is_found(monkeypatch):
     monkeypatch.setattr(self_test, "TURNED", np.inf)
     (engine,) = self_test.try_c()

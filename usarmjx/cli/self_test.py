@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from threading import Timer
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,9 @@ def _step(engine: str) -> Iterator[Finding]:
     from usarmjx.sim.scene import build_scene
 
     began = time.perf_counter()
-    batch = Batch(build_scene(_room(), [ROBOT]), worlds=WORLDS, engine=engine)
+    # What MJX compiles for a box against a box takes as long again as all the rest.
+    room = _room() if engine == "c" else replace(_room(), shapes=())
+    batch = Batch(build_scene(room, [ROBOT]), worlds=WORLDS, engine=engine)
     first = state = batch.reset()
     state = batch.drive(state, 0, {"Left": 5.0, "Right": 5.0})
     for _ in range(STEPS):
