@@ -116,6 +116,9 @@ def generate(
     obstacles: Annotated[
         float, typer.Option(help="Share of the rings round the base that are crossed over obstacles only.")
     ] = 0.0,
+    risk: Annotated[
+        float, typer.Option(help="Share of drives that fail at the highest of them; 0: all get over them.")
+    ] = 0.0,
     robot: Annotated[
         str, typer.Option(help="Robot class that can pass.", autocompletion=complete_robots)
     ] = "P2AT",
@@ -143,7 +146,7 @@ def generate(
             "radio_shadow": radio_shadow,
         }
         own_levels = {name: difficulty if own is None else own for name, own in levels.items()}
-        level = Difficulty(**own_levels, obstacles=obstacles)
+        level = Difficulty(**own_levels, obstacles=obstacles, risk=risk)
         arena = make(kind, _read_size(size), seed, level, robot, reachable, victims)
         typer.echo(summary(arena))
         _draw(arena, png, perspective)
@@ -199,13 +202,26 @@ def lanes() -> None:
 def obstacles(
     robot: LaneRobotOption = "P2AT",
     tries: Annotated[int, typer.Option(help="Lanes that each number is measured in.", min=1)] = 4,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            help="Measure success at heights up to what hardly any drive gets over, into this file."
+        ),
+    ] = None,
 ) -> None:
     """Measure how a robot gets over the obstacles of generated arenas that are sized to it."""
     with ErrorExit():
         announce(f"driving a {robot} over obstacles ...")
-        from usarmjx.cli.arena_tables import obstacles_table
+        if write is None:
+            from usarmjx.cli.arena_tables import obstacles_table
 
-        typer.echo(obstacles_table(robot, tries))
+            typer.echo(obstacles_table(robot, tries))
+            return
+        from usarmjx.bench.trials.obstacles import write_success
+        from usarmjx.models.robots import ROBOTS
+
+        write_success(ROBOTS.get(robot), tries, write)
+        typer.echo(f"wrote {write}")
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """Robots driven through lanes and arenas: what they pass, what stops them, and how that is counted."""
 
+import json
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ from typer.testing import CliRunner
 
 from tests.terrain import heights
 from usarmjx.base.errors import UsageError
+from usarmjx.bench.trials import obstacles
 from usarmjx.bench.trials.driver import Trial
 from usarmjx.bench.trials.lanes import LaneScore, run_lane
 from usarmjx.bench.trials.obstacles import measure_crossings
@@ -136,3 +138,17 @@ def test_the_commands_of_lanes(tmp_path):
     wrong = CliRunner().invoke(app, ["arena", "lane", "swamp"])
     assert wrong.exit_code == 2
     assert "unknown lane 'swamp'" in wrong.output
+
+
+def test_measured_success_goes_into_a_file_that_keeps_other_classes(tmp_path, monkeypatch):
+    monkeypatch.setattr(obstacles, "LEVELS", (0.3, 4.0))
+    monkeypatch.setattr(OBSTACLES, "names", lambda: ["posts"])
+    path = tmp_path / "crossings.json"
+    path.write_text('{"classes": {"Talon": {"bars": [[0.3, 1.0]]}}}')
+    run = CliRunner().invoke(app, ["arena", "obstacles", "--tries", "1", "--write", str(path)])
+    assert run.exit_code == 0, run.output
+    kept = json.loads(path.read_text())["classes"]
+    assert kept == {"P2AT": {"posts": [[0.3, 1.0], [4.0, 0.0]]}, "Talon": {"bars": [[0.3, 1.0]]}}
+    path.write_text("[]")
+    wrong = CliRunner().invoke(app, ["arena", "obstacles", "--write", str(path)])
+    assert "holds no measured success" in wrong.output

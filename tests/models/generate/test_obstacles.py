@@ -5,10 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
+from usarmjx.base.errors import SpecError
 from usarmjx.models.build.reach import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
+from usarmjx.models.generate.crossings import highest_at, highest_obstacle, measured_crossings
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.generate.obstacles import OBSTACLES, obstacle_height
+from usarmjx.models.generate.obstacles import HIGHEST, OBSTACLES, obstacle_height
 from usarmjx.models.generate.plan import CELL
 from usarmjx.models.robots import ROBOTS
 
@@ -58,3 +60,42 @@ def test_obstacles_are_as_high_as_the_robot_and_the_roughness_say(kind):
     assert tops == sorted(tops)
     assert tops[-1] > 2 * tops[0]
     assert top("P2DX", 1.0) < top("P2AT", 1.0)
+
+
+def test_no_obstacle_on_a_route_is_higher_than_what_every_drive_got_over():
+    for robot, kinds in measured_crossings().items():
+        for kind, curve in kinds.items():
+            allowed = highest_obstacle(robot, kind, 0.0)
+            assert allowed <= HIGHEST
+            assert all(share == 1.0 for height, share in curve if height <= allowed)
+    assert highest_obstacle("P2DX", "bars", 0.0) < HIGHEST, "a P2DX does not get over the highest bars"
+    assert highest_obstacle("Zerg", "bars", 0.0) == HIGHEST
+
+
+@pytest.mark.parametrize("kind", OBSTACLES.names())
+def test_more_risk_is_higher_obstacles_and_less_success(kind):
+    curve = measured_crossings()["P2DX"][kind]
+    assert curve[0][1] == 1.0
+    assert curve[-1][1] <= 0.2, "measured until hardly any drive gets over them"
+    heights = [highest_obstacle("P2DX", kind, risk) for risk in (0.0, 0.2, 0.5, 0.8)]
+    assert heights == sorted(heights)
+    assert heights[2] > heights[0]
+
+
+def test_a_height_between_two_measured_ones_goes_evenly_and_luck_does_not_count():
+    curve = [(0.5, 1.0), (1.0, 0.6), (1.5, 0.8), (2.0, 0.0)]
+    assert highest_at(curve, 1.0) == pytest.approx(0.5)
+    assert highest_at(curve, 0.8) == pytest.approx(0.75)
+    assert highest_at(curve, 0.6) == pytest.approx(1.5)
+    assert highest_at(curve, 0.3) == pytest.approx(1.75)
+
+
+def test_a_risky_arena_has_higher_obstacles_on_the_same_routes():
+    def heights(risk):
+        level = Difficulty(obstacles=1.0, roughness=1.0, clutter=0.0, risk=risk)
+        shapes = generate("rubble", (7, 5), 3, level, robot="P2DX").shapes
+        return sum(shape.at[2] + shape.size[2] for shape in shapes if shape.surface == "ground")
+
+    assert heights(0.5) > heights(0.0)
+    with pytest.raises(SpecError, match=r"a risk of 0\.5 for Zerg: measured are .*P2DX"):
+        generate("maze", (7, 5), 3, Difficulty(obstacles=1.0, risk=0.5), robot="Zerg")

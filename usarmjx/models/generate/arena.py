@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.reach import RobotFootprint, footprint_of, reach_map, victims_reached
+from usarmjx.models.build.reach import DEFAULT_SLOPE, RobotFootprint, footprint_of, reach_map, victims_reached
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import ArenaBuilder, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.kinds import KINDS, budget
+from usarmjx.models.generate.obstacles import OBSTACLES, STEEPEST
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, CellGrid, doubled, edge
-from usarmjx.models.generate.rings import place_obstacles
+from usarmjx.models.generate.rings import place_obstacles, ring_height
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
@@ -23,6 +24,8 @@ DIGITS = 6
 """Decimals of all numbers of an arena; further ones differ between machines."""
 SQUARES = (CELL / 18, 0.02)
 """Side of the squares in which ways are looked for [m]: the first, or for wide robots the second."""
+ABOVE = 1.01
+"""A step so many times as high as the highest obstacle is a step over it."""
 TRIES = 8
 """How many arenas are made, at most, until victims are reached as they should be."""
 
@@ -70,10 +73,12 @@ def generate(
             difficulty=difficulty,
             footprint=needs,
             seed=seed + (attempt << 64),
+            robot=name,
         )
         _fill(site, count, reachable)
         arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
-        if _as_stated(arena, needs):
+        slope = 1.01 * STEEPEST if difficulty.risk else DEFAULT_SLOPE
+        if _as_stated(arena, _climbing(site), slope):
             return arena
     raise SpecError(f"no {kind} of {size[0]}x{size[1]} cells in {TRIES} tries that a robot of {needs} passes")
 
@@ -201,10 +206,18 @@ def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:
     )
 
 
-def _as_stated(arena: ArenaSpec, needs: RobotFootprint) -> bool:
+def _climbing(builder: ArenaBuilder) -> RobotFootprint:
+    """Return what the robot needs, with a step that takes it over the highest obstacle."""
+    if not builder.difficulty.risk:
+        return builder.footprint
+    highest = max(ring_height(builder, kind) for kind in OBSTACLES.names())
+    return replace(builder.footprint, step=max(builder.footprint.step, ABOVE * highest))
+
+
+def _as_stated(arena: ArenaSpec, needs: RobotFootprint, slope: float) -> bool:
     """Return whether all starts, and the victims that should be, are reached, and no others."""
     square = SQUARES[0] if _passes(needs, SQUARES[0]) else SQUARES[1]
-    there = reach_map(arena, needs.radius, needs.step, height=needs.height, cell=square)
+    there = reach_map(arena, needs.radius, needs.step, height=needs.height, slope=slope, cell=square)
     meant = ["walled in" not in victim.state for victim in arena.victims]
     if victims_reached(arena, there) != meant:
         return False

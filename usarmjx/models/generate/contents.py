@@ -76,6 +76,7 @@ class ArenaBuilder:
         difficulty: How difficult.
         footprint: What the robot needs to pass.
         seed: Of the draws.
+        robot: Its class; "" if only its footprint is known.
         shapes: Solids other than walls.
         corner: The sides of cells along which things lie, along x and y; 0: none do.
         clear: Cells where nothing lies: victims, or a second floor, are reached from there.
@@ -87,6 +88,7 @@ class ArenaBuilder:
     difficulty: Difficulty
     footprint: RobotFootprint
     seed: int
+    robot: str = ""
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
     clear: set[Cell] = field(default_factory=set)

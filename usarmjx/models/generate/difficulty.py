@@ -20,6 +20,8 @@ class Difficulty:
         radio_shadow: Share of the inner walls that are two sheets, which the radio counts as two walls.
         obstacles: Share of the rings of cells round the base that can only be crossed over obstacles; see
             `generate.rings`. Asked for by itself: `of` leaves it at 0.
+        risk: Share of drives that fail at the highest of those obstacles, as measured (`generate.crossings`);
+            at 0 every drive gets over them. Asked for by itself, too.
     """
 
     wall_density: float = 0.5
@@ -28,6 +30,7 @@ class Difficulty:
     dead_ends: float = 0.5
     radio_shadow: float = 0.5
     obstacles: float = 0.0
+    risk: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range."""
@@ -38,5 +41,6 @@ class Difficulty:
 
     @classmethod
     def of(cls, level: float) -> "Difficulty":
-        """Return the difficulty with all numbers but the obstacles at one level, for curricula."""
-        return cls(**{field.name: level for field in fields(cls) if field.name != "obstacles"})
+        """Return the difficulty with all numbers but obstacles and risk at one level, for curricula."""
+        asked_for = ("obstacles", "risk")
+        return cls(**{field.name: level for field in fields(cls) if field.name not in asked_for})

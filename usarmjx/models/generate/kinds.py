@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from usarmjx.base.registry import Registry
-from usarmjx.models.generate import layouts, obstacles, structures
-from usarmjx.models.generate.obstacles import Obstacle
+from usarmjx.models.generate import layouts, structures
+from usarmjx.models.generate.obstacles import MOST_SOLIDS
 from usarmjx.models.generate.plan import LONGEST
 from usarmjx.models.generate.structures import Maker
 
@@ -25,7 +25,7 @@ class ArenaKind:
         max_solids: Solids of one of them.
         voids: Whether victims lie under slabs.
         second_floor: Whether there is one, along the last row.
-        obstacle: Makes what must be crossed, where obstacles are asked for.
+        obstacle: What must be crossed, where obstacles are asked for; a name of `obstacles.OBSTACLES`.
     """
 
     about: str
@@ -35,7 +35,7 @@ class ArenaKind:
     max_solids: int = 0
     voids: bool = False
     second_floor: bool = False
-    obstacle: Obstacle = obstacles.bars
+    obstacle: str = "bars"
 
     def structures(self, size: tuple[int, int]) -> int:
         """Return in how many cells something bars the way."""
@@ -51,7 +51,7 @@ KINDS.add(
         about="An open field with heaps of slabs and blocks.",
         layout=layouts.open_field,
         structure=structures.rubble,
-        obstacle=obstacles.slabs,
+        obstacle="slabs",
         structure_percent=25,
         max_solids=4,
     ),
@@ -62,7 +62,7 @@ KINDS.add(
         about="Step fields of posts between some walls.",
         layout=layouts.open_field,
         structure=structures.steps,
-        obstacle=obstacles.posts,
+        obstacle="posts",
         structure_percent=12,
         max_solids=structures.POSTS**2,
     ),
@@ -73,7 +73,7 @@ KINDS.add(
         about="Ramps of 15 degrees, and a second floor along one side.",
         layout=layouts.open_field,
         structure=structures.ramps,
-        obstacle=obstacles.ridge,
+        obstacle="ridge",
         structure_percent=20,
         max_solids=1,
         second_floor=True,
@@ -85,7 +85,7 @@ KINDS.add(
         about="A building whose ceiling has come down in places; victims in voids.",
         layout=layouts.building,
         structure=structures.collapsed,
-        obstacle=obstacles.slabs,
+        obstacle="slabs",
         structure_percent=20,
         max_solids=3,
         voids=True,
@@ -127,7 +127,7 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
     outer = 2 * (-(-columns // LONGEST) - (-rows // LONGEST))
     inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))  # every wall of two sheets
     shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.max_solids
-    shapes += most["obstacles"] * obstacles.MOST_SOLIDS
+    shapes += most["obstacles"] * MOST_SOLIDS
     shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor
     return Budget(
         shapes=shapes,

@@ -16,7 +16,7 @@ from usarmjx.models.spec.shapes import Position2D, Shape
 
 LOWEST, HIGHEST = 0.3, 0.95
 """Height of what must be stepped onto at roughness 0 and 1, over the robot's step."""
-SLOPE, STEEPEST = math.radians(350), math.radians(25)
+SLOPE, STEEPEST = math.radians(350), math.radians(40)
 """Slope of a ridge over the height of a step [rad/m], and the steepest."""
 POSTS = 3
 """Posts along each side of a step field."""
@@ -96,9 +96,9 @@ def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
     ]
 
 
-def obstacle_height(robot: RobotFootprint, roughness: float) -> float:
-    """Return how high obstacles are for a robot [m]."""
-    return lerp(LOWEST, HIGHEST, roughness) * robot.step
+def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = HIGHEST) -> float:
+    """Return how high obstacles are for a robot [m]; `highest` at roughness 1, over its step."""
+    return lerp(min(LOWEST, highest), highest, roughness) * robot.step
 
 
 OBSTACLES: Registry[Obstacle] = Registry("kind of obstacle")

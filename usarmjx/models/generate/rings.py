@@ -7,8 +7,12 @@ free has one.
 import math
 
 from usarmjx.models.generate.contents import ArenaBuilder
-from usarmjx.models.generate.obstacles import obstacle_height, posts
+from usarmjx.models.generate.crossings import highest_obstacle
+from usarmjx.models.generate.obstacles import OBSTACLES, SLOPE, obstacle_height
 from usarmjx.models.generate.plan import DIRECTIONS, START_CELL, Cell, CellGrid, edge, middle
+
+STEEP = math.radians(25)
+"""The steepest ridge where no drive may fail: steeper ones are hard on slick ground."""
 
 
 def place_obstacles(builder: ArenaBuilder) -> None:
@@ -19,7 +23,7 @@ def place_obstacles(builder: ArenaBuilder) -> None:
     draw, away = builder.random_stream("obstacles"), distances(builder.plan)
     rings = draw.shuffled(_rings(builder, away))
     left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
-    height = obstacle_height(builder.footprint, builder.difficulty.roughness)
+    heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
     for ring in rings[: math.ceil(share * len(rings))]:
         if len(ring) > left:
             continue
@@ -27,9 +31,16 @@ def place_obstacles(builder: ArenaBuilder) -> None:
         for cell in ring:
             ways = _ways(builder.plan, cell)
             straight = len({way % 2 for way in ways}) == 1
-            maker = obstacle if straight else posts
-            builder.shapes += maker(draw, middle(cell), height, ways[0])
+            name = obstacle if straight else "posts"
+            builder.shapes += OBSTACLES.get(name)(draw, middle(cell), heights[name], ways[0])
         builder.obstructed.update(ring)
+
+
+def ring_height(builder: ArenaBuilder, kind: str) -> float:
+    """Return how high obstacles of a kind are [m]."""
+    highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
+    height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
+    return height if builder.difficulty.risk or kind != "ridge" else min(height, STEEP / SLOPE)
 
 
 def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
