@@ -11,7 +11,7 @@ import time
 from importlib.metadata import version
 
 WARM_UP = 2
-"""Calls before the clock starts: JAX compiles again where a step's state differs in kind from the first one."""
+"""Calls before the clock starts: JAX compiles again where a step's state differs in kind from the first."""
 
 
 def read_options():

@@ -83,6 +83,12 @@ def test_warp_drives_as_c_mujoco_does(scene, reference):
     state = drive_for(batch)
     np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
     batch.check_overflow(state)
+    contacts, rows, iterations = map(np.asarray, batch.engine.solved(state.physics))
+    assert contacts.sum() == int(state.physics._impl.nacon.reshape(-1)[0])
+    assert contacts.shape == rows.shape == iterations.shape == (2,)
+    assert contacts.min() >= 4, "two robots stand on their wheels in each world"
+    assert (rows >= 3 * contacts).all()
+    assert iterations.min() >= 1
     # Warp only sets bits of overflow: an old one must not count again in every later step.
     full = state.replace(physics=state.physics.tree_replace({"_impl.overflow": jnp.array([1, 0])}))
     assert np.asarray(batch.engine.overflow(full.physics, None)).tolist() == [1, 0]
@@ -106,6 +112,8 @@ def test_c_batch_is_plain_mj_step(scene):
         mujoco.mj_step(batch.engine.model, data, nstep=scene.physics.substeps)
         state = batch.step(state)
         np.testing.assert_array_equal(state.physics.qpos[0], data.qpos)
+        met = [int(count[0]) for count in batch.engine.solved(state.physics)]
+        assert met == [data.ncon, data.nefc, data.solver_niter[0]]
 
 
 def test_a_world_alone_is_the_world_in_a_batch(flat, jax_batch, driven):
@@ -183,6 +191,14 @@ def test_commands_that_are_not_finite_reach_nobody(jax_batch):
 def test_one_compilation_serves_all_steps(jax_batch, driven):
     del driven
     assert jax_batch.step._cache_size() == 1
+
+
+def test_jax_tells_what_its_solver_met(jax_batch, driven):
+    contacts, rows, iterations = jax_batch.engine.solved(driven.physics)
+    assert np.asarray(contacts).shape == (2,)
+    assert np.asarray(contacts).min() >= 4, "each robot stands on its wheels"
+    assert (np.asarray(rows) >= 3 * np.asarray(contacts)).all()
+    assert iterations is None
 
 
 def test_overflow_is_an_error_that_names_the_setting(jax_batch, driven):

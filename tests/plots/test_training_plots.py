@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
 import dev
+from tests.bench.records import faults
 from tests.test_docs import blocks
 from tests.train.runs import lines
 from usarmjx.base.errors import UsageError
@@ -127,6 +128,9 @@ def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):
     assert any(change.startswith("discount: 0.99 -> 0.9") for change in record["settings"]["training"])
     assert f"score {scores[-1]:.3f}; baseline 0.5 after {reached:.0f} s" in done.output
     assert train_record(reference, 2.0)["baseline_reached_s"] is None
+    assert faults(record) == []
+    assert record["rates"]["training"]["rate"] == pytest.approx(record["agent_steps_per_s"])
+    assert "drive-toy" in record["baselines"]["mujoco_rollout"]["missing"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.bench.baselines import check_word, missing, physics_baselines
+from usarmjx.base.errors import UsarmjxError
+from usarmjx.bench.baselines import PHYSICS_NAMES, check_word, missing, physics_baselines
 from usarmjx.bench.scene_figures import sizes
 from usarmjx.bench.tools import append_record, record_header, spread_of
 from usarmjx.plots.training_plots import Curve, curve_of_run
@@ -78,15 +79,19 @@ def train_record(
 
 
 def _scene_beside(run: RunRecord, baselines: str) -> dict[str, Any]:
-    """Return the task's scene and its physics alone, if that is wanted."""
-    names = ("mujoco_rollout", "bare_mjx")
-    if baselines == "none":
-        return {"scene": None, "baselines": dict.fromkeys(names, missing("not asked for"))}
-    physics = [f"physics={run.overrides['physics']}"] if "physics" in run.overrides else []
-    overrides, _ = task_settings(run.task, run.overrides, physics)
-    scene = make_task(run.task, **overrides).scene()
-    found = physics_baselines(scene, run.config.worlds, STEPS, REPEATS, baselines)
-    return {"scene": sizes(scene), "baselines": found}
+    """Return the task's scene and its physics alone, if that is wanted and the task is one of ours."""
+    reason = "not asked for"
+    if baselines != "none":
+        physics = [f"physics={run.overrides['physics']}"] if "physics" in run.overrides else []
+        try:
+            overrides, _ = task_settings(run.task, run.overrides, physics)
+            scene = make_task(run.task, **overrides).scene()
+        except UsarmjxError as error:
+            reason = str(error)
+        else:
+            found = physics_baselines(scene, run.config.worlds, STEPS, REPEATS, baselines)
+            return {"scene": sizes(scene), "baselines": found}
+    return {"scene": None, "baselines": {name: missing(reason) for name in PHYSICS_NAMES}}
 
 
 def record_run(
