@@ -5,11 +5,13 @@ from typing import Any
 
 from usarmjx.base.errors import UsageError, one_line
 
-Watch = Callable[[dict[str, Any]], None]
+IterationWatch = Callable[[dict[str, Any]], None]
 """Is told what is written of each iteration."""
 
 
-def wandb_watch(project: str, name: str, settings: Mapping[str, Any], say: Callable[[str], None]) -> Watch:
+def wandb_watch(
+    project: str, name: str, settings: Mapping[str, Any], say: Callable[[str], None]
+) -> IterationWatch:
     """Return what sends iterations to a project. What the service refuses later is told of once.
 
     Args:
