@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,8 +17,9 @@ DPI, PANEL = 100, (4.6, 3.6)
 """Width and height of a panel [inches]."""
 DIGEST = "Description"
 """Where a PNG says of which records it is."""
-OURS, OTHERS = "-", "--"
-"""Lines of ours and of others."""
+OURS, OTHERS = "s-", "o--"
+"""Marks and lines of ours and of others."""
+COLOURS = colormaps["tab20"].colors  # pyright: ignore[reportAttributeAccessIssue] - of those made of a list
 
 
 def _save(figure: Figure, out: Path, digest: str) -> None:
@@ -81,11 +83,11 @@ def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
         for row in rows:
             point = row["worlds"] * row["robots"], row["robot_seconds_per_s"]
             lines.setdefault(f"{row['who']}: {row['variant']}", []).append(point)
-        for name, points in lines.items():
-            style = OURS if name.startswith("usarmjx") else OTHERS
-            panel.plot(*zip(*sorted(points), strict=True), f"o{style}", markersize=4, label=name)
+        for i, (name, points) in enumerate(lines.items()):
+            style, colour = OURS if name.startswith("usarmjx") else OTHERS, COLOURS[i % len(COLOURS)]
+            panel.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=5, label=name)
         sizes = sorted({x for points in lines.values() for x, _ in points})
-        panel.plot(sizes, sizes, "k:", label="real time")
+        panel.plot(sizes, sizes, "kx:", label="real time")
         _logarithmic(panel, "robots in all worlds", "simulated robot-seconds per second")
         panel.set_title(machine, loc="left", fontsize=8)
         panel.legend(fontsize=7, bbox_to_anchor=(1.0, 1.0), loc="upper left")
