@@ -1,7 +1,9 @@
 """Gymnasium's next-step resets against its own, its wrappers, and ids for `make` and `make_vec`."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,6 +124,13 @@ def test_every_task_has_an_id_with_its_version(vector, monkeypatch):
     monkeypatch.setattr(gymnasium_ids, "TASKS", digs)
     found = [gymnasium_ids.id_of(name).removeprefix("usarmjx/") for name in digs.names()]
     assert found == ["dig-v4", "dig-deep-v1", "dig-v1", "dig-v3", "fill-v2", "fill-v2"]
+
+
+def test_the_ids_that_documents_name_are_there(vector):
+    text = (Path(__file__).parents[3] / "docs" / "stacks.md").read_text(encoding="utf-8")
+    named = re.findall(r"gymnasium:(usarmjx/[\w-]+)", text)
+    assert len(named) >= 2
+    assert set(named) <= set(gymnasium.registry)
 
 
 def test_gymnasium_finds_the_ids_by_their_module():

@@ -48,7 +48,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         env: The environment.
         robots: What an agent is.
         seed: Of a first `reset` without one.
-        autoreset: When worlds are reset; Gymnasium's `NormalizeObservation` and others want `next_step`.
+        autoreset: When worlds are reset; Gymnasium's NormalizeObservation and others want `next_step`.
 
     Raises:
         UsageError: `each` with robots of several classes; something else than the modes that there are.

@@ -1,4 +1,4 @@
-"""Gymnasium's ids: `gymnasium.make("usarmjx/explore")` and `make_vec` of it, and what they return.
+"""Gymnasium's ids: `gymnasium.make("usarmjx/explore")` and `gymnasium.make_vec` of it, and what they return.
 
 Importing `usarmjx.train.adapters.gymnasium` registers them; so does Gymnasium, told where they are:
 `gymnasium.make("usarmjx.train.adapters.gymnasium:usarmjx/explore")`. An id ends with the version of its task;

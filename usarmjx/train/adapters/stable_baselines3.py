@@ -1,4 +1,4 @@
-"""Stable-Baselines3: a batch as a `VecEnv`, with one agent per world or one per robot."""
+"""Stable-Baselines3: a batch as a VecEnv, with one agent per world or one per robot."""
 
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ Indices = int | Iterable[int] | None
 
 
 class BaselinesWorlds(VecEnv):
-    """An environment as a `VecEnv` of Stable-Baselines3; agents are as in `VectorWorlds`.
+    """An environment as a VecEnv of Stable-Baselines3; agents are as in `VectorWorlds`.
 
     Infos are a dictionary for each agent: the task's metrics, `score`, and `bad`, whether physics failed.
     Where an episode ended they have `terminal_observation`, and `TimeLimit.truncated` where its time was up.
