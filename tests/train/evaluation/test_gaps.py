@@ -12,7 +12,7 @@ from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.train.evaluation.drives import Drive, drive_around, drive_gap, place_of
+from usarmjx.train.evaluation.drives import DriveTrace, drive_around, drive_gap, place_of
 from usarmjx.train.evaluation.evaluate import Evaluation
 from usarmjx.train.evaluation.task_gap import sources_of, task_gap, told
 from usarmjx.train.make import make
@@ -31,7 +31,9 @@ def test_contacts_count_when_they_begin_and_odometry_from_the_start():
     pose[:, 0] = [2.0, 1.0, np.pi / 2]
     pose[-1, 0] = [2.0, 3.0, np.pi / 2]  # 2 m ahead, as it stands
     odometry[-1, 0] = [1.5, 0.0, 0.0]
-    drive = Drive(pose=pose, ranges=np.zeros((6, 2, 0)), odometry=odometry, touching=touching, period=0.2)
+    drive = DriveTrace(
+        pose=pose, ranges=np.zeros((6, 2, 0)), odometry=odometry, touching=touching, period=0.2
+    )
     assert drive.contacts_per_minute == pytest.approx(3 / 10 * 60 / 0.2)
     assert drive.slip[-1] == pytest.approx([0.5, 0.0])
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.arrays import Array
-from usarmjx.engines.planar.overlap import Figures, disc_depth, figures, meeting_point, side_depth
+from usarmjx.engines.planar.overlap import Outlines, disc_depth, meeting_point, outlines, side_depth
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids
 
 ROUNDS = 6
@@ -118,15 +118,15 @@ def overlaps(prints: Footprints, near: PlanSolids, moves: Array) -> Overlap:
     """Return what each robot of a world is deepest in, for its part."""
     count = len(prints.yaw)
     zero = jnp.zeros(count)
-    robots = figures(prints.pos, prints.axis, prints.half, zero)
-    walls = figures(near.pos, near.axis, near.half, near.radius)
-    others = Figures(
+    robots = outlines(prints.pos, prints.axis, prints.half, zero)
+    walls = outlines(near.pos, near.axis, near.half, near.radius)
+    others = Outlines(
         *(
             jnp.concatenate([w, jnp.broadcast_to(r, (count, count))], -1)
             for w, r in zip(walls, robots, strict=True)
         )
     )
-    mine = Figures(*(part[:, None] for part in robots))
+    mine = Outlines(*(part[:, None] for part in robots))
     depth, x, y = side_depth(mine, others)
     if near.discs:
         round_ = others.radius > 0
@@ -143,7 +143,7 @@ def overlaps(prints: Footprints, near: PlanSolids, moves: Array) -> Overlap:
     push = depth * jnp.where(depth > 0, jnp.concatenate([walled, share], -1), 1.0)
     which = jnp.argmax(push, -1)[:, None]
     worst = [jnp.take_along_axis(part, which, -1)[:, 0] for part in (push, x, y, *others)]
-    point = meeting_point(robots, Figures(*worst[3:]), (worst[1], worst[2]))
+    point = meeting_point(robots, Outlines(*worst[3:]), (worst[1], worst[2]))
     return Overlap(
         depth=depth.max(-1, initial=-1.0),
         push=worst[0],

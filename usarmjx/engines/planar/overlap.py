@@ -14,7 +14,7 @@ FLAT = 1e-3
 SIGNS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 
 
-class Figures(NamedTuple):
+class Outlines(NamedTuple):
     """Rectangles and discs on the plan, of shapes that can be broadcast.
 
     Attributes:
@@ -36,13 +36,13 @@ class Figures(NamedTuple):
     radius: Array
 
 
-def figures(pos: Array, axis: Array, half: Array, radius: Array) -> Figures:
-    """Return figures from middles, axes and half sides (..., 2), and radii (...,)."""
+def outlines(pos: Array, axis: Array, half: Array, radius: Array) -> Outlines:
+    """Return outlines from middles, axes and half sides (..., 2), and radii (...,)."""
     x, y, cos, sin, length, width = (part[..., i] for part in (pos, axis, half) for i in range(2))
-    return Figures(x, y, cos, sin, length, width, radius)
+    return Outlines(x, y, cos, sin, length, width, radius)
 
 
-def side_depth(one: Figures, other: Figures) -> tuple[Array, Array, Array]:
+def side_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     """Return by how much rectangles overlap, and which way the one has to go (x and y).
 
     By the theorem of the separating axis: the way out is the shortest of those along the four sides' normals,
@@ -72,7 +72,7 @@ def _way(reach: Array, apart: Array, x: Array, y: Array) -> tuple[Array, Array, 
     return reach - jnp.abs(apart), sign * x, sign * y
 
 
-def disc_depth(one: Figures, other: Figures) -> tuple[Array, Array, Array]:
+def disc_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     """Return by how much rectangles and discs overlap, and which way the rectangle has to go (x and y)."""
     dx, dy = other.x - one.x, other.y - one.y
     ahead, left = dx * one.cos + dy * one.sin, dy * one.cos - dx * one.sin
@@ -91,8 +91,8 @@ def disc_depth(one: Figures, other: Figures) -> tuple[Array, Array, Array]:
     return depth, -(own_x * one.cos - own_y * one.sin), -(own_x * one.sin + own_y * one.cos)
 
 
-def meeting_point(one: Figures, other: Figures, way: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return where figures meet: in the middle of what the nearest corners of rectangles have in common.
+def meeting_point(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return where outlines meet: in the middle of what the nearest corners of rectangles have in common.
 
     Args:
         one: Rectangles that have to go along `way`.
@@ -117,7 +117,7 @@ def meeting_point(one: Figures, other: Figures, way: tuple[Array, Array]) -> tup
     )
 
 
-def _corners(one: Figures) -> list[tuple[Array, Array]]:
+def _corners(one: Outlines) -> list[tuple[Array, Array]]:
     return [
         (
             one.x + i * one.length * one.cos - j * one.width * one.sin,

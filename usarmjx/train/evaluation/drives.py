@@ -37,7 +37,7 @@ HEAD = (
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class DriveTrace:
     """What robots of a class met on a drive, one in each world.
 
     Attributes:
@@ -80,7 +80,7 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
     return open_floor() if name == "floor" else generate("maze", (5, 4), 0, robot=robot.name)
 
 
-def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> Drive:
+def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> DriveTrace:
     """Return what robots meet that are told orders (steps, robots, keys), one in each world."""
     ranging = first_kind(robot, RANGE_KINDS)
     kept = tuple(one for one in robot.sensors if one.kind in (ranging, "Odometry"))
@@ -98,7 +98,7 @@ def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.nda
             looks.append((*seen, np.asarray(meets(state.worlds, batch.physics(state)))))
         state = batch.step(state)
     pose, ranges, odometry, touching = (np.array(part) for part in zip(*looks, strict=True))
-    return Drive(pose, ranges, odometry, touching, LOOK_EVERY * scene.physics.period)
+    return DriveTrace(pose, ranges, odometry, touching, LOOK_EVERY * scene.physics.period)
 
 
 def _touches(scene: Any, world: Any, physics: Any) -> jax.Array:  # noqa: ANN401 - of one world
@@ -153,7 +153,7 @@ def drive_gap(
     return f"| {robot.name}, {place} | {' | '.join(cells)} |"
 
 
-def _ranges_apart(real: Drive, other: Drive, look: int) -> str:
+def _ranges_apart(real: DriveTrace, other: DriveTrace, look: int) -> str:
     if not real.ranges.shape[-1]:
         return "-"
     return f"{np.median(np.abs(other.ranges[look] - real.ranges[look])):.2f} m"
