@@ -1,6 +1,7 @@
 """What is timed of a batch: bare physics, the whole step, the whole step without sensors; in a loop."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -90,9 +91,11 @@ def bare_step(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[jax.
     scene, start = batch.scene, jnp.zeros(())
     standing = jax.vmap(lambda world: moved_geom_poses(scene, world.arena_state, start))(state.worlds)
 
+    order = jax.jit(partial(random_actuation, scene, batch.worlds))  # else engine `c` waits for its orders
+
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         now: PhysicsState = batch.engine.state(physics)
-        ctrl, act = random_actuation(scene, batch.worlds, jax.random.fold_in(key, i), now.qpos, now.act)
+        ctrl, act = order(jax.random.fold_in(key, i), now.qpos, now.act)
         return batch.engine.advance(physics, _inputs(batch, ctrl, act).replace(geom_poses=standing))
 
     return body
