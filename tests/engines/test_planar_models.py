@@ -112,7 +112,7 @@ def test_steps_of_50_ms_are_refused_where_contacts_are_solved():
 
 def test_a_mirrored_world_stays_the_mirror_image():
     """Robots on top of each other and of a wall, and the same to the left instead of to the right."""
-    rng, n = np.random.default_rng(4), 6
+    rng, n = np.random.default_rng(4), 4
     start = Footprints(
         pos=jnp.asarray(rng.uniform(-0.7, 0.7, (8, n, 2)) + 3.0 * np.arange(n)[:, None], jnp.float32),
         yaw=jnp.asarray(rng.uniform(-3.0, 3.0, (8, n)), jnp.float32),

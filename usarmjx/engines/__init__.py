@@ -8,6 +8,6 @@ to say.
 """
 
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
-from usarmjx.engines.choice import ENGINES, choose_engine, make_engine
+from usarmjx.engines.choice import ENGINES, choose_engine, engine_class, make_engine
 
-__all__ = ["ENGINES", "Engine", "Inputs", "PhysicsState", "choose_engine", "make_engine"]
+__all__ = ["ENGINES", "Engine", "Inputs", "PhysicsState", "choose_engine", "engine_class", "make_engine"]

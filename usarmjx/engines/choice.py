@@ -38,6 +38,16 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
     return "c" if purpose == "serve" else "jax"
 
 
+def engine_class(name: str) -> type[Engine[Any]]:
+    """Return the class of an engine.
+
+    Raises:
+        UnknownNameError: No such engine.
+    """
+    module, kind = ENGINES.get(name)
+    return getattr(import_module(module), kind)
+
+
 def make_engine(
     name: str,
     spec: mujoco.MjSpec,
@@ -54,7 +64,6 @@ def make_engine(
         UnsupportedFeatureError: The model has a feature that the engine would ignore.
         EngineError: The engine cannot run here.
     """
-    module, kind = ENGINES.get(name)
-    engine: type[Engine[Any]] = getattr(import_module(module), kind)
+    engine = engine_class(name)
     more = {"robots": robots} if engine.needs_robots else {}
     return engine(spec, physics, worlds, moved_geoms, varied_bodies, **more)

@@ -41,7 +41,7 @@ def test_contacts_count_when_they_begin_and_odometry_from_the_start():
 def test_a_wall_that_is_run_into_counts_on_c_as_on_planar():
     """By the same measure that tasks score by; ranges and poses agree while nothing is touched."""
     robot = ROBOTS.get("P2AT")
-    orders = np.full((121, 1, 2), 3.0, np.float32)
+    orders = np.full((101, 1, 2), 5.0, np.float32)
     real, planar = (drive_around(robot, AHEAD, engine, orders) for engine in ("c", "planar"))
     for drive in (real, planar):
         assert not drive.touching[0, 0]

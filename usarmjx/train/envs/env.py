@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
-from usarmjx.engines import PhysicsState
+from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.reset import init_world
@@ -77,13 +77,13 @@ class Env:
         if task.time_limit not in get_args(TimeLimit):
             raise UsageError(f"time_limit {task.time_limit!r}, expected {' or '.join(get_args(TimeLimit))}")
         self.task, self.name = task, name or type(task).__name__
-        self.scene = task.scene()
-        self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)
-        if task.needs_solver and not self.batch.engine.has_solver:
+        if task.needs_solver and not engine_class(choose_engine(engine, "train")).has_solver:
             raise UnsupportedFeatureError(
-                f"engine {self.batch.engine.name!r} cannot run {self.name}, which needs {task.needs_solver}; "
+                f"engine {engine!r} cannot run {self.name}, which needs {task.needs_solver}; "
                 "engines c, jax and warp can"
             )
+        self.scene = task.scene()
+        self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
