@@ -113,7 +113,7 @@ def documented_names() -> frozenset[str]:
 
 
 FOREIGN = re.compile(
-    r"(mj|mjt|mjx|jax|jnp|lax|gymnasium|geom|Auto|Episode|Vmap|Vector|Wireless|Tarantula)\w*(\..*)?"
+    r"(mj|mjt|mjx|jax|jnp|lax|gymnasium|vmas|geom|Auto|Episode|Vmap|Vector|Wireless|Tarantula)\w*(\..*)?"
     r"|DiameterError|SeparationError|MaxIncidence|OmniCam|RearTrack|Generator|Union|asdict|end_|nW|rl|U|USARBot"
 )
 """Names of other libraries and of USARSim's files."""

@@ -83,7 +83,7 @@ def test_who_has_no_drive_has_no_numbers():
 def test_settings_have_names_that_an_error_lists():
     assert PHYSICS.get("Fast") == Physics.fast()
     assert PHYSICS.get("reference") == Physics()
-    with pytest.raises(UnknownNameError, match="known: fast, reference"):
+    with pytest.raises(UnknownNameError, match="known: coarse, fast, reference"):
         PHYSICS.get("quick")
     with pytest.raises(SpecError, match="cone 'round' is not one of elliptic, pyramidal"):
         Physics(cone="round")

@@ -200,7 +200,7 @@ class CRayCaster:
         data, model, count = self._data, self._model, len(along)
         across = np.cross(along[0], along[[count // 4, count // 2]])
         normal = across[np.abs(across).sum(1).argmax()]
-        normal = normal / max(math.sqrt(normal @ normal), mujoco.mjMINVAL)
+        normal = normal / max(math.sqrt(normal @ normal), 1e-15)
         slope = np.abs(along @ normal).max()
         middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
         facing = normal @ data.geom_xmat.reshape(-1, 3, 3)

@@ -1,5 +1,6 @@
 """MJX on JAX's own kernels (`jax`) or on NVIDIA Warp's (`warp`)."""
 
+import atexit
 import copy
 import sys
 from importlib import import_module
@@ -39,6 +40,15 @@ MAX_BOX_LENGTH = 1.2
 def own_device() -> jax.Device | None:
     """Return the device of this process, of several; MJX would take that of the first. None: there is one."""
     return jax.local_devices()[0] if jax.process_count() > 1 else None
+
+
+def finish_steps() -> None:
+    """Wait for what is being computed.
+
+    On a CPU, MuJoCo Warp's kernels are started by Python: a step still under way when the interpreter ends
+    would wait for it for ever, and the end for the step.
+    """
+    jax.block_until_ready(jax.live_arrays())
 
 
 class MjxEngine(Engine[mjx.Data]):
@@ -244,6 +254,8 @@ class WarpEngine(MjxEngine):
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
+        if jax.default_backend() == "cpu":
+            atexit.register(finish_steps)
         masses = jnp.asarray(self.model.body_mass, jnp.float32)
         self._masses = masses if self._weight_is_applied(self.model) else None
 

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
+from PIL import Image
 
 from usarmjx.base.files import write_beside
 from usarmjx.cameras.paint import (
@@ -42,8 +43,8 @@ ROOF_SHARE = 0.5
 CHECKER_SIZES = (0.5, 1.0, 5.0, 10.0, 50.0)
 """Sides of the floor's checkers [m]: the first that gives at most `MAX_CHECKERS` along an arena."""
 MAX_CHECKERS = 45
-COLOUR_STEP = 4
-"""Colours of sheets are multiples of this, of 255: no one sees it, and files are a third smaller."""
+COLOURS = 256
+"""So many colours has a sheet at most: hardly seen, and files are half as large."""
 
 
 def perspective(
@@ -162,7 +163,6 @@ def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, colu
         fill(axes)
         axes.set_title(title, fontsize=9, loc="left")
     canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
-    few = np.minimum(255, (pixels + COLOUR_STEP // 2) // COLOUR_STEP * COLOUR_STEP).astype(np.uint8)
+    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
     with write_beside(path) as fresh:
-        imsave(fresh, few, pil_kwargs={"optimize": True})
+        Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)

@@ -26,9 +26,7 @@ class VecEnv(ABC):
     @abstractmethod
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]: ...
     @abstractmethod
-    def set_attr(
-        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
-    ) -> None: ...
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None: ...
     @abstractmethod
     def env_method(
         self,
