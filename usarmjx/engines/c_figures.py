@@ -38,7 +38,7 @@ class WornFigure:
     def posed(self, data: mujoco.MjData, first: int) -> "CameraTarget":
         """Return it where a world's state has it; its geoms count from `first` among what can be seen."""
         places, turns = (data.geom_xpos, data.geom_xmat) if self.of_geoms else (data.xpos, data.xmat)
-        model = self.figure.model
+        model = self.figure.model.__copy__()  # groups of geoms change while rays are cast
         here = mujoco.MjData(model)
         here.mocap_pos[:] = places[self.frames]
         for quat, mat in zip(here.mocap_quat, turns[self.frames], strict=True):

@@ -40,11 +40,10 @@ class CRayCaster:
     """Casts rays in a world of C MuJoCo, whose kinematics must be current.
 
     Args:
-        model: The model; it is copied.
+        model: The model; its geom groups are set to the geoms' materials.
         data: Its state.
         materials: What each geom is made of (ngeom,); see `models.build.materials.materials_of`.
         robots: Where each robot is in the model, by slot.
-        unseen: Geoms that all rays pass (n,).
     """
 
     def __init__(
@@ -53,17 +52,14 @@ class CRayCaster:
         data: mujoco.MjData,
         materials: Sequence[str],
         robots: Mapping[int, RobotIndex],
-        unseen: Sequence[int] | np.ndarray = (),
     ) -> None:
-        self._model, self._data = _in_one_body(model), data
-        groups = self._model.geom_group
-        groups[:] = [MATERIALS.index(material) for material in materials]
+        self._model, self._data = model, data
+        model.geom_group[:] = [MATERIALS.index(material) for material in materials]
         self._own = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
         }
-        is_fender = groups == MATERIALS.index(FENDER)
+        is_fender = model.geom_group == MATERIALS.index(FENDER)
         self._fenders, self._is_fender = np.flatnonzero(is_fender), np.append(is_fender, False)
-        groups[np.asarray(unseen, int)] = HIDDEN_GROUP
 
     def __call__(
         self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
@@ -133,8 +129,6 @@ class CRayCaster:
         for i, (first, end) in enumerate(pairwise(bounds)):
             if shown is not None:
                 groups[:] = shown[i]
-            elif end - first > MANY_RAYS:
-                groups[:] = np.where(self._beside_plane(start[first], along[first:end]), HIDDEN_GROUP, before)
             if end - first < few:
                 for ray in range(first, end):
                     out = geom[ray : ray + 1], normal[ray]
@@ -188,27 +182,6 @@ class CRayCaster:
         missed = (far > (reach + radius) ** 2) | (outside & (cosine > MIN_COSINE))
         return geoms, ~missed | (bound == 0)
 
-    def _beside_plane(self, point: np.ndarray, along: np.ndarray) -> np.ndarray:
-        """Return which geoms (ngeom,) no ray from a point can meet, as the plane of the rays passes them by.
-
-        A laser scanner's rays lie in one. Where rays do not, it is none of them, or few.
-
-        Args:
-            point: Where rays start [m] (3,).
-            along: Unit vectors (rays, 3).
-        """
-        data, model, count = self._data, self._model, len(along)
-        across = np.cross(along[0], along[[count // 4, count // 2]])
-        normal = across[np.abs(across).sum(1).argmax()]
-        normal = normal / max(math.sqrt(normal @ normal), 1e-15)
-        slope = np.abs(along @ normal).max()
-        middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
-        facing = normal @ data.geom_xmat.reshape(-1, 3, 3)
-        way = data.geom_xpos - point
-        off = np.abs(way @ normal + _dot(facing, middle))
-        furthest = np.sqrt(_dot(way, way)) + model.geom_rbound
-        return (off > _dot(np.abs(facing), half) + slope * furthest + MARGIN) & (model.geom_rbound > 0)
-
     def _with_fenders(
         self,
         start: np.ndarray,
@@ -229,15 +202,6 @@ class CRayCaster:
             np.where(closer[:, None], turned, normal),
             np.where(closer, ids[fender], geom),
         )
-
-
-def _in_one_body(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model for rays only, all whose geoms are the world's: MuJoCo asks body by body."""
-    copy = model.__copy__()
-    copy.body_geomadr[1:], copy.body_geomnum[1:] = -1, 0
-    copy.body_geomadr[0], copy.body_geomnum[0] = 0, model.ngeom
-    copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its trees of boxes are body by body
-    return copy
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

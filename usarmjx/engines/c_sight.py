@@ -21,7 +21,7 @@ from usarmjx.cameras.paint import PLANE, ROBOT_LABEL, GeomAppearance
 from usarmjx.cameras.picture import Picture, Viewpoint, render_picture
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.engines.c_figures import NOBODY, Bundles, CameraTarget, WornFigure
-from usarmjx.engines.c_rays import MARGIN, CRayCaster, nearest_of_block
+from usarmjx.engines.c_rays import HIDDEN_GROUP, MARGIN, CRayCaster, nearest_of_block
 from usarmjx.models.spec.shapes import GLASS, OPAQUE
 from usarmjx.sensors.rays.raycast import RayQuery
 from usarmjx.sensors.rays.targets import GeomBlock
@@ -76,7 +76,8 @@ class CSight:
     def targets(self) -> list[CameraTarget]:
         """What rays are cast at; made when it is looked at first, in the thread that does so."""
         data, model = self._data, self.model
-        caster = CRayCaster(model, data, self.looks.materials, {}, self.looks.replaced)
+        caster = CRayCaster(model, data, self.looks.materials, {})
+        model.geom_group[self.looks.replaced] = HIDDEN_GROUP
         radius = np.where(model.geom_rbound > 0, model.geom_rbound + MARGIN, np.inf)  # planes have no bound
         found, first = [CameraTarget(caster, data.geom_xpos.copy(), radius, 0)], model.ngeom
         first += len(self.looks.water.owner)
