@@ -10,7 +10,7 @@ import pytest
 from viser import _messages
 
 from tests.arenas import FLAT
-from tests.view.visitor import until, visiting
+from tests.view.visitor import PATIENCE, until, visiting
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -80,7 +80,11 @@ def port_of(page):
 
 
 def uuid_of(visitor, label):
-    """The newest element of that label that a visitor has."""
+    """The newest element of that label that a visitor has; a panel's elements come one by one."""
+    end = time.monotonic() + PATIENCE
+    while label not in labels(visitor):
+        assert time.monotonic() < end, f"nothing is called {label}"
+        time.sleep(0.01)
     found = [m for m in list(visitor.heard) if m["type"].startswith("Gui") and "props" in m]
     return [m["uuid"] for m in found if m["props"].get("label") == label][-1]
 

@@ -345,6 +345,7 @@ class MjsCamera:
 class MjsMesh:
     file: str
     id: int
+    inertia: mjtMeshInertia
     info: str
     name: str
     scale = _Vector()
@@ -411,6 +412,9 @@ class mjtDisableBit(_Enum):
     mjDSBL_MIDPHASE: ClassVar[mjtDisableBit]
     mjDSBL_AUTORESET: ClassVar[mjtDisableBit]
     mjDSBL_MULTICCD: ClassVar[mjtDisableBit]
+
+class mjtMeshInertia(_Enum):
+    mjMESH_INERTIA_CONVEX: ClassVar[mjtMeshInertia]
 
 class mjtDyn(_Enum):
     mjDYN_NONE: ClassVar[mjtDyn]

@@ -33,7 +33,8 @@ SEEDS = range(4)
 FEW = settings(max_examples=12, deadline=None)
 SMALL = st.tuples(st.integers(3, 8), st.integers(3, 6))
 UNIT = st.integers(0, 10).map(lambda tenths: tenths / 10)
-DIFFICULTIES = st.builds(Difficulty, **{field.name: UNIT for field in fields(Difficulty)})
+DIFFICULTIES = st.builds(Difficulty, **{one.name: UNIT for one in fields(Difficulty) if one.name != "risk"})
+"""With a risk some places are not reached: see test_obstacles.py."""
 NEED = footprint_of(P2AT)
 EXACT = 1e-6  # m: all numbers are rounded to that
 

@@ -18,13 +18,13 @@ class Outlines(NamedTuple):
     """Rectangles and discs on the plan, of shapes that can be broadcast.
 
     Attributes:
-        x: Middles [m].
-        y: [m].
-        cos: Of the way the first side points.
-        sin: Of it.
-        length: Half the first side [m]; 0 of a disc.
-        width: Half the other [m]; 0 of a disc.
-        radius: Of discs [m]; 0 of rectangles.
+        x: Middles [m] (...,).
+        y: Middles [m] (...,).
+        cos: Of the way the first side points (...,).
+        sin: Of it (...,).
+        length: Half the first side [m]; 0 of a disc (...,).
+        width: Half the other [m]; 0 of a disc (...,).
+        radius: Of discs [m]; 0 of rectangles (...,).
     """
 
     x: Array

@@ -82,7 +82,7 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     if mesh.faces is not None:
         described.userface = np.asarray(mesh.faces, np.int32).ravel()  # type: ignore - not in the stubs
         # Mass is that of the hull, which is what others touch; faces need not be closed.
-        described.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # type: ignore - likewise
+        described.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 
 
 def _add_terrain(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: Shape) -> None:

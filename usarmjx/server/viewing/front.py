@@ -57,13 +57,14 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
         RuntimeError: Viser does not start as we know it.
     """
     served: list[object] = []
+    made = threading.Event()
     create_connection = _measured_connection(gate)
 
     def gated_serve(handler: Any, _host: str, _port: int, **options: Any) -> object:  # noqa: ANN401 - viser's own
         answer = _bounded(gate, _secured(options.pop("process_request")))
         options["process_request"] = for_own_names({host, *names}, asking_token(gate, answer))
         options |= {"sock": bound, "max_size": MAX_MESSAGE_SIZE, "create_connection": create_connection}
-        server = serve(handler, **options)
+        server = serve(_once_made(handler, made), **options)
         served.append(server)
         return server
 
@@ -81,7 +82,19 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
     if not served:
         server.stop()
         raise RuntimeError(f"viser {viser.__version__} starts in a way that we cannot guard")
+    made.set()
     return server
+
+
+def _once_made(handler: Any, made: threading.Event) -> Any:  # noqa: ANN401 - viser's own
+    """Return a handler whose connections wait for viser: it listens before all of it is there."""
+
+    async def handle(connection: ServerConnection) -> None:
+        while not made.is_set():
+            await asyncio.sleep(0.01)
+        await handler(connection)
+
+    return handle
 
 
 def _secured(answer: RequestAnswer) -> RequestAnswer:
