@@ -17,7 +17,7 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-FACTOR = 1.0  # simulated seconds per second: slow enough for commands to get through on a busy machine
+FACTOR = 0.5  # simulated seconds per second: slow enough for commands to get through on a busy machine
 LEANING = math.radians(30)  # a robot that leans more than this is about to fall
 STANDING = math.radians(3)  # an arm of 0.5 kg, moved by 7 kg that stand on stiff servos
 TRUTH_ATOL = 0.06  # m: GroundTruth has two decimals, and it takes a step or two to stand still again
