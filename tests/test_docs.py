@@ -118,12 +118,16 @@ def test_links_lead_to_files(path: Path):
 def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder for what examples read; what they register leaves with them."""
     import usarmjx.sim.configure  # noqa: F401 - fills the registries before they are copied
+    from usarmjx.models.arenas import ARENAS
     from usarmjx.models.effecters import EFFECTERS
     from usarmjx.models.robots import ROBOTS
     from usarmjx.sensors.base import SENSORS
+    from usarmjx.train.baselines import BASELINES
+    from usarmjx.train.tasks import TASKS
 
-    for registry in (ROBOTS, EFFECTERS, SENSORS):
+    for registry in (ROBOTS, EFFECTERS, SENSORS, ARENAS, BASELINES, TASKS):
         monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+        monkeypatch.setattr(registry, "_aliases", dict(registry._aliases))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
