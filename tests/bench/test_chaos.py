@@ -278,8 +278,8 @@ def test_the_command(monkeypatch, tmp_path):
         words = ["--attack", "giant", "--attackers", "2", "--seconds", "0.3", "--volume", "0.1"]
         ran = CliRunner().invoke(app, ["chaos", f"127.0.0.1:{port}", *words, "--json", str(file)])
     assert ran.exit_code == 0, ran.output
-    rows = [line.split(" | ") for line in ran.stdout.splitlines()]
-    assert [row[0] for row in rows] == ["| attack", "| ---", "| quiet", "| giant"]
+    rows = [line.split("|") for line in ran.stdout.splitlines()]
+    assert [row[1].strip() for row in rows] == ["attack", "---", "quiet", "giant"]
     records = [json.loads(line) for line in file.read_text().splitlines()]
     assert [record["attack"] for record in records] == ["quiet", "giant"]
     assert records[1]["connections"] == 2

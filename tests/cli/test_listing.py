@@ -70,7 +70,7 @@ SAMPLE = Listing(columns=("name", "what it is"), rows=[("a|b", "[red]"), ("long 
 def test_markdown_and_text_of_a_table():
     assert SAMPLE.as_markdown().splitlines() == [
         "| name | what it is |",
-        "| --- | --- |",
+        "|---|---|",
         "| a/b | [red] |",
         "| long name | 2 |",
     ]

@@ -2,30 +2,40 @@
 
 from collections.abc import Sequence
 
+from usarmjx.base.markdown import markdown_table
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANES
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import MATERIALS, OPAQUE
 
-ARENA_HEAD = (
-    "| arena | what it is | size [m] | solids | loose | doors | victims | false alarms | tags | starts "
-    "| recommended robots |\n|---|---|---|---|---|---|---|---|---|---|---|"
+ARENA_COLUMNS = (
+    "arena",
+    "what it is",
+    "size [m]",
+    "solids",
+    "loose",
+    "doors",
+    "victims",
+    "false alarms",
+    "tags",
+    "starts",
+    "recommended robots",
 )
 
 
 def arenas_table() -> str:
     """Return a Markdown table of the arenas that ship with usarmjx."""
-    return "\n".join([ARENA_HEAD, *(arena_row(arena) for _, arena in ARENAS)])
+    return markdown_table(ARENA_COLUMNS, (arena_row(arena) for _, arena in ARENAS))
 
 
-def arena_row(arena: ArenaSpec) -> str:
+def arena_row(arena: ArenaSpec) -> Sequence[object]:
     """Return an arena's row of the table: what it is, and how much of everything is in it."""
     names = arena.name + (f" ({', '.join(arena.aliases)})" if arena.aliases else "")
     (x0, x1), (y0, y1) = arena.extent
     counts = [len(things) for things in (arena.loose, arena.doors, arena.victims, arena.false_alarms)]
-    cells = [
+    return [
         names,
-        arena.about.replace("|", "/") or "-",
+        arena.about or "-",
         f"{x1 - x0:g} x {y1 - y0:g}",
         _solids(arena),
         *counts,
@@ -33,18 +43,22 @@ def arena_row(arena: ArenaSpec) -> str:
         len(arena.starts),
         ", ".join(arena.robots) or "-",
     ]
-    return f"| {' | '.join(str(cell) for cell in cells)} |"
 
 
 def lanes_table() -> str:
     """Return a Markdown table of the lanes."""
-    head = "| lane | test method | what it is | length [m] | a repetition is |\n|---|---|---|---|---|"
-    rows = [
-        f"| {name} | {lane.method} | {lane.arena.about.rpartition(' (')[0]} | {lane.length:.2g} "
-        f"| {'there and back' if lane.round_trip else 'one way'} |"
+    head = "lane", "test method", "what it is", "length [m]", "a repetition is"
+    rows = (
+        (
+            name,
+            lane.method,
+            lane.arena.about.rpartition(" (")[0],
+            f"{lane.length:.2g}",
+            "there and back" if lane.round_trip else "one way",
+        )
         for name, lane in LANES
-    ]
-    return "\n".join([head, *rows])
+    )
+    return markdown_table(head, rows)
 
 
 def obstacles_table(robot: str, tries: int) -> str:
@@ -54,13 +68,11 @@ def obstacles_table(robot: str, tries: int) -> str:
     from usarmjx.models.robots import ROBOTS
 
     levels, spec = (0.0, 0.5, 1.0), ROBOTS.get(robot)
-    head = " | ".join(f"roughness {level:g}" for level in levels)
-    rows = [f"| obstacle, for a {spec.name} | {head} |", "|---|" + "---|" * len(levels)]
+    rows = list[Sequence[object]]()
     for kind in OBSTACLES.names():
         found = [measure_crossings(kind, spec, level, tries) for level in levels]
-        cells = " | ".join(f"{one.crossed} of {one.tries}, {one.seconds:.1f} s" for one in found)
-        rows.append(f"| {kind} | {cells} |")
-    return "\n".join(rows)
+        rows.append([kind, *(f"{one.crossed} of {one.tries}, {one.seconds:.1f} s" for one in found)])
+    return markdown_table((f"obstacle, for a {spec.name}", *(f"roughness {one:g}" for one in levels)), rows)
 
 
 def _solids(arena: ArenaSpec) -> str:

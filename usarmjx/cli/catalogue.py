@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import jax
 
+from usarmjx.base.markdown import markdown_table
 from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
@@ -12,6 +13,11 @@ from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
 
+FIGURES = (
+    "class", "type, steering", "L x W x H [m]", "mass [kg]", "payload [kg]", "top speed [m/s]",
+    "DRIVE keys (largest value)", "figures from",
+)  # fmt: skip
+EQUIPMENT = "class", "wheels and other joints", "mission packages", "sensors", "cameras", "effecters"
 TABLE_HEAD = """# All robots
 
 This page is the output of `usarmjx list robots --markdown`; a test keeps it so. The last column says where
@@ -24,29 +30,35 @@ chosen by us because nothing was found. What was measured on the built robots is
 
 def robots_table() -> str:
     """Return a Markdown page with all robot classes: figures with their sources, and equipment."""
-    figures = [
-        "| class | type, steering | L x W x H [m] | mass [kg] | payload [kg] | top speed [m/s] | DRIVE keys "
-        "(largest value) | figures from |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    equipment = [
-        "| class | wheels and other joints | mission packages | sensors | cameras | effecters |",
-        "|---|---|---|---|---|---|",
-    ]
+    figures, equipment = list[Sequence[object]](), list[Sequence[object]]()
     for name, robot in ROBOTS:
         drive = robot.drive
         keys = ", ".join(f"{key} {value:.4g}" for key, value in drive.full_scale.items()) or "-"
         size = " x ".join(f"{side:.3g}" for side in robot.dimensions)
         sources = "; ".join(f"{field}: {source}" for field, source in robot.sources)
         figures.append(
-            f"| {name} | {drive.vehicle}, {drive.steering} | {size} | {robot.mass:g} | {robot.payload:g} "
-            f"| {drive.top_speed:.2f} | {keys} | {sources} |"
+            (
+                name,
+                f"{drive.vehicle}, {drive.steering}",
+                size,
+                f"{robot.mass:g}",
+                f"{robot.payload:g}",
+                f"{drive.top_speed:.2f}",
+                keys,
+                sources,
+            )
         )
         equipment.append(
-            f"| {name} | {_joints(robot)} | {_packages(robot)} | {sensor_names(robot)} "
-            f"| {_names(robot.cameras)} | {_names(robot.effecters)} |"
+            (
+                name,
+                _joints(robot),
+                _packages(robot),
+                sensor_names(robot),
+                _names(robot.cameras),
+                _names(robot.effecters),
+            )
         )
-    return "\n".join([TABLE_HEAD, *figures, "", *equipment])
+    return "\n".join([TABLE_HEAD, markdown_table(FIGURES, figures), "", markdown_table(EQUIPMENT, equipment)])
 
 
 def _names(mounts: Sequence[Mount]) -> str:

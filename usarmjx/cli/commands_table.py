@@ -7,6 +7,8 @@ from typing import Any
 
 import typer
 
+from usarmjx.base.markdown import markdown_table
+
 HEAD = """## All options
 
 From here on this page is the output of `usarmjx list commands --markdown`; a test keeps it so.
@@ -18,9 +20,8 @@ def commands_page(app: typer.Typer) -> str:
     parts = [HEAD]
     for path, command in commands_of(app):
         cells = [(names, _plain(what), default) for names, what, default in options_of(command)]
-        rows = [f"| {names} | {what} | {default} |" for names, what, default in cells]
         about = _first_paragraph(command.help or "")
-        table = ["", "| option | what | unless given |", "|---|---|---|", *rows] if rows else []
+        table = ["", markdown_table(("option", "what", "unless given"), cells)] if cells else []
         parts.append("\n".join([f"### usarmjx {path}", "", about, *table, ""]))
     return "\n".join(parts).rstrip()
 
@@ -71,7 +72,7 @@ def options_of(command: Any) -> list[tuple[str, str, str]]:  # noqa: ANN401 - cl
 
 def _plain(text: str) -> str:
     """Return a text as a cell of a Markdown table."""
-    return text.replace("|", "/").replace("<", "&lt;")
+    return text.replace("<", "&lt;")
 
 
 def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own copy

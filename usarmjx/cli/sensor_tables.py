@@ -2,10 +2,12 @@
 
 import dataclasses
 import inspect
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from usarmjx.base.markdown import markdown_table
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.spec.robot import Mount, Options, options
@@ -16,6 +18,7 @@ from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.server.messages.sensors import sensor_report
 from usarmjx.server.protocol.grammar import format_message as line_of
 
+OPTION_HEAD = "type", "options, and what they are unless a mount or an ini file says otherwise"
 HEAD = """# All sensors
 
 This page is the output of `usarmjx list sensors --markdown`; a test keeps it so. [sensors.md](sensors.md)
@@ -145,21 +148,20 @@ def sensors_table() -> str:
     """Return a Markdown page of all types of sensors: what they do, their options, their messages."""
     kinds = [kind for kind in SECTIONS if kind in SENSORS]
     kinds += [kind for kind in SENSORS.names() if kind not in kinds]
-    lines = ["| type | what it does | value in a batch | rays | robots | from |", "|---|---|---|---|---|---|"]
+    rows = list[Sequence[object]]()
     for kind in kinds:
         what, value = describe(SENSORS.get(kind))
         (rays,) = suite_with(kind).ray_counts
         source = SECTIONS.get(kind, "own")
-        lines.append(f"| {kind} | {what} | {value} | {rays or '-'} | {robots_with(kind)} | {source} |")
-    lines += [
-        "",
-        "| type | options, and what they are unless a mount or an ini file says otherwise |",
-        "|---|---|",
-    ]
+        rows.append((kind, what, value, rays or "-", robots_with(kind), source))
+    head = "type", "what it does", "value in a batch", "rays", "robots", "from"
     settings = {kind: SENSORS.get(kind).settings_class for kind in kinds}
     noisy = ", ".join(kind for kind, own in settings.items() if issubclass(own, NoisySensorSettings))
     common, noise = defaults_of(SensorSettings), defaults_of(NoisySensorSettings)
-    lines.append(f"| all | {ini_text(common)} |")
-    lines.append(f"| {noisy} | {ini_text({name: noise[name] for name in noise if name not in common})} |")
-    lines += [f"| {kind} | {own_options(own)} |" for kind, own in settings.items()]
-    return "\n".join([HEAD, *lines, "", MESSAGES, "```text", *map(sample_message, kinds), "```"])
+    options = [
+        ("all", ini_text(common)),
+        (noisy, ini_text({name: noise[name] for name in noise if name not in common})),
+        *((kind, own_options(own)) for kind, own in settings.items()),
+    ]
+    tables = [markdown_table(head, rows), "", markdown_table(OPTION_HEAD, options), ""]
+    return "\n".join([HEAD, *tables, MESSAGES, "```text", *map(sample_message, kinds), "```"])

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table
 
+from usarmjx.base.markdown import markdown_table
+
 
 @dataclass(frozen=True, kw_only=True)
 class Listing:
@@ -31,8 +33,7 @@ class Listing:
 
     def as_markdown(self) -> str:
         """Return a Markdown table."""
-        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
-        return "\n".join(f"| {' | '.join(str(cell).replace('|', '/') for cell in line)} |" for line in lines)
+        return markdown_table(self.columns, self.rows)
 
     def as_text(self) -> str:
         """Return lines whose columns stand below each other; for pipes, so nothing is cut off."""

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.markdown import table_lines
 from usarmjx.bench.chaos.attackers import Damage, carry_out
 from usarmjx.bench.chaos.attacks import QUIET, Attack
 from usarmjx.bench.chaos.neighbour import Gaps, Watch
@@ -149,6 +150,5 @@ def has_seats(case: ChaosCase, seats: int) -> bool:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return the outcomes as a table of Markdown, and below it what went wrong."""
-    rows = [HEADINGS, ["---"] * len(HEADINGS), *(outcome.as_row() for outcome in outcomes)]
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines = table_lines(HEADINGS, (outcome.as_row() for outcome in outcomes))
     return "\n".join([*lines, *(f"{one.attack}: {one.trouble}" for one in outcomes if one.trouble)])

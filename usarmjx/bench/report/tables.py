@@ -1,9 +1,10 @@
 """Tables of records, as Markdown."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from statistics import median
 from typing import Any
 
+from usarmjx.base.markdown import markdown_table
 from usarmjx.bench.report.records import BenchRecord
 from usarmjx.bench.serving.figures import rows as figure_rows
 
@@ -14,11 +15,8 @@ MarkdownRow = Sequence[str]
 
 def table(head: MarkdownRow, rows: Iterable[MarkdownRow]) -> str:
     """Return a Markdown table; a sentence where there are no rows."""
-    lines = [" | ".join(cell.replace("|", "/") for cell in row) for row in rows]
-    if not lines:
-        return NOTHING
-    ruled = "|".join(["", *["---"] * len(head), ""])
-    return "\n".join([f"| {' | '.join(head)} |", ruled, *(f"| {line} |" for line in lines)]) + "\n"
+    known = list(rows)
+    return markdown_table(head, known) + "\n" if known else NOTHING
 
 
 def of(records: Iterable[BenchRecord], benchmark: str) -> list[BenchRecord]:
@@ -34,8 +32,26 @@ def number(value: float | None, unit: float = 1.0) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def _first(record: BenchRecord) -> list[str]:
-    return [record.when, record.data["commit"], record.where]
+def records_table(
+    records: Iterable[BenchRecord],
+    benchmark: str,
+    head: MarkdownRow,
+    rows_of: Callable[[BenchRecord], Iterable[MarkdownRow]],
+) -> str:
+    """Return a Markdown table of a benchmark's records.
+
+    Args:
+        records: Of all benchmarks.
+        benchmark: Which of them.
+        head: What stands over the columns behind when, commit and machine.
+        rows_of: Makes the cells below `head`: a record's rows.
+    """
+    rows = (
+        [record.when, record.data["commit"], record.where, *cells]
+        for record in of(records, benchmark)
+        for cells in rows_of(record)
+    )
+    return table(("when", "commit", "on", *head), rows)
 
 
 def baseline(record: BenchRecord, name: str) -> float | None:
@@ -54,17 +70,16 @@ def _scene_words(record: BenchRecord) -> str:
 def step_table(records: Sequence[BenchRecord]) -> str:
     """The whole step and bare physics."""
     head = (
-        "when", "commit", "on", "engine", "worlds x robots", "arena", "robots in real time", "whole, M/s",
-        "bare, M/s", "`mujoco.rollout`, M/s", "bare MJX, M/s", "contacts, rows, iterations of a world",
+        "engine", "worlds x robots", "arena", "robots in real time", "whole, M/s", "bare, M/s",
+        "`mujoco.rollout`, M/s", "bare MJX, M/s", "contacts, rows, iterations of a world",
     )  # fmt: skip
-    return table(head, (_step_row(record) for record in of(records, "step")))
+    return records_table(records, "step", head, _step_rows)
 
 
-def _step_row(record: BenchRecord) -> MarkdownRow:
+def _step_rows(record: BenchRecord) -> Iterator[MarkdownRow]:
     data, scene = record.data, record.data.get("scene") or {}
     met = [scene.get(name) for name in ("contacts", "constraint_rows", "solver_iterations")]
-    return [
-        *_first(record),
+    yield [
         record.case["engine"],
         f"{record.case['worlds']} x {record.roster}",
         _scene_words(record),
@@ -114,12 +129,12 @@ def parts_table(records: Sequence[BenchRecord]) -> str:
 def rays_table(records: Sequence[BenchRecord]) -> str:
     """Laser scans."""
     head = (
-        "when", "commit", "on", "worlds x robots", "geoms in a world", "cast by", "G rays/s",
+        "worlds x robots", "geoms in a world", "cast by", "G rays/s",
         "brute force, G rays/s", "`mj_multiRay` on all cores, G rays/s",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        yield [
             f"{record.case['worlds']} x {record.roster}",
             str(record.data["geoms_per_world"]),
             record.data.get("caster", "-"),
@@ -127,20 +142,19 @@ def rays_table(records: Sequence[BenchRecord]) -> str:
             number(record.data["brute_force_rays_per_s"], BILLION),
             number(baseline(record, "mj_multiray"), BILLION),
         ]
-        for record in of(records, "rays")
-    )
-    return table(head, rows)
+
+    return records_table(records, "rays", head, rows)
 
 
 def radio_table(records: Sequence[BenchRecord]) -> str:
     """Radio links."""
     head = (
-        "when", "commit", "on", "worlds x robots", "walls", "counted on", "walls of its own, G links/s",
+        "worlds x robots", "walls", "counted on", "walls of its own, G links/s",
         "one arena for all, G links/s", "first wall by `mj_multiRay`, G links/s",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        yield [
             f"{record.case['worlds']} x {record.case['robots']}",
             str(record.case["walls"]),
             record.data.get("counted_on", "-"),
@@ -148,20 +162,19 @@ def radio_table(records: Sequence[BenchRecord]) -> str:
             number(record.data["links_per_s_shared_walls"], BILLION),
             number(baseline(record, "mj_multiray"), BILLION),
         ]
-        for record in of(records, "radio")
-    )
-    return table(head, rows)
+
+    return records_table(records, "radio", head, rows)
 
 
 def camera_table(records: Sequence[BenchRecord]) -> str:
     """Pictures."""
     head = (
-        "when", "commit", "on", "worlds x robots", "arena", "pixels", "pictures/s",
+        "worlds x robots", "arena", "pixels", "pictures/s",
         "MuJoCo Warp's, with and without shadows", "`mj_multiRay`, no colours",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        yield [
             f"{record.case['worlds']} x {record.roster}",
             record.case["arena"],
             f"{record.case['width']} x {record.case['height']}",
@@ -169,20 +182,19 @@ def camera_table(records: Sequence[BenchRecord]) -> str:
             ", ".join(number(one["frames_per_s"]) for one in record.data["peer"] or ()) or "-",
             number(baseline(record, "mj_multiray")),
         ]
-        for record in of(records, "camera")
-    )
-    return table(head, rows)
+
+    return records_table(records, "camera", head, rows)
 
 
 def train_table(records: Sequence[BenchRecord]) -> str:
     """Training runs."""
     head = (
-        "when", "commit", "on", "task", "engine", "worlds", "processes", "seed", "agent steps",
+        "task", "engine", "worlds", "processes", "seed", "agent steps",
         "agent-steps/s", "score", "by hand",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        yield [
             record.data["task"],
             record.data["engine"],
             str(record.data["worlds"]),
@@ -193,9 +205,8 @@ def train_table(records: Sequence[BenchRecord]) -> str:
             number(record.data["score"]),
             number(record.data["baseline"]),
         ]
-        for record in of(records, "train")
-    )
-    return table(head, rows)
+
+    return records_table(records, "train", head, rows)
 
 
 def serve_table(records: Sequence[BenchRecord]) -> str:
@@ -206,88 +217,87 @@ def serve_table(records: Sequence[BenchRecord]) -> str:
         "16 driving, CPU s/s": lambda name: name == "load 16 robots driving cpu_per_simulated_s",
         "64 driving, CPU s/s": lambda name: name == "load 64 robots driving cpu_per_simulated_s",
     }
-    rows = []
-    for record in of(records, "serve"):
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
         figures = dict(figure_rows(record.data["servers"][0]["figures"]))
         cells = [
             next((number(figure["median"]) for name, figure in figures.items() if fits(name)), "-")
             for fits in wanted.values()
         ]
-        rows.append([*_first(record), *cells, record.data.get("note") or "-"])
-    return table(("when", "commit", "on", *wanted, "note"), rows)
+        yield [*cells, record.data.get("note") or "-"]
+
+    return records_table(records, "serve", (*wanted, "note"), rows)
 
 
 def viewer_table(records: Sequence[BenchRecord]) -> str:
     """The live page."""
-    head = ("when", "commit", "on", "robots", "CPU ms an update", "with sending", "KiB/s to a browser")
-    rows = (
-        [
-            *_first(record),
-            name,
-            number(row["update_cpu_ms"]),
-            number(row["process_cpu_ms"]),
-            number(row["bytes_per_s"], 1024),
-        ]
-        for record in of(records, "viewer")
-        for name, row in record.data["updates"].items()
-    )
-    return table(head, rows)
+    head = ("robots", "CPU ms an update", "with sending", "KiB/s to a browser")
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        for name, row in record.data["updates"].items():
+            yield [
+                name,
+                number(row["update_cpu_ms"]),
+                number(row["process_cpu_ms"]),
+                number(row["bytes_per_s"], 1024),
+            ]
+
+    return records_table(records, "viewer", head, rows)
 
 
 def physics_table(records: Sequence[BenchRecord]) -> str:
     """Settings of the physics beside the reference's."""
-    rows = []
-    for record in of(records, "physics"):
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
         total = sum(len(numbers) for numbers in record.data["numbers"].values())
         settings: Mapping[str, Any] = record.data["settings"]
         chosen = ", ".join(
             f"{name} {settings[name]}" for name in ("timestep", "solver", "iterations", "cone")
         )
-        rows.append([*_first(record), chosen, f"{total - len(record.data['differing'])} of {total}"])
-    return table(("when", "commit", "on", "settings", "numbers within 10 % of the reference"), rows)
+        yield [chosen, f"{total - len(record.data['differing'])} of {total}"]
+
+    return records_table(records, "physics", ("settings", "numbers within 10 % of the reference"), rows)
 
 
 def compile_table(records: Sequence[BenchRecord]) -> str:
     """The way to the first step."""
     head = (
-        "when", "commit", "on", "engine", "worlds x robots", "cache", "imports [s]", "scene [s]", "batch [s]",
+        "engine", "worlds x robots", "cache", "imports [s]", "scene [s]", "batch [s]",
         "tracing [s]", "XLA [s]", "first step [s]",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
-            record.case["engine"],
-            f"{record.case['worlds']} x {record.roster}",
-            temperature,
-            *(number(one and one["median"]) for one in stages.values()),
-        ]
-        for record in of(records, "compile")
-        for temperature, stages in record.data["stages"].items()
-    )
-    return table(head, rows)
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        for temperature, stages in record.data["stages"].items():
+            yield [
+                record.case["engine"],
+                f"{record.case['worlds']} x {record.roster}",
+                temperature,
+                *(number(one and one["median"]) for one in stages.values()),
+            ]
+
+    return records_table(records, "compile", head, rows)
 
 
 def memory_table(records: Sequence[BenchRecord]) -> str:
     """Memory of worlds."""
     head = (
-        "when", "commit", "on", "engine", "robots", "worlds", "state [MB]", "of it physics",
+        "engine", "robots", "worlds", "state [MB]", "of it physics",
         "a step more [MB]", "peak on the device [MB]",
     )  # fmt: skip
-    rows = (
-        [
-            *_first(record),
-            record.case["engine"],
-            record.roster,
-            str(row["worlds"]),
-            number(row["state_bytes"], MILLION),
-            f"{row['parts']['physics'] / row['state_bytes']:.0%}",
-            number(row["compiled"] and row["compiled"]["temp_bytes"], MILLION),
-            number(row["device_peak_bytes"], MILLION),
-        ]
-        for record in of(records, "memory")
-        for row in record.data["rows"]
-    )
-    return table(head, rows)
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        for row in record.data["rows"]:
+            yield [
+                record.case["engine"],
+                record.roster,
+                str(row["worlds"]),
+                number(row["state_bytes"], MILLION),
+                f"{row['parts']['physics'] / row['state_bytes']:.0%}",
+                number(row["compiled"] and row["compiled"]["temp_bytes"], MILLION),
+                number(row["device_peak_bytes"], MILLION),
+            ]
+
+    return records_table(records, "memory", head, rows)
 
 
 RATE_KEYS = {

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.markdown import markdown_table
 from usarmjx.models.build.compose import add_robot
 from usarmjx.models.build.parts import parts_of
 from usarmjx.models.drives.ackermann import Ackermann
@@ -134,13 +135,12 @@ def as_entry(robot: RobotSpec, response: Response, **more: Any) -> dict[str, Any
 def error_table() -> str:
     """Return how far off the shipped figures leave each class, as a table in Markdown."""
     horizons = list(next(iter(measured().values()))["errors"])
-    head = [f"| class | {' | '.join(f'after {horizon}' for horizon in horizons)} |", "|---" * 4 + "|"]
 
     def told(error: dict[str, float]) -> str:
         return f"{error['distance']:.2f} m, {math.degrees(error['heading']):.0f}° of {error['way']:.1f} m"
 
-    rows = [
-        f"| {name} | {' | '.join(told(entry['errors'][horizon]) for horizon in horizons)} |"
+    rows = (
+        [name, *(told(entry["errors"][horizon]) for horizon in horizons)]
         for name, entry in sorted(measured().items(), key=lambda item: item[0].lower())
-    ]
-    return "\n".join([*head, *rows])
+    )
+    return markdown_table(["class", *(f"after {horizon}" for horizon in horizons)], rows)

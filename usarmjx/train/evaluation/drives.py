@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.markdown import table_lines
 from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.generate import generate
 from usarmjx.models.spec.arena import ArenaSpec
@@ -30,10 +31,10 @@ TOUCH = 0.01
 RANGE_KINDS = ("RangeScanner", "Sonar", "IR")
 MOST_RANGE = 5.0
 """Ranges beyond this count as this [m]: what is far says nothing of where the robot is."""
-HEAD = (
-    "| class, place | after 1 s | after 5 s | after 20 s | ranges after these | odometry off by, c / planar "
-    "| contacts a minute, c / planar |\n|---|---|---|---|---|---|---|"
-)
+COLUMNS = (
+    "class, place", "after 1 s", "after 5 s", "after 20 s", "ranges after these",
+    "odometry off by, c / planar", "contacts a minute, c / planar",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +126,8 @@ def _look(
 
 def drive_gap(
     robot: RobotSpec, place: str, engines: tuple[str, str] = ("c", "planar"), robots: int = 16, seed: int = 1
-) -> str:
-    """Return how far two engines come apart by the same random orders, as a row of a table in Markdown.
+) -> list[str]:
+    """Return how far two engines come apart by the same random orders, as a row of `COLUMNS`.
 
     Medians over robots: the distance of poses after each of `HORIZONS`, the difference of a range at the last
     of them, how far odometry is from where the robot got to, and contacts.
@@ -150,7 +151,7 @@ def drive_gap(
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))
     cells.append(" / ".join(f"{np.median(one.slip[-1]):.2f} m" for one in (real, other)))
     cells.append(" / ".join(f"{one.contacts_per_minute:.1f}" for one in (real, other)))
-    return f"| {robot.name}, {place} | {' | '.join(cells)} |"
+    return [f"{robot.name}, {place}", *cells]
 
 
 def _ranges_apart(real: DriveTrace, other: DriveTrace, look: int) -> str:
@@ -160,7 +161,7 @@ def _ranges_apart(real: DriveTrace, other: DriveTrace, look: int) -> str:
 
 
 def drive_table(robots: Iterable[RobotSpec], *, everything: bool = False) -> Iterator[str]:
-    """Yield a table of `drive_gap` in Markdown, row by row, of classes in all places.
+    """Return the lines of a table of `drive_gap` in Markdown, row by row, of classes in all places.
 
     Args:
         robots: The classes.
@@ -169,7 +170,10 @@ def drive_table(robots: Iterable[RobotSpec], *, everything: bool = False) -> Ite
     Raises:
         UsageError: A class does not roll.
     """
-    yield HEAD
+    return table_lines(COLUMNS, _drive_rows(robots, everything))
+
+
+def _drive_rows(robots: Iterable[RobotSpec], everything: bool) -> Iterator[list[str]]:
     for robot in robots:
         if rolls(robot.drive):
             yield from (drive_gap(robot, place) for place in PLACES)

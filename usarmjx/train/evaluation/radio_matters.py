@@ -20,6 +20,7 @@ from scipy import stats
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
 from usarmjx.base.files import write_beside
+from usarmjx.base.markdown import markdown_table
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -159,13 +160,11 @@ def check_results(rows: Sequence[VariantResult]) -> dict[str, bool]:
 def table(rows: Sequence[VariantResult]) -> str:
     """Return the rows as a Markdown table."""
     names = list(rows[0].metrics)
-    lines = [" | ".join(["| radio", "score", "95 % interval", *names]) + " |"]
-    lines.append("|---" * (3 + len(names)) + "|")
+    lines = list[Sequence[str]]()
     for row in rows:
         span = f"{row.score.low:.1f} to {row.score.high:.1f}"
-        cells = [row.name, f"{row.score.mean:.1f}", span, *(f"{row.metrics[key]:.2f}" for key in names)]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append([row.name, f"{row.score.mean:.1f}", span, *(f"{row.metrics[key]:.2f}" for key in names)])
+    return markdown_table(("radio", "score", "95 % interval", *names), lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

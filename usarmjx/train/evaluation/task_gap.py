@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.markdown import table_lines
 from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, baseline, find_source
@@ -37,7 +38,7 @@ def task_gap(
     worlds: int,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Iterator[str]:
-    """Yield a table of scores in Markdown, row by row, each with the 95 % interval of its mean.
+    """Return the lines of a table of scores in Markdown, row by row, each with the 95 % interval of its mean.
 
     Args:
         engines: On which.
@@ -47,20 +48,27 @@ def task_gap(
         worlds: How many at once.
         tell: Is told how far it is.
     """
-    yield f"| task, policy | {' | '.join(engines)} |"
-    yield "|---" * (len(engines) + 1) + "|"
-    for name, source in sources:
-        cells: list[str] = []
-        for engine in engines:
-            try:
-                env, policy, _ = source.env(worlds=min(worlds, episodes), engine=engine, seed=seeds[0])
-            except UnsupportedFeatureError as refused:
-                tell(f"{name}: {refused}")
-                cells.append("refused")
-                continue
-            found = evaluate_episodes(env, policy, episodes, seeds, tell=tell)
-            cells.append(told(found))
-        yield f"| {name} | {' | '.join(cells)} |"
+    rows = ([name, *_cells(name, source, engines, episodes, seeds, worlds, tell)] for name, source in sources)
+    return table_lines(("task, policy", *engines), rows)
+
+
+def _cells(
+    name: str,
+    source: PolicySource,
+    engines: Sequence[str],
+    episodes: int,
+    seeds: Sequence[int],
+    worlds: int,
+    tell: Callable[[str], None],
+) -> Iterator[str]:
+    for engine in engines:
+        try:
+            env, policy, _ = source.env(worlds=min(worlds, episodes), engine=engine, seed=seeds[0])
+        except UnsupportedFeatureError as refused:
+            tell(f"{name}: {refused}")
+            yield "refused"
+        else:
+            yield told(evaluate_episodes(env, policy, episodes, seeds, tell=tell))
 
 
 def told(found: Evaluation) -> str:

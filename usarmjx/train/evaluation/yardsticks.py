@@ -24,6 +24,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate
 from usarmjx.base.files import write_beside
+from usarmjx.base.markdown import markdown_table
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
@@ -208,17 +209,14 @@ def measure_teams(
 def table(task: TeamTask, rows: Sequence[TeamResult]) -> str:
     """Return the rows as a Markdown table, below the most that each part can come to."""
     most = task.most_points
-    times = ["1/4", "1/2", "3/4"]
-    lines = ["| " + " | ".join(["team", "score", "95 % interval", *most, *times, "outside"]) + " |"]
-    lines.append("|---" * (len(most) + 7) + "|")
     best = [f"{points:g}" for points in most.values()]
-    lines.append("| " + " | ".join(["at most", f"{sum(most.values()):g}", "", *best, "", "", "", ""]) + " |")
+    lines = [["at most", f"{sum(most.values()):g}", "", *best, "", "", "", ""]]
     for row in rows:
         cells = [row.name, f"{row.score.value:.1f}", f"{row.score.low:.1f} to {row.score.high:.1f}"]
         cells += [f"{row.parts[part]:.1f}" for part in most]
         cells += [f"{100 * share:.0f} %" for share in (*row.reached, row.outside)]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return markdown_table(("team", "score", "95 % interval", *most, "1/4", "1/2", "3/4", "outside"), lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
