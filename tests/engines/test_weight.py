@@ -1,5 +1,8 @@
 """On `warp` weight is an applied force, which moves everything as MuJoCo's own gravity does."""
 
+import atexit
+
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -8,7 +11,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx import WarpEngine
+from usarmjx.engines.mjx import WarpEngine, finish_steps
 from usarmjx.models.build.compose import Physics
 
 ROBOT = """
@@ -61,3 +64,14 @@ def test_bodies_fall_and_swing_as_in_c_mujoco():
 def test_where_a_body_is_compensated_gravity_stays():
     engine = engine_of(compensated="gravcomp='1'")
     assert not engine.mx.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+
+
+def test_on_a_cpu_a_program_s_end_waits_for_the_step_under_way(monkeypatch):
+    """Else the interpreter, whom the kernels need, and the step would wait for each other."""
+    hooks = []
+    monkeypatch.setattr(atexit, "register", hooks.append)
+    engine_of()
+    assert hooks == [finish_steps] * (jax.default_backend() == "cpu")
+    under_way = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ x), x))(jnp.eye(400))
+    finish_steps()
+    assert under_way.is_ready()

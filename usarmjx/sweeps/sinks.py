@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from usarmjx.base.errors import UsageError, one_line
 from usarmjx.sweeps.settings import as_text
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.sweeps.table import scores_of
+from usarmjx.train.learning.wandb_log import find_wandb
 
 Sink = Callable[[CellRecord], None]
 """Is told of each cell that is finished or has failed."""
@@ -55,11 +55,7 @@ def wandb_sink(project: str, name: str) -> Sink:
     Raises:
         UsageError: wandb is missing, or cannot begin.
     """
-    try:
-        import wandb  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise UsageError("Weights & Biases needs wandb: pip install wandb") from error
-    module: Any = wandb
+    module = find_wandb()
 
     def show(record: CellRecord) -> None:
         config = {key: as_text(value) for key, value in record.settings.items()}

@@ -141,6 +141,25 @@ def test_if_viser_starts_otherwise_nothing_is_served(monkeypatch):
     assert stopped == [True]
 
 
+def test_a_visitor_who_comes_too_early_waits_until_viser_is_made(monkeypatch):
+    make, early = front.make_viser_server, []
+
+    def make_slowly(host, port):
+        server = make(host, port)
+        early.append(connect(f"ws://{host}:{port}", subprotocols=PROTOCOLS, max_size=None))
+        with pytest.raises(TimeoutError):
+            early[0].recv(timeout=0.5)
+        return server
+
+    monkeypatch.setattr(front, "make_viser_server", make_slowly)
+    server = gated_viser(bound_socket(HOST, 0), HOST, Gate(AccessRules(), 4, "viewers"), ())
+    try:
+        with early[0] as visitor:
+            assert visitor.recv(timeout=20), "and is then served as all are"
+    finally:
+        server.stop()
+
+
 class Loop:
     """A loop in a thread that ticks a service, as a server's does."""
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.train.toys import END, LineToy
+from tests.train.toys import LineToy
 from usarmjx.base.errors import UsageError
 
 FLOAT = 1e-5  # sums of a few numbers of size 1 in single precision, in another order
@@ -145,31 +145,12 @@ def test_gymnasium_hands_out_new_arrays(vector):
 
 def test_gymnasium_vector_is_as_gymnasium_makes_one_of_single_environments(vector):
     """Oracle: SyncVectorEnv in the declared autoreset mode over an environment of its own."""
-    import gymnasium
     from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-    class Plain(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32)
-        action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-        def __init__(self, number):
-            self.number, self.episode = number, -1
-
-        def reset(self, *, seed=None, options=None):
-            self.episode, self.length, self.score = self.episode + 1, 0, 0.0
-            self.x = (self.number + 1) / 8 + self.episode / 16
-            return np.array([self.x, 0.0], np.float32), {}
-
-        def step(self, action):
-            self.x, self.length = self.x + 0.1 * float(action[0]), self.length + 1
-            self.score += self.x
-            ended = self.x > END
-            obs = np.array([self.x, self.length], np.float32)
-            info = {"way": self.x, "score": self.score}
-            return obs, self.x, ended, not ended and self.length >= 6, info
+    from tests.train.adapters.line import Line
 
     ours = vector(LineToy(worlds=3, robots=1, mixed=False))
-    theirs = SyncVectorEnv([lambda n=n: Plain(n) for n in range(3)], autoreset_mode=AutoresetMode.SAME_STEP)
+    theirs = SyncVectorEnv([lambda n=n: Line(n) for n in range(3)], autoreset_mode=AutoresetMode.SAME_STEP)
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     np.testing.assert_allclose(ours.reset(seed=0)[0], theirs.reset(seed=0)[0])
     generator, ends = np.random.default_rng(1), 0

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.train.toys import END, LineToy
+from tests.train.toys import LineToy
 from usarmjx.base.errors import UsageError
 from usarmjx.base.registry import Registry
 from usarmjx.train.envs.task import TASKS
 
 gymnasium = pytest.importorskip("gymnasium", reason="needs the extra rl")
+from tests.train.adapters.line import Line  # noqa: E402 - gymnasium may be missing
+
 FLOAT = 1e-5  # sums of a few numbers of size 1 in single precision, in another order
 
 
@@ -22,34 +24,6 @@ def vector():
     from usarmjx.train.adapters.gymnasium import VectorWorlds
 
     return VectorWorlds
-
-
-class Line(gymnasium.Env):
-    """A world of `LineToy` with one robot, by hand."""
-
-    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32)
-    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-    def __init__(self, number):
-        self.number, self.episode = number, -1
-
-    def reset(self, *, seed=None, options=None):
-        self.episode, self.length, self.score = self.episode + 1, 0, 0.0
-        self.x = (self.number + 1) / 8 + self.episode / 16
-        return np.array([self.x, 0.0], np.float32), {}
-
-    def step(self, action):
-        self.x, self.length = self.x + 0.1 * float(action[0]), self.length + 1
-        self.score += self.x
-        ended = self.x > END
-        info = {"way": self.x, "score": self.score}
-        return (
-            np.array([self.x, self.length], np.float32),
-            self.x,
-            ended,
-            not ended and self.length >= 6,
-            info,
-        )
 
 
 @pytest.mark.parametrize("traceable", [True, False])

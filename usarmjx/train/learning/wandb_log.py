@@ -9,6 +9,19 @@ IterationWatch = Callable[[dict[str, Any]], None]
 """Is told what is written of each iteration."""
 
 
+def find_wandb() -> Any:  # noqa: ANN401 - a package that may be missing
+    """Return the module wandb.
+
+    Raises:
+        UsageError: It is missing.
+    """
+    try:
+        import wandb  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise UsageError("Weights & Biases needs wandb: pip install wandb") from error
+    return wandb
+
+
 def wandb_watch(
     project: str, name: str, settings: Mapping[str, Any], say: Callable[[str], None]
 ) -> IterationWatch:
@@ -23,11 +36,7 @@ def wandb_watch(
     Raises:
         UsageError: wandb is missing, or cannot begin.
     """
-    try:
-        import wandb  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise UsageError("Weights & Biases needs wandb: pip install wandb") from error
-    module: Any = wandb
+    module = find_wandb()
     try:
         run = module.init(project=project, id=name, name=name, config=dict(settings), resume="allow")
     except Exception as error:  # of a service elsewhere
