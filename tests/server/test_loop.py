@@ -1,16 +1,19 @@
 """Several worlds in one loop, and who may keep a seat in one: on real sockets, in worlds that stand still."""
 
+import asyncio
 import contextlib
 import re
 import threading
 import time
 
 import numpy as np
+import pytest
 
 from tests.server.peers import PATIENCE, Peer, looping, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import SpecError
 from usarmjx.server.bot_server import BotServerSettings
+from usarmjx.server.loop import ServerLoop
 from usarmjx.server.net import BotServer
 
 CLOCK_ATOL = 0.011  # s: reports tell the time with two decimals
@@ -104,6 +107,28 @@ def test_as_fast_as_it_can_holds_for_all_worlds():
             time.sleep(0.01)
         passed = time.monotonic() - began[1]
     assert min(world.time for world in worlds) - max(began[0]) > 2 * passed
+
+
+def test_serving_ends_when_the_time_limit_of_the_greeting_is_up(capfd):
+    """Manual 5.1: TimeLimit is in minutes; a client hears of it, and of the end by the connection's."""
+    world = StillWorld()
+    world.step()  # a world that is older than the serving of it
+    (server,) = servers_of(world, time_limit=1)
+
+    async def main():
+        loop = ServerLoop([server], clock=0.0)
+        running = asyncio.create_task(loop.run())
+        while not loop.listening:
+            await asyncio.sleep(0)
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+        told = await reader.read()
+        writer.close()
+        await running
+        return told
+
+    assert asyncio.run(main()).startswith(b"NFO {Gametype BotDeathMatch} {Level flat} {TimeLimit 1}")
+    assert world.time == pytest.approx(60.0 + world.period)
+    assert "stopped after 60.0 simulated s" in capfd.readouterr().out
 
 
 def test_a_world_that_lags_says_so_once(caplog):

@@ -3,7 +3,7 @@
 import contextlib
 import socket
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
@@ -126,6 +126,9 @@ class RunOptions:
     realtime_factor: Annotated[
         float, typer.Option(min=0.0, help="Simulated seconds per second; 0: as fast as it can.")
     ] = 1.0
+    time_limit: Annotated[
+        int, typer.Option(min=0, help="Minutes of simulated time after which serving ends; 0: never.")
+    ] = 0
     metrics_port: MetricsOption = None
     record: RecordOption = None
 
@@ -242,7 +245,8 @@ class Host:
         from usarmjx.server.clock import StepClock
         from usarmjx.server.loop import serve as run
 
-        servers = make_servers(worlds, self.settings, services.makers, ports.bound, self.numbers, batch_size)
+        settings = replace(self.settings, time_limit=self.run.time_limit)
+        servers = make_servers(worlds, settings, services.makers, ports.bound, self.numbers, batch_size)
         connect_rosbridge(servers)
         servers[0].services.extend(more)
         if ports.metrics is not None:

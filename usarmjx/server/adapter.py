@@ -48,6 +48,7 @@ class Client:
         peer: The peer's address, for the log.
         fault_log: Where its faults are logged; None: in a log of its own.
         dialect: In which version's words it speaks.
+        time_limit: Minutes of simulated time after which the world ends; 0: never.
     """
 
     def __init__(
@@ -56,8 +57,9 @@ class Client:
         peer: str,
         fault_log: FaultLog | None = None,
         dialect: Dialect = MANUAL,
+        time_limit: int = 0,
     ) -> None:
-        self.session = RobotSession(reports.nfo_greeting(world.arena.name), dialect=dialect)
+        self.session = RobotSession(reports.nfo_greeting(world.arena.name, time_limit), dialect=dialect)
         self.robot: Robot | None = None
         self._reporter = Reporter(world, self.session)
         self._trace_state: RobotTrace | None = None

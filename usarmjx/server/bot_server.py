@@ -30,6 +30,7 @@ class BotServerSettings:
             refused INIT counts as `session.REFUSAL_FAULTS`; 0: never.
         access: Who may connect.
         dialect: In which version's words clients speak.
+        time_limit: Minutes of simulated time after which serving ends (manual 5.1: TimeLimit); 0: never.
     """
 
     host: str = "127.0.0.1"
@@ -39,6 +40,7 @@ class BotServerSettings:
     max_faults: int = 1000
     access: AccessRules = EVERYBODY
     dialect: Dialect = MANUAL
+    time_limit: int = 0
 
 
 @dataclass

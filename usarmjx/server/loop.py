@@ -59,13 +59,18 @@ class ServerLoop:
         """End `run` after the present step."""
         self._stop.set()
 
+    def _times_up(self, served: float) -> bool:
+        """Return whether the worlds have been served for as long as they shall be [s of simulated time]."""
+        limit = self._servers[0].settings.time_limit
+        return limit > 0 and served >= 60 * limit - self._servers[0].world.period / 2
+
     def _announcement(self, server: BotServer, lines: Sequence[str]) -> Sequence[str]:
         return lines if len(self._servers) == 1 else [f"{server.title}: {', '.join(lines)}"]
 
     async def _run_worlds(self) -> None:
         world = self._servers[0].world
         began, start = time.perf_counter(), world.time
-        while not self._stop.is_set():
+        while not self._stop.is_set() and not self._times_up(world.time - start):
             moves = self._clock.takes_step()
             for number, server in enumerate(self._servers):
                 if number:

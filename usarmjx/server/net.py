@@ -252,7 +252,8 @@ class BotServer:
             writer.close()
             return
         limit_receive_buffer(writer, RECEIVE_BUFFER)
-        client = Client(self.world, peer, self._fault_log, self.settings.dialect)
+        settings = self.settings
+        client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)
         budget = ClientBudget(self._budgets)
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
         self.tally.connections += 1

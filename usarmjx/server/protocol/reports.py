@@ -32,9 +32,15 @@ STATUS_OK, STATUS_FAILED = "OK", "Failed"
 """How RES says whether a SET was carried out (manual 9.3)."""
 
 
-def nfo_greeting(level: str) -> Message:
-    """Return the line that every connection starts with; `level` is the arena's name."""
-    return Message("NFO", (("Gametype", "BotDeathMatch"), ("Level", level), ("TimeLimit", "0")))
+def nfo_greeting(level: str, time_limit: int = 0) -> Message:
+    """Return the line that every connection starts with.
+
+    Args:
+        level: The arena's name.
+        time_limit: Minutes after which the world ends; 0: never.
+    """
+    limit = ("TimeLimit", str(time_limit))
+    return Message("NFO", (("Gametype", "BotDeathMatch"), ("Level", level), limit))
 
 
 def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
