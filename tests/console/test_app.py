@@ -79,6 +79,8 @@ async def brings_a_robot(app, pilot, client):
     await until(pilot, lambda: app._robot_classes, "the classes")
     await pilot.press(*"ini", "tab", *"{cl", "tab", *"p2", "tab")
     assert line.value == "INIT {ClassName USARBot.P2"
+    await pilot.pause()
+    assert "USARBot.P2AT  USARBot.P2DX" in str(app.query_one("#offered", Static).content), "what it may be"
     await pilot.press("tab")
     assert line.value == "INIT {ClassName USARBot.P2AT}"
     assert "USARBot.P2DX" in str(app.query_one("#offered", Static).content)
@@ -206,10 +208,18 @@ def test_a_server_that_goes_and_a_robot_that_is_not_there_are_told():
             await until(
                 pilot, lambda: "no pictures from 127.0.0.1:1: Connection refused" in written(app, "All")
             )
-            await pilot.click("#do-forward")
-            await until(pilot, lambda: "there is no robot yet: send INIT first" in written(app, "All"))
+            for button in ("#do-forward", "#do-light", "#do-trace"):
+                await pilot.click(button)
+            await until(
+                pilot, lambda: written(app, "All").count("there is no robot yet: send INIT first") == 3
+            )
+            assert "DRIVE" not in written(app, "All")
+            await say(app, pilot, "INIT {ClassName USARBot.Lookout {Name Eye}")
+            await until(pilot, lambda: "no server can read that: a '{' opens inside" in written(app, "All"))
             await asyncio.to_thread(server.close)
             await until(pilot, lambda: "the server has hung up; F3 connects anew" in written(app, "All"))
+            await pilot.click("#do-forward")
+            await until(pilot, lambda: written(app, "All").count("has hung up; F3 connects anew") == 2)
             await say(app, pilot, "GETSTARTPOSES")
             await until(pilot, lambda: f"not connected to 127.0.0.1:{port}" in written(app, "All"))
             await pilot.press("f3")

@@ -2,6 +2,7 @@
 
 import csv
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from typer.testing import CliRunner
 
 from usarmjx.cli.app import app
 from usarmjx.plots.mission import read_mission
-from usarmjx.recording.reader import Recording
+from usarmjx.recording.messages import ChannelName
+from usarmjx.recording.reader import RecordedMessage, Recording
+from usarmjx.recording.tables import rows_of
 
 
 def run(*words):
@@ -36,10 +39,30 @@ def test_tables_have_what_happened(mission, tmp_path):
     assert told[-2:] == [4.0, 5.0]
     beams = [row for row in table(tmp_path / "out-readings.csv") if row["name"] == "Scanner1"]
     assert max(int(row["index"]) for row in beams) == 31
-    assert table(tmp_path / "out-lines.csv")[0]["text"] == "DRIVE {Left 1}\r\n"
+    assert table(tmp_path / "out-lines.csv")[0]["text"] == "DRIVE {Left 1}"
     assert [row["kind"] for row in table(tmp_path / "out-events.csv")] == ["join", "join", "leave"]
     assert table(tmp_path / "out-joints.csv")[0]["robot"] == "First"
     assert not (tmp_path / "out-scores.csv").exists()
+
+
+def test_a_row_is_a_line_however_it_came():
+    came = [("A", False, "INIT {Class"), ("B", False, "PLAY\n\n"), ("A", True, "NFO {Level X}\r\nSTA {")]
+    came += [("A", False, "Name P2AT}\r"), ("A", False, "\nDRIVE {Left 1}\r\nGETG")]
+    messages = [
+        RecordedMessage(
+            0.1 * n, ChannelName(0, "lines"), {"robot": "", "peer": peer, "sent": sent, "text": text}
+        )
+        for n, (peer, sent, text) in enumerate(came)
+    ]
+    recording = SimpleNamespace(messages=lambda kinds: iter(messages))
+    assert [(round(row[0], 6), *row[3:]) for row in rows_of(recording, "lines")] == [
+        (0.1, "B", False, "PLAY"),
+        (0.2, "A", True, "NFO {Level X}"),
+        (0.3, "A", False, "INIT {ClassName P2AT}"),
+        (0.4, "A", False, "DRIVE {Left 1}"),
+        (0.2, "A", True, "STA {"),
+        (0.4, "A", False, "GETG"),
+    ]
 
 
 def test_what_parquet_needs_is_said(mission, tmp_path, monkeypatch):

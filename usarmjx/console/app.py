@@ -13,7 +13,7 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Button, Footer, Input, Static
 
 from usarmjx.base.errors import UsageError, UsarmjxError
-from usarmjx.console.client import ConsoleClient, Received
+from usarmjx.console.client import ConsoleClient, Received, fault_of
 from usarmjx.console.completion import Completer
 from usarmjx.console.driving import Pilot
 from usarmjx.console.inputs import CommandLine, KeyPad
@@ -36,6 +36,7 @@ BUTTONS = (
 """What stands on the buttons, row by row: SimpleUI's wheels, camera and light (manual 5.2.5.1)."""
 VIEW = "view"
 """The button, and the key, that show the next camera in the picture."""
+GONE = "the server has hung up; F3 connects anew"
 PAD_TEXT = "F2: drive by arrows, Space, + -, I J K L, U O, H, T; Esc or the right button ends"
 
 
@@ -157,7 +158,7 @@ class ConsoleApp(App[str]):
                 await self._hear(received)
         except UsarmjxError as error:
             self.say(str(error))
-        self.say("the server has hung up; F3 connects anew")
+        self.say(GONE)
 
     async def _hear(self, received: Received) -> None:
         self._messages.add("<", received.kind, received.line)
@@ -178,6 +179,8 @@ class ConsoleApp(App[str]):
             self.say(str(error))
         else:
             self._messages.add(">", "", shown)
+            if fault := fault_of(line):
+                self.say(f"no server can read that: {fault}")
 
     def say(self, text: str) -> None:
         """Show a remark."""
@@ -232,6 +235,9 @@ class ConsoleApp(App[str]):
     async def _press(self, action: str) -> None:
         if action == VIEW:
             await self._show_next_camera()
+            return
+        if not self._client.is_connected:
+            self.say(GONE)
             return
         lines = self._pilot.press(action)
         for line in lines:

@@ -140,6 +140,15 @@ def failure_of(error: OSError | TimeoutError) -> str:
     return os.strerror(number) if number and number > 0 else str(error) or f"no answer in {TIMEOUT:g} s"
 
 
+def fault_of(line: str) -> str:
+    """Return why a server cannot read a line; nothing if it can."""
+    try:
+        parse_message(line)
+    except PeerError as error:
+        return str(error)
+    return ""
+
+
 def _parsed(line: str) -> Message | None:
     try:
         return parse_message(line)

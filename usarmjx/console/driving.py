@@ -16,6 +16,7 @@ BLIMPS = ("Passarola",)
 """Classes that call themselves RotaryWing and have keys of their own (manual 12.21.3)."""
 OMNI_WHEELS = (0, 1)
 """Numbers of the wheels, front and rear, of robots that are driven wheel by wheel (manual 12.11)."""
+SPEEDS = ("faster", "slower")
 NO_DRIVE = "there is no DRIVE for this robot: it is moved by its joints, as MULTIDRIVE does"
 NO_ROBOT = "there is no robot yet: send INIT first"
 
@@ -46,8 +47,8 @@ class Pilot:
         self.camera = CameraAim(self.knowledge)
 
     def press(self, name: str) -> list[str]:
-        """Return the lines of one of `ACTIONS`."""
-        return ACTIONS[name](self)
+        """Return the lines of one of `ACTIONS`; without a robot nothing but the speed can be set."""
+        return ACTIONS[name](self) if self.knowledge.has_robot or name in SPEEDS else []
 
     def problem(self) -> str:
         """Return why nothing can be driven now; "" if it can."""

@@ -43,6 +43,7 @@ class CommandLine(Input):
         self._sent: list[str] = []
         self._recalled = 0
         self._offered: list[str] = []
+        self._begun = ""  # what the lines that are shown have in common
 
     def action_complete(self) -> None:
         """Write what all completions have in common; then one after the other."""
@@ -52,6 +53,7 @@ class CommandLine(Input):
         found = self._complete(self.value)
         common = common_beginning(found)
         self._offered = [] if len(found) < 2 or len(common) > len(self.value) else found
+        self._begun = common if len(found) > 1 else ""
         self._offer(found if len(found) > 1 else ())
         if self._offered:
             self._put(self._offered[0])
@@ -60,8 +62,8 @@ class CommandLine(Input):
 
     def on_input_changed(self) -> None:
         """What was offered is for another line."""
-        if self.value not in self._offered:
-            self._offered = []
+        if self.value not in (*self._offered, self._begun):
+            self._offered, self._begun = [], ""
             self._offer(())
 
     def remember(self, line: str) -> None:

@@ -1,6 +1,7 @@
 """Recordings as tables: CSV with what Python brings, Parquet with pyarrow where that is installed."""
 
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ COLUMNS = {
 }
 """The tables and their columns; lengths in metres, angles in radians, times in seconds."""
 TableRow = tuple[Any, ...]
+_LINE_END = re.compile(r"[\r\n]+")
 
 
 def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
@@ -41,6 +43,9 @@ def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
     """
     if table not in COLUMNS:
         raise UsageError(f"no table {table!r}; there are: {', '.join(COLUMNS)}")
+    if table == "lines":
+        yield from _line_rows(recording)
+        return
     kinds = {"poses": "frames", "joints": "frames", "commands": "inputs", "scores": "score"}
     drawings: dict[int, Drawing] = {}
     for message in recording.messages({kinds.get(table, table), "drawings"}):
@@ -58,8 +63,6 @@ def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iter
             for what in ("target", "mode", "setpoint") if command is not None else ():
                 for index, value in enumerate(np.asarray(getattr(command, what)).tolist()):
                     yield time, world, slot, what, index, value
-    elif table == "lines":
-        yield time, world, said["robot"], said["peer"], said["sent"], said["text"]
     elif table == "events":
         yield time, world, said["kind"], said["robot"], said["text"]
     elif table == "scores":
@@ -68,6 +71,20 @@ def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iter
         yield from _reading_rows(time, world, said, drawing)
     elif drawing is not None:
         yield from _frame_rows(table, (time, world), said, drawing)
+
+
+def _line_rows(recording: Recording) -> Iterator[TableRow]:
+    """Yield a row for each line of the protocol: what comes at once may be many lines, or a part of one."""
+    begun: dict[TableRow, tuple[TableRow, str]] = {}
+    for message in recording.messages({"lines"}):
+        said, world = message.value, message.channel.world
+        who = (world, said["peer"], said["sent"])
+        row = (round(message.time, 6), world, said["robot"], said["peer"], said["sent"])
+        *whole, rest = _LINE_END.split(begun.pop(who, (row, ""))[1] + said["text"])
+        yield from ((*row, line) for line in whole if line)
+        if rest:
+            begun[who] = row, rest
+    yield from ((*row, rest) for row, rest in begun.values())
 
 
 def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Drawing) -> Iterator[TableRow]:
