@@ -14,6 +14,7 @@ from tests.arenas import FLAT, RAMP
 from tests.handy import GRIPPER, TAGGER, known
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.parts import joint_names
+from usarmjx.models.effecters import EFFECTERS, Effect, Effecter, Opcode
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.spec.robot import Mount, options
 from usarmjx.server.adapter import Client
@@ -115,6 +116,40 @@ def tags_of(world):
 
 
 # SET
+
+
+class Launcher(Effecter):
+    """One of one's own (manual 14.3): it fires so hard, and shows that by the lamp alone."""
+
+    kind = "Launcher"
+
+    @property
+    def opcodes(self):
+        return (Opcode("Fire", max_val=2.0, min_val=0.5, default_val=None),)
+
+    def effect(self, opcode, value, stock):
+        return Effect(light=value > 0.5)
+
+
+def test_an_effecter_of_ones_own_may_fire(live):
+    """None of section 11 does, so that they fail; the vocabulary of section 8 has the word."""
+    EFFECTERS.add(Launcher.kind, Launcher)
+    own = replace(TAGGER, name="Launching", effecters=(Mount(kind="Launcher", name="Sling"), GRIPPER))
+    try:
+        with known(own):
+            live.prepare(own)
+            client = connect(live, "Launching")
+            (told,) = say(client, "GETCONF {Type Effecter} {Name Sling}")
+            assert told == "CONF {Type Effecter} {Name Sling} {Opcode Fire} {MaxVal 2.0000} {MinVal 0.5000}"
+            assert status(client, "Launcher", "Sling", "fire", 3.0) == "Failed"
+            assert not client.robot.command.light
+            assert status(client, "Launcher", "Sling", "Fire", 1.5) == "OK"
+            assert client.robot.command.light
+            assert status(client, "Launcher", "Sling", "Release") == "Failed"
+            assert status(client, "Gripper", "Gripper", "Fire", 1.0) == "Failed"
+            client.leave()
+    finally:
+        EFFECTERS.discard(Launcher.kind)
 
 
 def test_open_moves_the_fingers_and_what_is_out_of_range_fails(world, client):

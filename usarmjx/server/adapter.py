@@ -82,6 +82,7 @@ class Client:
             wire.Trace: self._trace,
             wire.GetGeo: self._geometry,
             wire.GetConf: self._configuration,
+            wire.OwnCommand: self._own_command,
         }
 
     def handle(self, command: wire.Command) -> None:
@@ -359,6 +360,11 @@ class Client:
             known = (robot.spec, robot.suite.sensors, robot.fovs)
             for message in configuration(*known, command.type, command.name):
                 self.session.send(message)
+
+    def _own_command(self, command: wire.OwnCommand) -> None:
+        answer = command.action(self._world, self._present, command.message)
+        if answer is not None:
+            self.session.send(answer)
 
     # Reports
 

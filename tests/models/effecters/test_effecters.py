@@ -20,7 +20,7 @@ from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.effecters.roller import RADIUS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import UP, Motor, Mount, Part, options
+from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, options
 from usarmjx.models.spec.shapes import Shape
 
 MM = 1e-3
@@ -123,6 +123,33 @@ def test_a_gripper_uses_fingers_that_the_robot_has_and_gives_each_half_of_the_an
         rig.run(1.5)
         angles = [rig.joint(name) for name in ("LeftFinger", "RightFinger")]
         assert angles == pytest.approx([0.6, 0.6], abs=0.01)
+
+
+def test_a_gripper_that_names_no_fingers_finds_the_last_parts_on_either_side_of_its_base():
+    """Manual 11.1.2; what is on the chassis or in the middle is none, and a name wins."""
+    motor = Motor(max_speed=1.0, torque=1.0)
+    box = (Shape(kind="box", size=(0.05, 0.01, 0.01), at=(0.05, 0.0, 0.0), mass=0.1),)
+
+    def part(name, y, parent="Palm", x=0.05):
+        return Part(name=name, parent=parent, at=(x, y, 0.0), axis=UP, motor=motor, shapes=box)
+
+    palm = part("Palm", 0.0, CHASSIS, 0.35)
+    thumbs = [
+        part(name, y) for name, y in (("Old", -0.05), ("Thumb", -0.06), ("Probe", 0.02), ("Pinkie", 0.05))
+    ]
+    parts = (*P2AT.parts, palm, *thumbs)
+
+    def joints(parent="Palm", **settings):
+        gripper = Mount(
+            kind="Gripper", name="G", parent=parent, at=(0.0, 0.02, 0.0), options=options(**settings)
+        )
+        (effecter,) = effecters_of(with_effecters(gripper, parts=parts))
+        return effecter.joints
+
+    assert joints() == ("Thumb", "Pinkie")
+    assert joints(LeftFinger="Old") == ("Old", "Pinkie")
+    assert joints(parent=CHASSIS) == ("LeftFinger", "RightFinger")
+    assert joints(parent="Pinkie") == ("LeftFinger", "RightFinger"), "which it brings along"
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.7), (0.3, -0.5, 2.0)])

@@ -282,6 +282,19 @@ def wheels(names, *more, x=0.16, y=0.2, z=0.05):
     return "\n".join(f"JointParts({i})={text}" for i, text in enumerate(pairs))
 
 
+def test_a_wheel_whose_own_axes_are_turned_is_the_same_round_wheel(load):
+    def car(axes):
+        return named(
+            load(
+                "[USARBot.P2AT]\n" + wheels(NAMES, SIZE, LOCKED, "ParentAxis=(Z=1),ParentAxis2=(Y=1)", axes)
+            ),
+            "P2AT",
+        ).parts
+
+    turned = car("SelfAxis=(X=1,Y=0,Z=0),SelfAxis2=(X=0,Y=0,Z=-2)")
+    assert turned == car("SelfAxis=(X=0,Y=0,Z=1),SelfAxis2=(X=0,Y=1,Z=0)")
+
+
 def test_a_p2ats_own_wheels_as_pairs_in_unreal_units_are_the_p2ats(load):
     text = "[USARBot.P2AT]\nbMountByUU=True\n"
     for i, part in enumerate(P2AT.parts):
@@ -497,16 +510,22 @@ Cameras=(ItemClass=class'USARBot.RobotCamera',ItemName=Camera,Parent=Pole_Link2)
 
 
 @pytest.mark.parametrize("count", [1, 5])
-def test_the_number_of_tires_of_a_track_can_be_set_at_each_end(load, count):
-    loaded = load(f"[USARBot.TarantulaFrontTrack]\nNumTires={count}")
+@pytest.mark.parametrize(("end", "other"), [("Front", "Rear"), ("Rear", "Front")])
+def test_the_number_of_tires_of_a_track_can_be_set_at_each_end(load, end, other, count):
+    loaded = load(f"[USARBot.Tarantula{end}Track]\nNumTires={count}")
     robot = named(loaded, "Tarantula")
-    rows = {f: [p for p in robot.parts if p.is_wheel and p.parent == f] for f in ("FRFlipper", "RLFlipper")}
-    stock = {f: [p for p in TARANTULA.parts if p.is_wheel and p.parent == f] for f in rows}
-    assert len(rows["FRFlipper"]) == count
-    assert rows["RLFlipper"] == stock["RLFlipper"], "the rear is another section's"
-    row, tip = rows["FRFlipper"], stock["FRFlipper"][-1]
-    assert row[-1].at == pytest.approx(tip.at)
-    assert row[-1].shapes[0].size == pytest.approx(tip.shapes[0].size)
+    arms = {"Front": ("FRFlipper", "FLFlipper"), "Rear": ("RRFlipper", "RLFlipper")}
+    rows, stock = (
+        {arm: [p for p in one.parts if p.is_wheel and p.parent == arm] for arm in sum(arms.values(), ())}
+        for one in (robot, TARANTULA)
+    )
+    for arm in arms[other]:
+        assert rows[arm] == stock[arm], "the other end is another section's"
+    for arm in arms[end]:
+        row, tip = rows[arm], stock[arm][-1]
+        assert len(row) == count
+        assert row[-1].at == pytest.approx(tip.at)
+        assert row[-1].shapes[0].size == pytest.approx(tip.shapes[0].size)
     assert robot.drive.left != TARANTULA.drive.left
     speeds = dict(zip((*robot.drive.left, *robot.drive.right), robot.drive.ratios, strict=True))
     for part in robot.wheels:  # one belt speed
@@ -565,6 +584,8 @@ WRONG = [
     (f"JointParts={pair('A', 0, 0, 0, 'Parent=B')}", "2: Parent B is not defined before; expected one"),
     (f"JointParts={pair('A', 0, 0.1, 0, SIZE, LOCKED)}", "2: no driven wheel is on the left; expected"),
     (f"JointParts={pair('A', 0, 1, 0, SIZE, 'ParentAxis2=(X=1)')}", "2: ParentAxis2 of wheel A is .*Y=1"),
+    (f"JointParts={pair('A', 0, 1, 0, LOCKED, SIZE, 'SelfAxis=(X=0,Y=0,Z=1),SelfAxis2=(X=0,Y=1,Z=1)')}",
+     "2: SelfAxis and SelfAxis2 of wheel A stand at 45.0 degrees; expected 90.0 as ParentAxis"),
     (f"JointParts={pair('A', 0, 0.1, 0, joint='KDHinge')}", r"2: JointParts has no Size; expected Size=\(X="),
     (f"JointParts={pair('A', 0, 1, 0, 'Colour=3')}", "2: JointParts has no Colour; expected some of Part"),
     ("MisPkgs=(PkgName=Pole,PkgClass=class'USARMisPkg.CameraPanTilt')", "Camera sits on CameraPanTilt_Link2"),
@@ -686,6 +707,23 @@ def test_a_car_made_of_pairs_stands_on_its_springs_and_steers_as_a_bicycle_does(
     assert speed == pytest.approx(3.0, rel=ROLLING_RTOL)
     assert log[-1, 8] == pytest.approx(speed * math.tan(0.3) / 1.8, rel=ROLLING_RTOL)
     assert car.joint("LeftFWheel_Steer") > 0.3 > car.joint("RightFWheel_Steer"), "the inner wheel more"
+
+
+@pytest.mark.parametrize(("front", "rear"), [(0.3, -0.3), (0.2, 0.2), (0.0, 0.25)])
+def test_a_car_that_steers_at_both_ends_turns_as_its_bicycle_does(rig, front, rear):
+    """DRIVE {RearSteer} (manual 9.4): v cos(b) (tan front - tan rear) / base, tan(b) their mean."""
+    text = "[USARBot.Crab]\nDimensions=(X=2.5,Y=1.0,Z=0.6)\nWeight=600\nmaxSpinSpeed=20\n"
+    pairs = wheels(NAMES, "Radius=0.3,Width=0.15,bSuspensionLocked=True", x=0.9, y=0.6, z=0.3)
+    car = rig(text + pairs, "Crab").tell(Speed=6.0, FrontSteer=front, RearSteer=rear)
+    log = car.run(4.0)
+    ahead, behind = math.tan(front), math.tan(rear)
+    slant = math.atan((ahead + behind) / 2)
+    assert log[-1, 8] == pytest.approx(
+        1.8 * math.cos(slant) * (ahead - behind) / 1.8, rel=ROLLING_RTOL, abs=1e-3
+    )
+    assert np.linalg.norm(log[-1, 3:5]) == pytest.approx(1.8, rel=ROLLING_RTOL)
+    if front == rear:  # a crab
+        assert math.atan2(log[-1, 4], log[-1, 3]) == pytest.approx(front, rel=ROLLING_RTOL)
 
 
 def test_motors_of_known_tires_are_those_of_their_robot(load):

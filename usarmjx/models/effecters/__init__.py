@@ -56,5 +56,5 @@ def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
     for mount in robot.effecters:
         kind = EFFECTERS.get(mount.kind)
         settings = resolve_settings(kind.settings_class, mount.all_options, f"{mount.kind} {mount.name}")
-        effecters.append(kind(mount=mount, settings=settings))
+        effecters.append(kind(mount=mount, settings=settings).fitted(robot))
     return tuple(effecters)

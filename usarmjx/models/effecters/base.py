@@ -7,7 +7,7 @@ out.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from flax import struct
@@ -16,7 +16,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, mat_from_angles
-from usarmjx.models.spec.robot import Mount, Part
+from usarmjx.models.spec.robot import Mount, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
 MAX_DROPPED_TAGS = 64
@@ -119,6 +119,11 @@ class Effecter(ABC):
 
     mount: Mount
     settings: Any
+
+    def fitted(self, robot: RobotSpec) -> Self:
+        """Return it as it is on a robot, where its settings leave something to what that has."""
+        del robot
+        return self
 
     @property
     @abstractmethod

@@ -1,12 +1,13 @@
 """The gripper (manual 11.1): two fingers that hold things by contact and friction."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.spec.robot import Motor, Part
+from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape
 
 # All measures are chosen: the manual gives none.
@@ -19,6 +20,8 @@ PALM = (0.01, 0.05, 0.02)
 # 60 N hold 2 kg through a skid-steered turn. Gains as the servo of a 0.6 kg slide wants them at 5 ms.
 MOTOR = Motor(max_speed=0.1, torque=60.0, stiffness=2000.0, damping=60.0, armature=0.5)
 GREY = (0.3, 0.3, 0.3, 1.0)
+OWN_FINGERS = ("LeftFinger", "RightFinger")
+"""What a gripper calls the fingers that it brings along."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,14 @@ class GripperSettings(EffecterSettings):
         max_angle: Largest angle between the fingers [rad].
         min_angle: Smallest angle between the fingers [rad].
         left_finger: Name of the left finger's part; the gripper brings it along if the robot has none such.
+            Empty: see `Gripper.fitted`.
         right_finger: The same of the right finger.
     """
 
     max_angle: float = 1.57
     min_angle: float = 0.0
-    left_finger: str = "LeftFinger"
-    right_finger: str = "RightFinger"
+    left_finger: str = ""
+    right_finger: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,25 @@ class Gripper(Effecter):
 
     kind = "Gripper"
     settings_class = GripperSettings
+
+    def fitted(self, robot: RobotSpec) -> Self:
+        """Return it with its fingers: of the parts on its base, the last on either side (manual 11.1.2).
+
+        Wheels, and whatever is on a chassis, are no fingers. What has no two such parts has fingers of the
+        gripper's own, LeftFinger and RightFinger.
+        """
+        mount, own = self.mount, self.settings
+        if own.left_finger and own.right_finger:
+            return self
+        on_base = [part for part in robot.parts if part.parent == mount.parent and not part.is_wheel]
+        left, right = (
+            [part.name for part in on_base if side * (part.at[1] - mount.at[1]) > 0] for side in (-1, 1)
+        )
+        found = (left[-1], right[-1]) if left and right and mount.parent != CHASSIS else OWN_FINGERS
+        names = [
+            name or usual for name, usual in zip((own.left_finger, own.right_finger), found, strict=True)
+        ]
+        return replace(self, settings=replace(own, left_finger=names[0], right_finger=names[1]))
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:

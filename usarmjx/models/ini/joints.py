@@ -12,7 +12,15 @@ import numpy as np
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.ini.figures import DEFAULT_SUSPENSION_TRAVEL
-from usarmjx.models.ini.pairs import JointPair, leaning, part_rotation, spin_axis, steering_axis, unit_of
+from usarmjx.models.ini.pairs import (
+    JointPair,
+    check_own_axes,
+    leaning,
+    part_rotation,
+    spin_axis,
+    steering_axis,
+    unit_of,
+)
 from usarmjx.models.ini.read import as_class, fail, key_text, number_of, vector_of
 from usarmjx.models.robots.car_kit import STEER_ARMATURE, STEER_TORQUE
 from usarmjx.models.robots.kit import BLACK, car_wheel, firm_motor, wheel
@@ -45,6 +53,7 @@ def build_parts(pairs: Sequence[JointPair], weight: float, robots: Registry[Robo
 def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[RobotSpec]) -> list[Part]:
     """Return suspension, steering and wheel, as far as they are free."""
     line, struct = pair.line, pair.struct
+    check_own_axes(pair)
     model = _model_of(pair, robots)
     known = model.shapes[0] if model else None
     radius = number_of(line, struct, "Radius", known and known.size[0], above=0.0)

@@ -40,6 +40,8 @@ JOINT_CLASSES = {
     "kdhinge": "hinge",
     "kslider": "slide",
 }
+AXES_TOLERANCE = 0.5
+"""A wheel's own axes may stand so far from the angle of its parent's [degrees]."""
 MOST_PARTS = 500
 """Of a robot."""
 CHASSIS_NAMES = ("", "none", CHASSIS.lower())
@@ -163,6 +165,33 @@ def leaning(axis: Vec3) -> Vec3:
     cross = np.array([[0.0, -x, 0.0], [x, 0.0, z], [0.0, -z, 0.0]])  # of LEFT x axis
     roll, pitch, yaw = (angles_from_mat(np.eye(3) + cross + cross @ cross / (1.0 - y)) + 0.0).tolist()
     return (roll, pitch, yaw)
+
+
+def check_own_axes(pair: JointPair) -> None:
+    """Check that the axes of a wheel's own fit its parent's; being round, it needs no more of them.
+
+    Raises:
+        SpecError: They stand at another angle to each other, so that they cannot meet both.
+    """
+    if pair.struct.get("SelfAxis") is None and pair.struct.get("SelfAxis2") is None:
+        return
+    usual = {"Axis": UP, "Axis2": LEFT}
+    steep, theirs = (
+        float(np.degrees(np.arccos(np.clip(first @ second, -1.0, 1.0))))
+        for first, second in (
+            [
+                np.array(usual[axis]) if pair.struct.get(side + axis) is None else unit_of(pair, side + axis)
+                for axis in usual
+            ]
+            for side in ("Self", "Parent")
+        )
+    )
+    if min(abs(steep - theirs), abs(180.0 - steep - theirs)) > AXES_TOLERANCE:
+        fail(
+            pair.line,
+            f"SelfAxis and SelfAxis2 of wheel {pair.name} stand at {steep:.1f} degrees",
+            f"{theirs:.1f} as ParentAxis and ParentAxis2 do",
+        )
 
 
 def steering_axis(pair: JointPair) -> Vec3:

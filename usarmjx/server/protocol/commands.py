@@ -3,10 +3,11 @@
 `command_parsers` makes them of messages.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from usarmjx.server.protocol.grammar import Vector
+from usarmjx.server.protocol.grammar import Message, Vector
 
 # The keys of a `DriveRobot` in the spelling of manual 9.4 and, for Passarola, 12.21.3.
 DRIVE_KEYS = (
@@ -235,6 +236,19 @@ class GetConf:
 
 
 @dataclass(frozen=True, slots=True)
+class OwnCommand:
+    """A command that the manual does not have (14.4.3); `own_commands` adds such.
+
+    Attributes:
+        action: What it does: is called with the world, the robot and the message, and returns the answer.
+        message: What the client said.
+    """
+
+    action: Callable[..., Message | None]
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
 class Ignored:
     """A line that has no effect and no answer; `reason` is for the log."""
 
@@ -257,4 +271,5 @@ Command: TypeAlias = (
     | Trace
     | GetGeo
     | GetConf
+    | OwnCommand
 )

@@ -27,6 +27,7 @@ from usarmjx.server.protocol.commands import (
     Init,
     MisPkg,
     MultiDrive,
+    OwnCommand,
     Set,
     SetFov,
     SetJoint,
@@ -63,7 +64,7 @@ LEGAL_COMMANDS: dict[SessionPhase, frozenset[type[Command]]] = {
         {
             *(GetStartPoses, GetGeo, GetConf),
             *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
-            *(SetFov, SetViewports, SetView, Trace),
+            *(SetFov, SetViewports, SetView, Trace, OwnCommand),
         }
     ),
     SessionPhase.CLOSED: frozenset(),
