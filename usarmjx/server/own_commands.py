@@ -1,4 +1,4 @@
-"""Commands of one's own beside the manual's (14.4.3): a head, and what it does for the robot of who says it."""
+"""Commands of one's own beside the manual's (14.4.3): a head, and what it does for the robot that says it."""
 
 from collections.abc import Callable
 from functools import partial

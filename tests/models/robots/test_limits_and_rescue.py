@@ -88,6 +88,12 @@ def test_a_p2dx_turns_at_its_data_sheets_300_degrees_a_second():
     assert np.degrees(spin[100:, 12].mean()) == pytest.approx(300.0, rel=0.02)
 
 
+def test_an_atrvjr_turns_no_faster_than_its_data_sheets_120_degrees_a_second():
+    """Manual 12.4.1; its wheels stick and slip meanwhile, so that single instants are faster by a tenth."""
+    turned = heading(Course("ATRVJr").tell(Left=-100.0, Right=100.0).run(3.0))
+    assert 114.0 < np.degrees(turned[-1] - turned[49]) / (100 * PERIOD) < 120.0
+
+
 def test_a_p2dx_starts_stops_and_reverses_with_its_caster_on_the_ground():
     course = Course("P2DX")
     course.run(0.5)

@@ -129,7 +129,7 @@ def _body(car: Car, head: float) -> tuple[Shape, ...]:
         ),
         Shape(
             kind="box",
-            size=(0.45 * length, 0.4 * width, 0.15),
+            size=(min(0.45 * length, length / 2 - abs(ahead)), 0.4 * width, 0.15),  # within the body
             at=(ahead, 0.0, car.origin - balance),
             mass=sprung - head,
             surface="fixture",
