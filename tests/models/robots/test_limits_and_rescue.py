@@ -137,6 +137,32 @@ def test_a_p2dx_on_a_board_of_2_cm_turns_itself_free(yaw):
     assert turned > math.pi
 
 
+@pytest.mark.parametrize(("x", "yaw"), [(-0.1, -161.0), (-0.07, -126.0), (0.03, -64.0), (0.01, 103.0)])
+def test_a_p2dx_that_cannot_turn_itself_free_of_a_board_of_4_cm_drives_off_it(x, yaw):
+    """Its caster, of 3.75 cm, meets what is higher as a wall; a Pioneer is made for sills of 2.5 cm."""
+    course = Course("P2DX", board(0.04), at=(x, 0.0, 0.25), turn=(0.0, 0.0, math.radians(yaw)))
+    course.run(0.6)
+    path = np.concatenate([course.tell(Left=way, Right=way).run(3.0) for way in (6.0, -6.0)])
+    assert np.linalg.norm(path[:, :2] - path[0, :2], axis=1).max() > 0.4
+
+
+def test_a_p2dx_gets_over_sills_of_2_cm_slowly_and_of_4_cm_with_a_run_up():
+    for height, speed, crosses in ((0.02, 2.5, True), (0.04, 2.5, False), (0.04, 12.0, True)):
+        course = Course("P2DX", board(height), at=(-0.4, 0.0, 0.21))
+        path = course.tell(Left=speed, Right=speed).run(1.0 / (speed * 0.0825) + 1.0)
+        assert bool(path[-1, 0] > 0.3) is crosses, (height, speed)
+
+
+@pytest.mark.parametrize("speed", [8.0, 21.8])
+def test_a_p2dx_that_backs_into_a_wall_askew_keeps_its_wheels_on_the_ground_and_gets_away(speed):
+    """With the corner of its deck it bowed by 27 degrees, and its wheels hung in the air from then on."""
+    wall = Shape(kind="box", size=(0.025, 2.0, 0.6), at=(-0.7, 0.0, 0.6), surface="wall")
+    course = Course("P2DX", wall, at=(0.0, 0.0, 0.21), turn=(0.0, 0.0, math.radians(25.0)))
+    assert upright(course.tell(Left=-speed, Right=-speed).run(3.0)).min() > math.cos(math.radians(10.0))
+    back = course.tell(Left=6.0, Right=6.0).run(1.0)
+    assert np.linalg.norm(back[-1, :2] - back[0, :2]) > 0.3
+
+
 @pytest.mark.parametrize("yaw", [0.0, 180.0, 200.0])
 def test_a_talon_that_is_driven_at_a_wall_stays_on_its_tracks(yaw):
     wall = Shape(kind="box", size=(0.025, 2.0, 0.6), at=(0.9, 0.0, 0.6), surface="wall")

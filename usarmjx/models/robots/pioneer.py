@@ -151,6 +151,9 @@ P2DX = RobotSpec(
             rgba=BLACK,
         ),
         sick_housing(P2DX_SCANNER),
+        # A bumper behind, low and just past the deck: what backs into a wall askew meets it with this. With
+        # the corner of the deck it bowed until its wheels hung in the air.
+        Shape(kind="box", size=(0.031, 0.192, 0.015), at=(-0.191, 0.0, 0.125), rgba=BLACK),
     ),
     looks=dx_looks(_front_ring(P2DX_RING_X), P2DX_SCANNER, RED),
     parts=tuple(
