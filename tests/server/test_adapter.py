@@ -7,6 +7,7 @@ manual, 9.3 and 9.4.
 import logging
 import math
 import re
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -14,9 +15,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.arenas import FLAT
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import START_ELEVATION, StartPose
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol.session import SessionPhase
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -170,6 +175,22 @@ def test_start_poses_are_told_before_init(house):
         line,
     )
     assert "{PlayerStart 4.50,1.90,1.8" in line
+
+
+def test_a_start_pose_may_lie_on_a_slope():
+    """Manual 5.3.2: it has an orientation; the nose down is a negative pitch on the wire, whose z is down."""
+    slope = replace(
+        FLAT, starts=(StartPose(tag="Slope", at=(1.0, 2.0, START_ELEVATION), yaw=1.0, pitch=0.1, roll=0.2),)
+    )
+    house = House(DynamicWorld(slope, seed=1))
+    client = house.connect()
+    heard(client)
+    (line,) = house.say(client, "GETSTARTPOSES")
+    assert line == "NFO {StartPoses 1} {Slope 1.00,-2.00,-0.19 0.20,-0.10,-1.00}"
+    house.say(client, "INIT {ClassName P2AT} {Start Slope}")
+    mat = mat_from_quat(client._world.state(client.robot).quat)
+    np.testing.assert_allclose(mat, mat_from_angles(0.2, 0.1, 1.0), atol=1e-6)
+    house.leave(client)
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ class Client:
             (
                 start.tag,
                 flip_wire_vector((*start.at[:2], arena.floor + start.at[2])),
-                flip_wire_angles((0.0, 0.0, start.yaw)),
+                flip_wire_angles(start.angles),
             )
             for start in arena.starts
         ]

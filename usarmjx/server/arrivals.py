@@ -44,7 +44,4 @@ def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, 
     if not tags:
         raise UsageError(f"arena {arena.name} has no start poses: give a Location")
     starts = [tags[init.start.lower()]] if init.start else world.starts_for(spec)
-    return [
-        ((*start.at[:2], start_height(arena, start, spec)), angles or (0.0, 0.0, start.yaw))
-        for start in starts
-    ]
+    return [((*start.at[:2], start_height(arena, start, spec)), angles or start.angles) for start in starts]

@@ -68,6 +68,7 @@ share = st.floats(0, 1)
 vector = st.tuples(number, number, number)
 rgba = st.tuples(share, share, share, share)
 text = st.text(st.characters(codec="utf-8"), max_size=12)
+name = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="{}"), min_size=1)
 posed = {"at": vector, "rotation": vector}
 looks = {"surface": st.sampled_from(sorted(SURFACES)), "rgba": rgba}
 box = st.builds(
@@ -130,7 +131,7 @@ arenas = st.builds(
     floor=number,
     has_floor=st.booleans(),
     shapes=tuples(box | rod | wedge | hill),
-    starts=tuples(st.builds(StartPose, tag=text, at=vector, yaw=number)),
+    starts=tuples(st.builds(StartPose, tag=name, at=vector, yaw=number, pitch=number, roll=number)),
     extent=st.tuples(positive, positive).map(lambda ends: ((-ends[0], ends[0]), (-ends[1], ends[1]))),
     loose=tuples(st.builds(LooseObject, name=text, shapes=st.tuples(box, wedge), **posed), name_of),
     doors=tuples(
@@ -224,6 +225,7 @@ MISTAKES = [
     ("extent: [1, 2]", r"extent\[0\]: 1 is not a list of 2 numbers"),
     ("extent: [[1, 0], [0, 1]]", r"extent \[\[1\.0, 0\.0\], .* wants \[\[x0, x1\], \[y0, y1\]\]"),
     ("starts: [{tag: a}]", r"starts\[0\]: has no 'at', a list of 3 numbers"),
+    ("starts: [{tag: a b, at: [0, 0, 0]}]", r"start 'a b': a tag is one word of ASCII without braces"),
     ("starts: {tag: a}", r"starts: a mapping is not a list"),
     ("gps: [91, 0]", r"gps \[91\.0, 0\.0\]: wants latitude and longitude"),
     ("shapes:\n- {kind: ball}", r"a\.yaml:2: shapes\[0\]\.kind: 'ball' is not one of box, sphere, .*hfield"),

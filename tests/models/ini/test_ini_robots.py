@@ -570,6 +570,7 @@ WRONG = [
     ("Sensors=(ItemName=A)", "2: ItemClass is not given; expected a class"),
     ("Sensors=(ItemClass=class'USARBot.Rader',ItemName=A)", "2: unknown ItemClass 'Rader'; expected one of"),
     (f"Sensors=({INS})", "2: ItemName is not given; expected a name"),
+    (f"Sensors=({INS},ItemName=\"My INS\")", "2: ItemName is 'My INS'; expected a name: one word of"),
     (f"Sensors=({INS},ItemName=A,Parent=Mast)", "2: A has an unknown Parent 'Mast'; expected one of HARD"),
     (f"Sensors=({INS},ItemName=A,Position=(X=1,W=2))", "2: Position has X, W; expected X, Y and Z"),
     (f"Sensors=({INS},ItemName=A,Position=3)", r"2: Position is '3'; expected \(X=number"),

@@ -628,7 +628,7 @@ def test_gps_degrees_and_minutes(latitude, longitude, place):
     )
 
 
-@pytest.mark.parametrize("name", ["", "two words"])
+@pytest.mark.parametrize("name", ["", "two words", "a\ttab", "R\u00e4der", "bell\x07", "del\x7f", "a}", "{a"])
 @pytest.mark.parametrize(
     "report",
     [
@@ -643,6 +643,14 @@ def test_gps_degrees_and_minutes(latitude, longitude, place):
 def test_names_that_would_shift_the_pairs_after_them_are_refused(report, name):
     with pytest.raises(UsageError, match="one word"):
         report(name)
+
+
+def test_a_name_may_be_of_all_other_printable_characters():
+    """Manual 9.2: ASCII 33 to 126, of which braces end a segment."""
+    name = "".join(chr(code) for code in range(33, 127) if chr(code) not in "{}")
+    line = format_message(r.sen_range("Sonar", None, [(name, 1.0)]))
+    assert line == f"SEN {{Type Sonar}} {{Name {name} Range 1.0000}}"
+    assert parse_message(line).get("Name") == f"{name} Range 1.0000"
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.names import is_name
 from usarmjx.models.build.compose_arena import ARENA
 from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
 from usarmjx.models.build.tags import MAX_RELEASED_ID
@@ -72,8 +73,8 @@ def _names(arena: ArenaSpec) -> Iterator[str]:
     for tag, count in Counter(start.tag for start in arena.starts).items():
         if count > 1:
             yield f"{count} start poses are called {tag!r}"
-        if not tag or any(c.isspace() or c in "{}" for c in tag):
-            yield f"start {tag!r}: a tag is one word without braces; GETSTARTPOSES separates them by blanks"
+        if not is_name(tag):
+            yield f"start {tag!r}: a tag is one word of ASCII without braces: blanks separate them"
     for robot in arena.robots:
         if robot not in ROBOTS:
             yield f"recommended robot {robot!r} is unknown; `usarmjx list robots` shows them all"

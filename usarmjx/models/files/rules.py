@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.names import is_name
 from usarmjx.models.build.victim_table import build_table, check
 from usarmjx.models.files.values import FARTHEST
 from usarmjx.models.spec.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
@@ -104,6 +105,9 @@ def _arena(arena: ArenaSpec) -> str:
     farthest = max((abs(number) for numbers in lengths for number in numbers), default=0.0)
     if not farthest <= FARTHEST:
         return f"something lies or reaches {farthest:g} m from the origin; at most {FARTHEST:g}"
+    for start in arena.starts:
+        if not is_name(start.tag):
+            return f"start {start.tag!r}: a tag is one word of ASCII without braces"
     for kind, records in (("loose object", arena.loose), ("door", arena.doors), ("victim", arena.victims)):
         twice = [name for name, count in Counter(record.name for record in records).items() if count > 1]
         if twice:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.names import is_name
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.parse import UU_PER_METRE, IniValue, Line, Reference, Struct
 from usarmjx.models.ini.values import quote_short
@@ -81,8 +82,8 @@ def as_name(line: Line, value: IniValue | None, name: str) -> str:
     """Return a word: an item's or a part's name."""
     if isinstance(value, int) and not isinstance(value, bool):
         return str(value)
-    if not isinstance(value, str) or not value.strip() or not value.strip().isprintable():
-        fail(line, f"{name} is {_say(value)}", "a name")
+    if not isinstance(value, str) or not is_name(value.strip()):
+        fail(line, f"{name} is {_say(value)}", "a name: one word of printable ASCII without braces")
     return value.strip()
 
 

@@ -67,11 +67,26 @@ START_ELEVATION = 0.188
 
 @dataclass(frozen=True, kw_only=True)
 class StartPose:
-    """A named place to start from; `at` is `START_ELEVATION` above the ground, `yaw` counter-clockwise."""
+    """A named place to start from (manual 5.3.2).
+
+    Attributes:
+        tag: Its name.
+        at: `START_ELEVATION` above the ground there [m].
+        yaw: Heading, counter-clockwise [rad].
+        pitch: How far the nose is down, on a slope [rad]; robots of a batch begin upright.
+        roll: How far it leans to its right [rad].
+    """
 
     tag: str
     at: Vec3
     yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+
+    @property
+    def angles(self) -> Vec3:
+        """Roll, pitch and yaw [rad]."""
+        return (self.roll, self.pitch, self.yaw)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.names import is_name
 
 Vector: TypeAlias = tuple[float, float, float]
 Segment: TypeAlias = tuple[str, str]
@@ -217,10 +218,12 @@ def check_word(text: str) -> str:
     """Return `text` if it can stand among the pairs of a segment such as `{Name F1 Range 1.0}`.
 
     Raises:
-        UsageError: It is empty or holds a space, which would shift the pairs after it.
+        UsageError: It is no name (manual 9.2): a space, for instance, would shift the pairs after it.
     """
-    if text.split() != [text]:
-        raise UsageError(f"{text!r} must be one word to stand inside a segment")
+    if not is_name(text):
+        raise UsageError(
+            f"{text!r} must be one word of printable ASCII without braces to stand inside a segment"
+        )
     return text
 
 
