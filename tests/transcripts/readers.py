@@ -100,3 +100,15 @@ def pyro_segments(line: str) -> list[dict[str, list[str]]]:
 def pyro_first(line: str, key: str) -> list[str]:
     """Return the values of the first piece that has a key."""
     return next((segment[key] for segment in pyro_segments(line) if key in segment), [])
+
+
+def simpleui_texts(line: str, key: str) -> list[str]:
+    """SimpleUI's way: what stands behind each `{Key `, up to the brace that ends it."""
+    return [piece.partition("}")[0] for piece in line.split("{" + key + " ")[1:]]
+
+
+def simpleui_sonars(line: str) -> dict[str, float]:
+    """Return the ranges of the 32 sonars at most that it has room for: the number behind `Range` of each."""
+    items = [text.split() for text in simpleui_texts(line, "Name")]
+    assert len(items) <= 32
+    return {words[0]: float(words[words.index("Range") + 1]) for words in items}

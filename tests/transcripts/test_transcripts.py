@@ -16,6 +16,8 @@ from tests.transcripts.readers import (
     pyro_first,
     pyro_segments,
     scalars,
+    simpleui_sonars,
+    simpleui_texts,
 )
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
 from usarmjx.models.build.compose import Physics
@@ -332,3 +334,35 @@ def test_pyro_drives_a_p2at_as_well(world):
     assert client.robot.spec.name == "P2AT"
     assert world.state(client.robot).pos[0] > 0.15
     house.leave(client)
+
+
+# SimpleUI
+
+
+def test_simpleui_shows_the_state_the_ranges_and_the_place_of_its_robot(played):
+    simple = played["simpleui"]
+    lit = next(line for line in simple.all if line.startswith("STA") and "{LightToggle True}" in line)
+    assert simpleui_texts(lit, "LightIntensity") == ["100"]
+    assert simpleui_texts(simple.last("STA {Type"), "LightToggle") == ["False"]
+    assert float(simpleui_texts(lit, "Battery")[0]) > 1000.0
+    assert len(simpleui_sonars(simple.last("{Type Sonar}"))) == 16
+    scan = simple.last("{Type RangeScanner}")
+    assert len(simpleui_texts(scan, "Range")[0].split(",")) == 181, "as many as its array has room for"
+    truth = simple.last("{Type GroundTruth}")
+    (x, y, _), (*_, yaw) = (
+        [float(number) for number in simpleui_texts(truth, key)[0].split(",")]
+        for key in ("Location", "Orientation")
+    )
+    assert (x, -y) == pytest.approx(simple.poses[-1][:2], abs=0.006)
+    assert math.remainder(yaw + simple.poses[-1][3], math.tau) == pytest.approx(0.0, abs=0.006)
+
+
+def test_simpleuis_buttons_drive_turn_the_camera_by_steps_and_zoom(played):
+    """Its CAMERA has the steps of its arrows, 0.1917 rad each: twice to the right, once up."""
+    simple = played["simpleui"]
+    start, ahead, turned = (simple.pose_after(say) for say in ("INIT", "DRIVE {Left -0.5", "DRIVE {Left 0}"))
+    assert ahead[0] - start[0] > 0.2
+    assert turned[3] - ahead[3] > 0.05, "its left arrow"
+    pan, tilt = (simple.joints[f"CameraPanTilt_Link{link}"] for link in (1, 2))
+    assert (pan, tilt) == pytest.approx((-2 * 0.1917, 0.1917), abs=CLOSE)
+    assert simple.robot.fovs[0] == pytest.approx(0.7854)

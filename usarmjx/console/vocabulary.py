@@ -21,6 +21,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "MISPKG": ("Name", "Link", "Value", "Order", "Rotation"),
     "SET": ("Type", "Name", "Opcode", "Params", "FOV", "Robot", "Client", "Config", *VIEWPORTS),
     "TRACE": ("On", "Interval", "Color"),
+    "CAMERA": ("Rotation", "Order", "Zoom"),
     "GETGEO": ("Type", "Name"),
     "GETCONF": ("Type", "Name"),
 }

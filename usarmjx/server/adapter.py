@@ -11,6 +11,7 @@ from usarmjx.models.spec.robot import STEER_SUFFIX, RobotSpec
 from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.arrivals import appear
 from usarmjx.server.fault_log import INTERVAL, FaultLog, summary
+from usarmjx.server.main_camera import package_command
 from usarmjx.server.messages.sensors import configuration, geometry, link_joint
 from usarmjx.server.messages.victims import access_tag
 from usarmjx.server.protocol import commands as wire
@@ -33,7 +34,7 @@ BRAKE = 3
 """The wire's order for holding a joint where it is (KRobot.uc)."""
 ORDERS = (
     *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
-    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov),
+    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
 )
 """What a robot that somebody else drives meanwhile does not do for its client."""
 RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
@@ -80,6 +81,7 @@ class Client:
             wire.SetViewports: self._set_viewports,
             wire.SetView: self._set_view,
             wire.Trace: self._trace,
+            wire.TurnCamera: self._turn_camera,
             wire.GetGeo: self._geometry,
             wire.GetConf: self._configuration,
             wire.OwnCommand: self._own_command,
@@ -290,6 +292,17 @@ class Client:
         names = [camera.mount.name for camera in robot.cameras]
         lines = zip(names, robot.fovs, statuses, strict=True)
         self.session.send(reports.res_camera(self._world.time, lines))
+
+    def _turn_camera(self, command: wire.TurnCamera) -> None:
+        """Carry out a CAMERA; nobody is answered, as ever."""
+        robot = self._present
+        move = package_command(robot.spec, command)
+        if move is not None:
+            self._move_package(move)
+        elif command.rotation is not None:
+            self.session.add_fault(f"{robot.spec.name} has no pan-tilt frame under its first camera")
+        if command.fov is not None and robot.cameras and not self.battery_empty:
+            self._world.zoom(robot, 0, command.fov)
 
     def _set_viewports(self, command: wire.SetViewports) -> None:
         robot = self._present

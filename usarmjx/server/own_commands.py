@@ -10,10 +10,10 @@ from usarmjx.server.protocol.grammar import Message, check_word
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
-Action: TypeAlias = Callable[[ServedWorld, Robot, Message], Message | None]
+CommandAction: TypeAlias = Callable[[ServedWorld, Robot, Message], Message | None]
 
 
-def add_command(head: str, action: Action) -> None:
+def add_command(head: str, action: CommandAction) -> None:
     """Let clients that have a robot say lines with another head, to all servers of this process.
 
     Args:

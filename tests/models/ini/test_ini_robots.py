@@ -194,7 +194,7 @@ MANUAL_KEYS = (
 
 @pytest.mark.parametrize("key", MANUAL_KEYS)
 def test_every_key_of_the_manual_changes_the_robot_or_says_why_not(load, key):
-    loaded = load(f"[USARBot.P2AT]\n{key}=7.5")
+    loaded = load(f"[USARBot.P2AT]\n{key}={True if key[0] == 'b' and key[1].isupper() else 7.5}")
     assert "unknown" not in "".join(loaded.warnings)
     changed = any(robot.name == "P2AT" for robot in loaded.robots)
     told = [text for text in loaded.warnings if f"a.ini:2: {key} " in text]

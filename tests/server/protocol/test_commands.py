@@ -23,6 +23,7 @@ from usarmjx.server.protocol.commands import (
     SetView,
     SetViewports,
     Trace,
+    TurnCamera,
     WheelCommand,
 )
 from usarmjx.server.protocol.grammar import parse_message
@@ -335,6 +336,13 @@ UNDERSTOOD = [
     pytest.param("Trace {On true} {Interval 1.5} {Color Green}", Trace(True, 1.5, "Green"), id="trace"),
     pytest.param("TRACE {On 1} {Color 6}", Trace(True, 0.0, "Purple"), id="trace by number"),
     pytest.param("Trace {On True} {Interval -1} {Color 7}", Trace(True), id="trace of no such colour"),
+    pytest.param(
+        "CAMERA {Rotation 0,0.100000,-0.200000} {Zoom 0.872700}",
+        TurnCamera((0.0, 0.1, -0.2), 0, 0.8727),
+        id="camera as SimpleUI has it",
+    ),
+    pytest.param("Camera {zoom 0}", TurnCamera(None, 0, 0.0), id="camera that only zooms"),
+    pytest.param("CAMERA {Order 1} {Rotation 0 .1}", TurnCamera((0.0, 0.1, 0.0), 1), id="camera by speed"),
     pytest.param("Trace", Trace(False), id="trace with the manual's defaults"),
     pytest.param("GETCONF {Name F1} {Type Sonar}", GetConf("Sonar", "F1"), id="one item CONF"),
 ]
@@ -464,5 +472,16 @@ def test_every_opcode_of_a_joint_by_name_and_by_number(opcode, order):
 
 def test_the_registry_lists_what_a_client_can_ask():
     assert COMMANDS.names() == sorted(
-        ["INIT", "GETSTARTPOSES", "DRIVE", "MULTIDRIVE", "MISPKG", "SET", "TRACE", "GETGEO", "GETCONF"]
+        [
+            "INIT",
+            "GETSTARTPOSES",
+            "DRIVE",
+            "MULTIDRIVE",
+            "MISPKG",
+            "SET",
+            "TRACE",
+            "CAMERA",
+            "GETGEO",
+            "GETCONF",
+        ]
     )

@@ -27,6 +27,7 @@ from usarmjx.server.protocol.commands import (
     SetView,
     SetViewports,
     Trace,
+    TurnCamera,
     WheelCommand,
 )
 from usarmjx.server.protocol.descriptions import geo_nothing
@@ -58,6 +59,7 @@ LINES = {
     SetViewports("QuadView"): b"SET {Type Viewports} {Config QuadView}\r\n",
     SetView("10.0.0.2", "R1", "Camera"): b"SET {Type Camera} {Robot R1} {Name Camera} {Client 10.0.0.2}\r\n",
     Trace(True): b"Trace {On True}\r\n",
+    TurnCamera((0.0, 0.1, 0.2), 1, 0.5): b"CAMERA {Rotation 0,.1,.2} {Order 1} {Zoom 0.5}\r\n",
     GetGeo("Sonar"): b"GETGEO {Type Sonar}\r\n",
     GetConf("Sonar"): b"GETCONF {Type Sonar}\r\n",
 }
@@ -101,7 +103,7 @@ LEGAL = {
     SessionPhase.ACTIVE: {
         *(GetStartPoses, GetGeo, GetConf),
         *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
-        *(SetFov, SetViewports, SetView, Trace),
+        *(SetFov, SetViewports, SetView, Trace, TurnCamera),
     },
     SessionPhase.CLOSED: set(),
 }

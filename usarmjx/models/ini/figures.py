@@ -8,7 +8,7 @@ import numpy as np
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.parse import Line
-from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_number, as_vector
+from usarmjx.models.ini.read import UU_PER_METRE, UU_PER_RADIAN, Units, as_bool, as_number, as_vector
 from usarmjx.models.spec.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Part, RobotSpec
 from usarmjx.models.spec.shapes import Shape, Tyre
 
@@ -189,6 +189,8 @@ def apply_figures(
             notes.add(line, f"{key} changes nothing: {robot.name} has no joint that it is about")
     if (line := figures.get("centerofmass")) is not None:
         robot = set_centre(robot, units.position(as_vector(line, line.value, "CenterOfMass")))
+    if (line := figures.get("babsolutecamera")) is not None:
+        robot = replace(robot, absolute_camera=as_bool(line, line.value, "bAbsoluteCamera"))
     return robot
 
 

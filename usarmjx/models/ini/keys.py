@@ -36,7 +36,6 @@ _LOOKS = "robots look as their solids do: there are no Unreal meshes and texture
 _SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
 
 KNOWN_IGNORED = {
-    "bAbsoluteCamera": "it belongs to the CAMERA command, which V3.1 no longer has: MISPKG takes an Order",
     "StaticMesh": _LOOKS,
     "DrawScale": _LOOKS,
     "DrawScale3D": _LOOKS,

@@ -20,7 +20,7 @@ ROBOT_PREFIX = "usarbot."
 LISTS = (*ITEM_LISTS, "MisPkgs", "Wheels")
 ADDS = tuple(f"Add{name}" for name in (*ITEM_LISTS, "MisPkgs"))
 JOINT_KEYS = ("JointParts", "JointPart")
-OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU")
+OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU", "bAbsoluteCamera")
 
 
 @dataclass

@@ -205,6 +205,7 @@ class RobotSpec:
         max_torque: What CONF reports, in Unreal units.
         battery_life: [s].
         msg_timer: Time between two reports [s].
+        absolute_camera: Whether angles of CAMERA are absolute, not steps.
         reported_joints: Joints whose positions STA reports (flippers).
         antenna: Where its radio's antenna is on the chassis; None: half its height above the origin.
         sources: Where its figures are from: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
@@ -229,6 +230,7 @@ class RobotSpec:
     max_torque: float = 60.0
     battery_life: float = 1200.0
     msg_timer: float = 0.2
+    absolute_camera: bool = False
     reported_joints: tuple[str, ...] = ()
     antenna: Vec3 | None = None
     sources: tuple[tuple[str, str], ...] = ()

@@ -30,6 +30,7 @@ from usarmjx.server.protocol.commands import (
     SetView,
     SetViewports,
     Trace,
+    TurnCamera,
     WheelCommand,
 )
 from usarmjx.server.protocol.grammar import (
@@ -254,6 +255,13 @@ def _set_joint(message: Message) -> Command | Ignored:
     return SetJoint(name, order, value, more[0] if more else None)
 
 
+def _camera(message: Message) -> Command | Ignored:
+    rotation, fov = _vector(message.get("Rotation")), _number(message.get("Zoom"))
+    if rotation is None and fov is None:
+        return Ignored("CAMERA without a Rotation or a Zoom")
+    return TurnCamera(rotation, to_int(message.get("Order")), fov)
+
+
 def _get_geo(message: Message) -> Command | Ignored:
     item_type = message.get("Type")
     return GetGeo(item_type, message.get("Name")) if item_type else Ignored("GETGEO without a Type")
@@ -273,5 +281,6 @@ COMMANDS.add("MULTIDRIVE", _multi_drive)
 COMMANDS.add("MISPKG", _mis_pkg, aliases=("MISPGK",))  # the manual's heading has it wrong
 COMMANDS.add("SET", _set)
 COMMANDS.add("TRACE", _trace)
+COMMANDS.add("CAMERA", _camera)
 COMMANDS.add("GETGEO", _get_geo)
 COMMANDS.add("GETCONF", _get_conf)

@@ -220,6 +220,21 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
+class TurnCamera:
+    """Turn the robot's first camera and zoom: CAMERA (manual 12.1.2, 14.4.3), as SimpleUI sends it.
+
+    Attributes:
+        rotation: Roll, tilt and pan in the wire's frame [rad], or their rates or torques; None keeps them.
+        order: What they are, as in MISPKG.
+        fov: Field of view [rad], 0 for the default; None keeps it.
+    """
+
+    rotation: Vector | None = None
+    order: int = 0
+    fov: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class GetGeo:
     """Ask for the geometry of all items of a type, or of the one called `name` if not ""."""
 
@@ -269,6 +284,7 @@ Command: TypeAlias = (
     | SetViewports
     | SetView
     | Trace
+    | TurnCamera
     | GetGeo
     | GetConf
     | OwnCommand

@@ -34,6 +34,7 @@ from usarmjx.server.protocol.commands import (
     SetView,
     SetViewports,
     Trace,
+    TurnCamera,
 )
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.grammar import Message, clip, format_message, parse_message
@@ -64,7 +65,7 @@ LEGAL_COMMANDS: dict[SessionPhase, frozenset[type[Command]]] = {
         {
             *(GetStartPoses, GetGeo, GetConf),
             *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
-            *(SetFov, SetViewports, SetView, Trace, OwnCommand),
+            *(SetFov, SetViewports, SetView, Trace, TurnCamera, OwnCommand),
         }
     ),
     SessionPhase.CLOSED: frozenset(),
