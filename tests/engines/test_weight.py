@@ -75,3 +75,12 @@ def test_on_a_cpu_a_program_s_end_waits_for_the_step_under_way(monkeypatch):
     under_way = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ x), x))(jnp.eye(400))
     finish_steps()
     assert under_way.is_ready()
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are started by Python on a CPU only")
+def test_on_a_cpu_a_step_whose_outcome_is_dropped_is_over_when_it_returns():
+    """At a program's end nobody could wait for it: what is dropped is not among JAX's live arrays."""
+    long = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ x), x))
+    outcome = engine_of().waiting(long)(jnp.eye(400))
+    assert outcome.is_ready()
+    assert jax.jit(engine_of().waiting(jnp.sin))(0.0) == 0.0  # traced, there is nothing to wait for

@@ -1,7 +1,8 @@
 """The interface that all engines have, and the check that a model means the same to all of them."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from collections.abc import Callable
+from typing import ClassVar, Generic, NamedTuple, ParamSpec, TypeVar
 
 import jax
 import mujoco
@@ -18,6 +19,8 @@ from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 GeomType = mujoco.mjtGeom
 EngineState = TypeVar("EngineState")
 """All that one engine needs to go on: a PyTree of its own, with a leading axis over the worlds."""
+Given = ParamSpec("Given")
+Outcome = TypeVar("Outcome")
 
 
 class PhysicsState(struct.PyTreeNode, kw_only=True):
@@ -138,6 +141,10 @@ class Engine(ABC, Generic[EngineState]):
     @abstractmethod
     def start(self) -> EngineState:
         """Return the engine's state with every world at the model's reference configuration."""
+
+    def waiting(self, step: Callable[Given, Outcome]) -> Callable[Given, Outcome]:
+        """Return a function that steps as the given one does, and waits for the outcome if it must."""
+        return step
 
     @abstractmethod
     def advance(self, engine_state: EngineState, inputs: Inputs) -> EngineState:

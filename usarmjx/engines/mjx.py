@@ -3,6 +3,7 @@
 import atexit
 import copy
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from typing import ClassVar
 
@@ -17,7 +18,7 @@ from usarmjx.base import threads
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.engines import cylinder_box
-from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.base import Engine, GeomPoses, Given, Inputs, Outcome, PhysicsState, SolvedStep
 from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.models.build.compose import Physics
@@ -300,6 +301,16 @@ class WarpEngine(MjxEngine):
             )
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
         return super().advance(engine_state.tree_replace({"_impl.overflow": clear}), inputs)
+
+    def waiting(self, step: Callable[Given, Outcome]) -> Callable[Given, Outcome]:
+        """Return a function that steps and, on a CPU, waits: `finish_steps` does not see dropped outcomes."""
+        if jax.default_backend() != "cpu":
+            return step
+
+        def step_and_wait(*args: Given.args, **kwargs: Given.kwargs) -> Outcome:
+            return jax.block_until_ready(step(*args, **kwargs))
+
+        return step_and_wait
 
     def overflow(self, engine_state: mjx.Data, inputs: Inputs) -> jax.Array:
         """Return the overflow bits of the last control step (worlds,)."""

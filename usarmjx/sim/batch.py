@@ -106,8 +106,8 @@ class Batch:
             jax.vmap(partial(init_world, scene, shuffle=shuffle), in_axes=(0, 0, None))
         )
         self._observe = self._compile(jax.vmap(partial(observe, scene)))
-        self._operate = self._compile(partial(operate_in_worlds, scene), static_argnums=(2, 3))
-        self._render = self._compile(partial(render_groups, scene), static_argnums=(2, 3))
+        self._operate = self._compile(partial(operate_in_worlds, scene), static=(2, 3))
+        self._render = self._compile(partial(render_groups, scene), static=(2, 3))
         self._render_scene = self._compile(partial(render_scene_of_world, scene))
         self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
@@ -121,10 +121,10 @@ class Batch:
     def _keys_of(self, seed: int) -> jax.Array:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
 
-    @staticmethod
-    def _compile(function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
+    def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
         # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
-        return jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static_argnums)
+        compiled = jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static)
+        return self.engine.waiting(compiled)
 
     def reset(self, seed: int | None = None, arenas: ArenaState | None = None) -> BatchState:
         """Return all worlds at the start of their first episode.
@@ -165,7 +165,7 @@ class Batch:
     def run(self, state: BatchState, steps: int) -> BatchState:
         """Advance every world by some control steps, as `step` does, in fewer calls."""
         if self.engine.traceable:
-            return jax.lax.fori_loop(0, steps, lambda _, s: self.step(s), state)
+            return self.engine.waiting(jax.lax.fori_loop)(0, steps, lambda _, s: self.step(s), state)
         if steps < 1:
             return state
         physics, (worlds, inputs) = state.physics, self._compute_inputs(state.worlds, self.physics(state))
