@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -29,6 +30,10 @@ PYTHONS = ("python3.11", "python3.12", "python3.13")
 EXTRAS = ("train", "rl", "warp", "cuda")
 FIRST_PAGES = ("docs/start.md", "README.md")
 NOTEBOOK = "examples/first_batch.ipynb"
+PORTS = (3000, 5874, 50000, 7435, 5003)
+"""The usual ones of `usarmjx serve`."""
+OFFSET = 100
+"""As for `--port-offset`, where somebody has one of them."""
 LIMIT = 1800.0
 """So long a command may take, downloads and compilation included [s]."""
 TAIL = 25
@@ -169,7 +174,12 @@ def first_pages(room: Room) -> None:
 
 def first_controller(room: Room) -> None:
     """`usarmjx serve --arena yellow` in one terminal, `python drive.py` in another."""
+    offset = free_offset()
     command = [str(room.programs / "usarmjx"), "serve", "--arena", "yellow", "--viewer-port", "0"]
+    command += ["--port-offset", str(offset)] if offset else []
+    script = room.folder / "drive.py"
+    text = script.read_text(encoding="utf-8").replace(f"port={PORTS[0]}", f"port={PORTS[0] + offset}")
+    script.write_text(text, encoding="utf-8")
     with subprocess.Popen(
         command, cwd=room.folder, env=room.settings(), stdout=subprocess.PIPE, text=True
     ) as server:
@@ -183,6 +193,22 @@ def first_controller(room: Room) -> None:
         finally:
             watchdog.cancel()
             server.send_signal(signal.SIGINT if os.name != "nt" else signal.SIGTERM)
+
+
+def free_offset() -> int:
+    """Return how far from the usual ports a server finds all of them free: 0 where nobody else serves."""
+
+    def is_free(port: int) -> bool:
+        with socket.socket() as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                one.bind(("127.0.0.1", port))
+            except OSError:
+                return False
+        return True
+
+    offsets = range(0, 65535 - max(PORTS), OFFSET)
+    return next(offset for offset in offsets if all(is_free(port + offset) for port in PORTS))
 
 
 def notebook(room: Room) -> None:

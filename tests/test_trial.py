@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import zipfile
@@ -15,6 +16,7 @@ import pytest
 import dev
 import trial
 import usarmjx
+from usarmjx.server.ports import BOT_PORT, IMAGE_PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
 
 USE = """
 import os
@@ -178,3 +180,12 @@ def test_it_is_tried_in_rooms_of_their_own_and_failures_decide(argv, rooms, monk
     monkeypatch.setattr(trial, "try_room", try_room)
     assert trial.main(["--python", "this", *argv]) == int("rl" in rooms)
     assert tried == rooms
+
+
+def test_where_somebody_serves_the_trial_s_server_moves():
+    ports = (BOT_PORT, WSS_PORT, WSS2_PORT, POSITION_PORT, IMAGE_PORT)
+    assert ports == trial.PORTS
+    free = trial.free_offset()
+    with socket.create_server(("127.0.0.1", trial.PORTS[1] + free)):
+        assert trial.free_offset() > free
+    assert trial.free_offset() % trial.OFFSET == 0
