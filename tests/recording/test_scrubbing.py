@@ -5,9 +5,10 @@ import time
 import pytest
 
 from tests.view.conftest import browser  # noqa: F401 - a fixture
+from tests.view.visitor import until, visiting
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
-from usarmjx.recording.timeline import Timeline, write_html
+from usarmjx.recording.timeline import Timeline, recording_page, write_html
 from usarmjx.view.page import ViewerPage
 
 PATIENCE = 60.0  # s: a loaded machine draws slowly
@@ -35,6 +36,22 @@ def test_somebody_goes_to_the_end(source, browser):  # noqa: F811
         assert visitor.hosts == {f"127.0.0.1:{page.server.get_port()}"}
     finally:
         visitor.leave()
+        page.close()
+
+
+def test_robots_of_a_recording_are_told_of_as_those_that_run(source):
+    page, timeline = recording_page(source)
+    timeline.playing = False
+    try:
+        with visiting(page.server.get_port()) as one:
+            until(page, lambda: any(m["props"].get("label") == "Robot" for m in one.of("GuiDropdownMessage")))
+            one.set("Robot", "First")
+            until(page, lambda: one.of("GuiUplotMessage"))
+            assert any("Scout" in str(message) for message in one.of("GuiHtmlMessage"))
+            assert not [
+                m for m in one.of("GuiButtonMessage") if m["props"].get("visible") and "controls" in str(m)
+            ]
+    finally:
         page.close()
 
 

@@ -351,6 +351,9 @@ def test_few_numbers_are_plotted_over_time_and_many_over_their_index():
     plot.update(0.0, np.zeros(3))
     plot.update(1.0, np.zeros(3))
     assert list(few.data[-1][0]) == [0.0, 1.0], "time began again"
+    for _ in range(MAX_POINTS):
+        plot.update(1.0, np.ones(3))
+    assert list(few.data[-1][0]) == [0.0, 1.0], "while it stands still nothing is forgotten"
     SensorPlot(many, "Scan", 1081).update(0.0, np.arange(1081.0))
     numbers, ranges = many.data[-1]
     assert len(numbers) == len(ranges) <= MAX_POINTS

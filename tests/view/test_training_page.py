@@ -1,5 +1,6 @@
 """Worlds of a batch on the page, and that it takes no more of a training's time than its share."""
 
+import socket
 from types import SimpleNamespace
 
 import jax
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.view.scenery import seers
+from tests.view.visitor import until, visiting
+from usarmjx.cli.train import _ShownTraining
 from usarmjx.view.batch_source import BatchSource
 from usarmjx.view.capture import Capture
 from usarmjx.view.training_page import TIME_SHARE, TrainingPage
@@ -75,3 +78,18 @@ def test_the_page_takes_its_share_of_the_time_and_none_when_nobody_looks(batch):
         clock[0] += 0.25
         page.show(state)
     assert len(made[0].seen) == pytest.approx(1000.0 * TIME_SHARE, abs=1)
+
+
+def test_whoever_watches_a_training_sees_what_a_robot_reads(batch):
+    bound = socket.create_server(("127.0.0.1", 0))
+    training = _ShownTraining(bound, "explore")
+    training.begin(SimpleNamespace(batch=batch[0]), None)
+    training.look(SimpleNamespace(batch=batch[1]))
+    page = training._page._page
+    try:
+        with visiting(page.server.get_port()) as one:
+            until(page, lambda: any(m["props"].get("label") == "Robot" for m in one.of("GuiDropdownMessage")))
+            one.set("Robot", page.drawing.robots[0].name)
+            until(page, lambda: one.of("GuiUplotMessage"))
+    finally:
+        page.close()

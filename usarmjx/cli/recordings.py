@@ -96,7 +96,7 @@ def view(
         announce(f"reading {file} ...")
         from usarmjx.recording.reader import Recording
         from usarmjx.recording.source import RecordingSource
-        from usarmjx.recording.timeline import Timeline, write_html
+        from usarmjx.recording.timeline import recording_page, write_html
 
         recording = Recording(file)
         _tell_if_broken_off(recording.is_complete, file)
@@ -105,12 +105,9 @@ def view(
             write_html(source, html, period, world)
             typer.echo(f"wrote {html}, {html.stat().st_size / 1e6:.1f} MB")
             return
-        from usarmjx.view.page import ViewerPage
-
         with viewer_socket(HOST, viewer_port, 0, True) as bound:
             assert bound is not None
-            page = ViewerPage(source, title=file.name, panels=[Timeline], server=viewer_server(bound, HOST))
-            (timeline,) = (panel for panel in page.panels if isinstance(panel, Timeline))
+            page, timeline = recording_page(source, viewer_server(bound, HOST))
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     timeline.tick()

@@ -247,10 +247,12 @@ class _ShownTraining:
         """Take the training's worlds."""
         del config
         from usarmjx.view.page import ViewerPage
+        from usarmjx.view.people import PeoplePanel
         from usarmjx.view.training_page import TrainingPage
 
         self._page = TrainingPage(
-            env.batch, lambda source: ViewerPage(source, title=self._title, server=self._server)
+            env.batch,
+            lambda source: ViewerPage(source, title=self._title, panels=[PeoplePanel], server=self._server),
         )
 
     def look(self, state: "EnvState") -> None:

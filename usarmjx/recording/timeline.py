@@ -10,6 +10,8 @@ from usarmjx.recording.source import RecordingSource
 from usarmjx.view.drawing import Drawing, Frame
 
 if TYPE_CHECKING:
+    import viser
+
     from usarmjx.view.page import ViewerPage
 
 SPEEDS = {"x 1/4": 0.25, "x 1": 1.0, "x 2": 2.0, "x 5": 5.0, "x 20": 20.0, "x 100": 100.0}
@@ -85,6 +87,24 @@ class Timeline:
         if abs(self._now() - self._shown_at) >= SLIDER_PERIOD:
             self._shown_at = self._now()
             self._slider.value = round(self._source.time / STEP) * STEP
+
+
+def recording_page(
+    source: RecordingSource, server: "viser.ViserServer | None" = None
+) -> "tuple[ViewerPage, Timeline]":
+    """Return a page that plays a recording and tells each robot's state and readings, and its timeline.
+
+    Args:
+        source: The recording.
+        server: Who serves the page; None: a server of its own.
+    """
+    from usarmjx.view.page import ViewerPage
+    from usarmjx.view.people import PeoplePanel
+
+    title = source.recording.path.name
+    page = ViewerPage(source, title=title, panels=[Timeline, PeoplePanel], server=server)
+    (timeline,) = (panel for panel in page.panels if isinstance(panel, Timeline))
+    return page, timeline
 
 
 def write_html(source: RecordingSource, path: Path, period: float = 0.1, world: int = 0) -> None:

@@ -54,6 +54,8 @@ class SensorPlot:
             return
         if self._past and time < self._past[-1][0]:
             self._past.clear()
+        elif self._past and time == self._past[-1][0]:  # it stands still
+            self._past.pop()
         self._past.append(np.array([time, *values]))
         while time - self._past[0][0] > WINDOW:
             self._past.popleft()
