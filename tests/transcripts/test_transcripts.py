@@ -21,6 +21,7 @@ from tests.transcripts.readers import (
 )
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol.dialects import find_dialect
@@ -320,6 +321,12 @@ def test_two_simulation_devices_of_player_are_two_robots(world):
     for client in (one, other):
         assert player_value(next(line for line in heard(client) if "{Type Odometry}" in line), "Pose")
         house.leave(client)
+
+
+@pytest.mark.parametrize("name", ["DM-USAR_yellow", "DM-USAR_orange", "DM-USAR_red"])
+def test_maps_of_pyros_world_files_are_there_and_are_called_so(name):
+    """Manual 13.2.1; the greeting tells the name."""
+    assert find_arena(name).name == name
 
 
 def test_pyro_drives_a_p2at_as_well(world):

@@ -15,7 +15,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, matvec, rotation_vector, wrap_angle
-from usarmjx.base.transforms import angles_from_mat, mat_from_angles
+from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings, for_teams
@@ -251,8 +251,7 @@ class Encoder(Sensor):
     settings_class = EncoderSettings
 
     def _sign(self, mount: Mount) -> float:
-        angles = np.array(mount.direction) * (1, -1, -1)
-        looks_along = mat_from_angles(*angles)[:, 0]
+        looks_along = mat_from_angles(*flip_angles(mount.direction))[:, 0]
         axis = self.plan.axis[self.plan.parts.index(mount.parent)]
         return float(np.dot(looks_along, axis))
 
