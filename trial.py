@@ -199,12 +199,10 @@ def free_offset() -> int:
     """Return how far from the usual ports a server finds all of them free: 0 where nobody else serves."""
 
     def is_free(port: int) -> bool:
-        with socket.socket() as one:
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                one.bind(("127.0.0.1", port))
-            except OSError:
-                return False
+        try:
+            socket.create_server(("127.0.0.1", port)).close()
+        except OSError:
+            return False
         return True
 
     offsets = range(0, 65535 - max(PORTS), OFFSET)

@@ -1,5 +1,6 @@
 """`usarmjx doctor`: is everything here that usarmjx needs, and does it run?"""
 
+import gc
 import json as json_format
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,9 +26,9 @@ def doctor(
 ) -> None:
     """Look at versions, devices, cache, ports, engines, and try small worlds; exit code 1 if one is wrong."""
     with ErrorExit():
+        announce("looking at packages, cache, ports and devices ...", quickly=True)
         from usarmjx.cli.checks import CHECKS, run_checks
 
-        announce("looking at packages, cache, ports and devices ...", quickly=True)
         found = run_checks(CHECKS)
         if self_test:
             from usarmjx.cli.self_test import SELF_TEST
@@ -41,6 +42,8 @@ def doctor(
             typer.echo(json_format.dumps(whole, indent=1))
         else:
             show_findings(found)
+        # At the end Python would look through all that was imported and compiled: a second or two.
+        gc.freeze()
         if faults:
             raise typer.Exit(1)
 
