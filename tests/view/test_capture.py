@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from usarmjx.base.backend import numpy_backend
 from usarmjx.cameras.paint import VICTIM_LABEL
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.generate.arena import generate
@@ -87,6 +86,8 @@ def test_worlds_with_arenas_of_their_own_are_drawn_as_they_are():
     capture = Capture(scene)
     import jax
 
+    from usarmjx.models.build.arena_set import arena_index_of
+
     drawings = []
     worlds = state.worlds.replace(key=jax.random.key_data(state.worlds.key))
     for world in range(2):
@@ -97,8 +98,8 @@ def test_worlds_with_arenas_of_their_own_are_drawn_as_they_are():
         assert np.isfinite(frame.pos).all()
         solid = drawings[-1].shapes["arena"]
         assert (np.abs(solid.pos) < 1000).all()
-        with numpy_backend():
-            spec = scene.arena_of(world, int(one[0].episode))
+        spec = arenas[int(arena_index_of(np.array(world), one[0].episode, 2))]
+        assert scene.arena_of(one[0].arena_state) is spec
         assert drawings[-1].arena == spec.name
         boxes = np.array([np.add(shape.at, (0, 0, spec.floor)) for shape in spec.shapes])
         apart = np.linalg.norm(boxes[:, None] - solid.pos[None], axis=-1).min(-1)

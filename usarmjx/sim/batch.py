@@ -180,9 +180,8 @@ class Batch:
         return state.replace(physics=physics, worlds=worlds)
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
-        """Return the arena that a world has in its present episode, if nobody replaced the arenas."""
-        number, episode = np.asarray(state.worlds.number), np.asarray(state.worlds.episode)
-        return self.scene.arena_of(int(number[world]), int(episode[world]))
+        """Return the arena that a world has in its present episode."""
+        return self.scene.arena_of(jax.tree.map(lambda rows: rows[world], state.worlds.arena_state))
 
     def physics(self, state: BatchState) -> PhysicsState:
         """Return positions, velocities and activations of all worlds."""

@@ -13,7 +13,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
-from usarmjx.models.build.arena_set import ArenaSet, arena_index_of, arena_set
+from usarmjx.models.build.arena_set import ArenaSet, ArenaState, arena_set
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
 from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
@@ -211,12 +211,11 @@ class Scene:
         vars(other).update(known)  # where cached properties are kept
         return other
 
-    def arena_of(self, number: int, episode: int) -> ArenaSpec:
-        """Return the arena that a world has in an episode."""
-        if self.arenas is None:
+    def arena_of(self, arena_state: ArenaState | None) -> ArenaSpec:
+        """Return what a world's arena was made from."""
+        if self.arenas is None or arena_state is None:
             return self.arena
-        arenas = self.arenas.arenas
-        return arenas[int(arena_index_of(np.asarray(number), np.asarray(episode), len(arenas)))]
+        return self.arenas.arena_of(int(np.asarray(arena_state.serial)))
 
     def group_of(self, slot: int) -> tuple[int, int]:
         """Return (group, place in the group) of a roster slot."""
@@ -258,6 +257,7 @@ def build_scene(
     radio: RadioSettings | None = None,
     mail: MessageSettings | None = None,
     vary: DomainRandomization | None = None,
+    spare: float = 0.0,
 ) -> Scene:
     """Compose an arena and its robots.
 
@@ -270,6 +270,7 @@ def build_scene(
         radio: Constants of the robots' radios; None: they have none, and it costs nothing.
         mail: Sizes of the messages that they send each other over it; None: none.
         vary: What else differs between worlds and episodes: domain randomisation; None: nothing.
+        spare: Of several arenas: room for others that take their places later, see `arena_set`.
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.
@@ -282,7 +283,7 @@ def build_scene(
     if isinstance(arena, (str, Path)):
         arena = find_arena(arena)
     elif not isinstance(arena, ArenaSpec):
-        arenas = arena_set(arena)
+        arenas = arena_set(arena, spare)
         arena = arenas.template
     entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
     if mail is not None and radio is None:

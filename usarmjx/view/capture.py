@@ -79,7 +79,7 @@ class Capture:
             names: The robots' names by slot; None: those of the roster.
         """
         scene = self._scene
-        arena = scene.arena_of(int(world.number), int(world.episode))
+        arena = scene.arena_of(world.arena_state)
         lamps = point_lights(arena.lights, arena.floor)
         shapes, bodies, robots = dict[str, DrawnShape](), list[DrawnBody](), dict[int, DrawnRobot]()
         with numpy_backend():

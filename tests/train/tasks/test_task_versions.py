@@ -20,7 +20,7 @@ from usarmjx.train.envs.state import TaskState
 from usarmjx.train.envs.task import StepResult
 from usarmjx.train.learning.gae import advantages
 from usarmjx.train.mapping.maps import WALL
-from usarmjx.train.scenes.buildings import NEAR_START, Buildings, extent_of, thin_victims
+from usarmjx.train.scenes.buildings import NEAR_START, Buildings, thin_victims
 from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.victim_parts import FENCE_GAIN, FENCE_MARGIN, fence_of, way_left
@@ -37,6 +37,7 @@ def test_the_bare_name_is_version_1_whose_buildings_are_what_they_were(name):
     assert (task.haste, task.advice, getattr(task, "fence", False)) == (1.0, True, False)
     arenas = replace(task.arena, count=1).arenas()
     told = repr([(a.name, a.shapes, a.starts, a.victims, a.extent) for a in arenas])
+    told = told.replace(", pitch=0.0, roll=0.0", "")  # of start poses, which had no such angles then
     assert hashlib.sha256(told.encode()).hexdigest()[:16] == LIBRARIES[name]
 
 
@@ -101,16 +102,15 @@ def fenced():
 def test_each_world_knows_the_outline_of_its_own_building(fenced):
     task, view = fenced
     seen = view(1.8, 1.8, 0.0)
-    grid = task.arena_grid(seen.scene)
-    np.testing.assert_allclose(extent_of(seen, grid), [[0.0, 3.6]] * 2, atol=1e-6)
+    np.testing.assert_allclose(task.note(seen, "extent"), [[0.0, 3.6]] * 2, atol=1e-6)
     large = jax.tree.map(lambda rows: jnp.asarray(rows[1]), seen.scene.arenas.states)
     seen = seen.replace(world=seen.world.replace(arena_state=large))
-    np.testing.assert_allclose(extent_of(seen, grid), [[0.0, 6.0], [0.0, 4.8]], atol=1e-6)
+    np.testing.assert_allclose(task.note(seen, "extent"), [[0.0, 6.0], [0.0, 4.8]], atol=1e-6)
 
 
 def test_beyond_its_fence_all_is_wall_for_a_robot_that_flies(fenced):
     task, view = fenced
-    grid = task.arena_grid(view(1.8, 1.8, 0.0).scene).grid
+    grid = task.arena_grid(view(1.8, 1.8, 0.0).scene)
     belief = task.first_belief(view(1.8, 1.8, 0.0))
     beyond = ((grid.centres < FENCE_MARGIN) | (grid.centres > 3.6 - FENCE_MARGIN)).any(-1)
     np.testing.assert_array_equal(np.asarray(belief.squares[1]) == WALL, beyond)

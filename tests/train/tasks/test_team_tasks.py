@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
+from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.build.variation import RandomizedValues
+from usarmjx.models.robots import ROBOTS
 from usarmjx.train.baselines.frontier import frontier_action
 from usarmjx.train.baselines.relay import relay_policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
-from usarmjx.train.mapping.maps import FREE, MARK, WALL
-from usarmjx.train.scenes.buildings import Buildings, _fingerprint, arena_grid_of, reachable_of, sort_starts
+from usarmjx.train.mapping.maps import FREE, MARK, WALL, reachable_squares
+from usarmjx.train.scenes.buildings import Buildings, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
 from usarmjx.train.tasks.team_parts import coverage, to_robot_frame
@@ -247,7 +249,7 @@ def test_the_chain_is_as_long_as_its_deepest_robot_that_reaches_the_base():
     steps = list(play(task, path, links))
     total = 0.0
     depth = np.asarray(steps[0][1].extra.depth)
-    grid = task.arena_grid(steps[0][0].scene).grid
+    grid = task.arena_grid(steps[0][0].scene)
     for k, (_, _, result) in enumerate(steps[1:], start=1):
         squares = np.asarray(grid.index(path[k, :, :2]))
         deep = [depth[tuple(squares[robot])] for robot in search(links[k], 0)]
@@ -281,14 +283,14 @@ def test_each_world_knows_which_squares_of_its_own_arena_are_reached():
     library = Buildings(count=2, levels=(0.5, 1.0), size=(4, 3))
     task = Explore(arena=library, count=1)
     scene, world, physics = begin(task)
-    squares = task.arena_grid(scene)
     view = view_of(scene, world, physics, [(0.6, 0.6, 0.0)])
     assert scene.arenas is not None
     for number, arena in enumerate(scene.arenas.arenas):
         state = jax.tree.map(lambda rows, n=number: jnp.asarray(rows[n]), scene.arenas.states)
-        found = reachable_of(view.replace(world=world.replace(arena_state=state)), squares)
-        np.testing.assert_array_equal(found, arena_grid_of(arena, task.cell, "P2AT").reachable[0])
-    tables = squares.reachable.reshape(len(squares.reachable), -1)
+        found = task.note(view.replace(world=world.replace(arena_state=state)), "reachable")
+        size = footprint_of(ROBOTS.get("P2AT"))
+        np.testing.assert_array_equal(found, reachable_squares(arena, task.arena_grid(scene), size))
+    tables = scene.arenas.states.notes["reachable"].reshape(len(scene.arenas.arenas), -1)
     assert len(np.unique(tables, axis=0)) > 2  # else the test would say nothing
 
 
@@ -352,19 +354,6 @@ def test_a_relay_sees_powers_above_the_cutoff_of_its_own_world():
     np.testing.assert_allclose(margins(None), 5.0 / 20.0, rtol=1e-6)
     deaf = RandomizedValues(radio_cutoff=jnp.float32(task.radio.cutoff + 3.0))
     np.testing.assert_allclose(margins(deaf), 2.0 / 20.0, rtol=1e-6)
-
-
-def test_thousands_of_arenas_are_told_apart():
-    """In single precision one sum for each of 3000 arenas would be the same for some two of them."""
-    draw = np.random.default_rng(0)
-    prints = np.stack(
-        [_fingerprint(draw.uniform(-6.0, 6.0, (20, 3)).astype(np.float32), np) for _ in range(3000)]
-    )
-    one = np.sort(prints[:, 0])
-    assert np.diff(one).min() < 1e-4
-    order = np.argsort(prints[:, 0])
-    near = [np.abs(np.roll(prints[order], -k, 0) - prints[order]).max(-1).min() for k in range(1, 4)]
-    assert min(near) > 1e-2
 
 
 def test_a_relay_stops_where_the_one_before_it_is_hard_to_hear():

@@ -5,10 +5,8 @@ differ between worlds; where a box is and how large, is data. So are victims, st
 objects lie; slots that an arena does not need wait out of the way.
 """
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -17,15 +15,26 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.build.arena_slots import (
+    PARKED_SIZE,
+    ArenaSlots,
+    fill_slots,
+    form_of,
+    pieces_of,
+    slots_for,
+    sorted_boxes,
+)
 from usarmjx.models.build.tags import TagTable, tag_table
 from usarmjx.models.build.victims import VictimTable, pad_table, victim_table
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
 from usarmjx.models.spec.shapes import Shape
 
-PARKED_POS, PARKED_SIZE = (0.0, 0.0, -1000.0), (1e-3, 1e-3, 1e-3)
-"""Where boxes wait that an arena does not have, and how large they are [m]: nothing comes there."""
+PARKED_POS = (0.0, 0.0, -1000.0)
+"""Where boxes wait that an arena does not have [m]: nothing comes there."""
 LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
 """Where loose objects wait, pinned in the air, and how far apart [m]."""
+REMEMBERED = 64
+"""Of so many generations of replaced arenas one can tell what they were made from."""
 STRIDE = 7919
 """So many arenas further is the one of a world's next episode: a prime, so that it comes to all of them."""
 
@@ -45,6 +54,8 @@ class ArenaState(struct.PyTreeNode, kw_only=True):
         present: Which of them there are (objects,).
         lamps: Where its lamps are, in the world [m], and their colour times brightness at 1 m; zero for those
             that it does not have (lamps, 6).
+        serial: Its number, by which `ArenaSet.arena_of` knows it ().
+        notes: What a task knows of it beside all this, by name.
     """
 
     pos: Array
@@ -57,6 +68,8 @@ class ArenaState(struct.PyTreeNode, kw_only=True):
     loose: Array
     present: Array
     lamps: Array
+    serial: Array
+    notes: dict[str, Array] = struct.field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,20 +81,63 @@ class ArenaSet:
         template: The arena that the model is compiled from, with all boxes and loose objects parked; its last
             boxes are for victims.
         states: The arenas as data (arenas, ...); numpy arrays.
+        slots: What the template has room for.
     """
 
     arenas: tuple[ArenaSpec, ...]
     template: ArenaSpec
     states: ArenaState
+    slots: ArenaSlots
+    _later: dict[int, ArenaSpec] = field(default_factory=dict[int, ArenaSpec])
 
-    @cached_property
+    @property
     def max_half_length(self) -> np.ndarray:
         """The largest half length of each box in any arena, victims' boxes last [m] (boxes,)."""
-        return np.concatenate([self.states.size.max((0, 2)), self.states.victims.size.max((0, 2))])
+        return self.slots.half_lengths
+
+    def check_fits(self, arena: ArenaSpec) -> None:
+        """Refuse an arena that the model has no room for.
+
+        Raises:
+            SpecError: Says what there is too much of.
+        """
+        _check(arena, self.template)
+        (low, high), (own_low, own_high) = (np.transpose(one.extent) for one in (self.template, arena))
+        if (own_low < low).any() or (own_high > high).any():
+            raise SpecError(f"arena {arena.name} reaches beyond {self.template.extent}")
+        if len(arena.starts) < self.slots.starts:
+            raise SpecError(f"arena {arena.name} has {len(arena.starts)} of {self.slots.starts} start poses")
+        own = _states([arena], self.slots, [0])
+        sizes = np.concatenate([own.size[0], own.victims.size[0]])
+        if (sizes.max(-1) > self.slots.half_lengths + 1e-6).any():
+            raise SpecError(f"arena {arena.name} has longer boxes than its batch has room for")
+
+    def resolve_later(self, arenas: Sequence[ArenaSpec], generation: int) -> ArenaState:
+        """Return other arenas for the same model as data (arenas, ...), without notes; numpy arrays.
+
+        Args:
+            arenas: As many as there were at the beginning; each fits, see `check_fits`.
+            generation: How often they have been replaced; of the last `REMEMBERED` `arena_of` knows them.
+        """
+        serials = np.arange(len(arenas)) + generation * len(arenas)
+        for serial in [one for one in self._later if one < serials[0] - REMEMBERED * len(arenas)]:
+            del self._later[serial]
+        self._later.update(zip(serials.tolist(), arenas, strict=True))
+        return _states(arenas, self.slots, serials)
+
+    def arena_of(self, serial: int) -> ArenaSpec:
+        """Return what an arena was made from; long after it was replaced, the template."""
+        if serial < len(self.arenas):
+            return self.arenas[serial]
+        return self._later.get(serial, self.template)
 
 
-def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
+def arena_set(arenas: Sequence[ArenaSpec], spare: float = 0.0) -> ArenaSet:
     """Resolve arenas for one batch.
+
+    Args:
+        arenas: What worlds have in turn.
+        spare: Share of further slots, for arenas that come later: of boxes of each form, victims and tags.
 
     Raises:
         SpecError: No arenas; an arena with doors, water or solids other than boxes, which cannot differ
@@ -92,35 +148,55 @@ def arena_set(arenas: Sequence[ArenaSpec]) -> ArenaSet:
         raise SpecError("a batch needs at least one arena")
     for arena in arenas:
         _check(arena, arenas[0])
-    boxes, boxed = _slots([sorted(arena.shapes, key=_longest) for arena in arenas], _form)
-    objects, lying = _slots([arena.loose for arena in arenas], lambda loose: loose.shapes)
-    tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
-    most = max(table.num_boxes for table in tables), max(table.num_victims for table in tables)
-    tables = [pad_table(table, *most) for table in tables]
-    room = max(len(arena.tags) for arena in arenas)
-    tags = [tag_table(arena.tags, room) for arena in arenas]
-    parked = np.array([*PARKED_POS, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
-    placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
-    placed = placed.reshape(len(arenas), len(boxes), 10).astype(np.float32)
-    floor = arenas[0].floor
-    lie = [[_lie(floor, k, loose) for k, loose in enumerate(row)] for row in lying]
+    slots = slots_for(arenas, spare)
     return ArenaSet(
         arenas=arenas,
-        template=_template(arenas, boxes, objects, most[0]),
-        states=ArenaState(
-            pos=placed[..., :3],
-            quat=placed[..., 3:7],
-            size=placed[..., 7:],
-            rgb=_colours(boxed),
-            victims=jax.tree.map(lambda *rows: np.stack(rows), *tables),
-            tags=jax.tree.map(lambda *rows: np.stack(rows), *tags),
-            starts=_starts(arenas),
-            loose=np.array(lie, np.float32).reshape(len(arenas), len(objects), 7),
-            present=np.array([[one is not None for one in row] for row in lying], bool).reshape(
-                len(arenas), len(objects)
-            ),
-            lamps=_lamps(arenas),
+        template=_template(arenas, slots.boxes, slots.objects, slots.victims[0]),
+        states=_states(arenas, slots, range(len(arenas))),
+        slots=slots,
+    )
+
+
+def _states(
+    arenas: Sequence[ArenaSpec], slots: ArenaSlots, serials: Sequence[int] | np.ndarray
+) -> ArenaState:
+    """Return arenas as data.
+
+    Raises:
+        SpecError: One that there is no room for.
+    """
+    boxed = [fill_slots(slots.boxes, sorted_boxes(arena), form_of, arena.name) for arena in arenas]
+    lying = [fill_slots(slots.objects, arena.loose, pieces_of, arena.name) for arena in arenas]
+    tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
+    for arena, table in zip(arenas, tables, strict=True):
+        wanted = table.num_boxes, table.num_victims, len(arena.tags), len(arena.lights)
+        if any(
+            own > there for own, there in zip(wanted, (*slots.victims, slots.tags, slots.lamps), strict=True)
+        ):
+            raise SpecError(f"arena {arena.name} has more victims, tags or lamps than its batch has room for")
+    tables = [pad_table(table, *slots.victims) for table in tables]
+    tags = [tag_table(arena.tags, slots.tags) for arena in arenas]
+    parked = np.array([*PARKED_POS, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
+    placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
+    placed = placed.reshape(len(arenas), len(slots.boxes), 10).astype(np.float32)
+    lie = [
+        [_lie(arena.floor, k, loose) for k, loose in enumerate(row)]
+        for arena, row in zip(arenas, lying, strict=True)
+    ]
+    return ArenaState(
+        pos=placed[..., :3],
+        quat=placed[..., 3:7],
+        size=placed[..., 7:],
+        rgb=_colours(boxed),
+        victims=jax.tree.map(lambda *rows: np.stack(rows), *tables),
+        tags=jax.tree.map(lambda *rows: np.stack(rows), *tags),
+        starts=_starts(arenas, slots.starts),
+        loose=np.array(lie, np.float32).reshape(len(arenas), len(slots.objects), 7),
+        present=np.array([[one is not None for one in row] for row in lying], bool).reshape(
+            len(arenas), len(slots.objects)
         ),
+        lamps=_lamps(arenas, slots.lamps),
+        serial=np.array(serials, np.int32),
     )
 
 
@@ -141,39 +217,6 @@ def _check(arena: ArenaSpec, first: ArenaSpec) -> None:
         raise SpecError(f"arenas {first.name} and {arena.name} of one batch have different floors")
     if not arena.starts:
         raise SpecError(f"arena {arena.name} has no start pose")
-
-
-def _form(shape: Shape) -> Hashable:
-    return shape.surface, shape.material
-
-
-def _longest(shape: Shape) -> float:
-    """Sort key: the longest first, so that long walls share slots."""
-    return -max(shape.size)
-
-
-Thing = TypeVar("Thing")
-
-
-def _slots(
-    groups: Sequence[Sequence[Thing]], form: Callable[[Thing], Hashable]
-) -> tuple[list[Thing], list[list[Thing | None]]]:
-    """Return an example for every slot, and what each group has in it."""
-    rows = []
-    for group in groups:
-        row: dict[Hashable, list[Thing]] = {}
-        for one in group:
-            row.setdefault(form(one), []).append(one)
-        rows.append(row)
-    examples: list[Thing] = []
-    filled: list[list[Thing | None]] = [[] for _ in rows]
-    for kind in dict.fromkeys(kind for row in rows for kind in row):
-        most = max((row.get(kind, []) for row in rows), key=len)
-        examples += most
-        for slots, row in zip(filled, rows, strict=True):
-            here = row.get(kind, [])
-            slots += [*here, *[None] * (len(most) - len(here))]
-    return examples, filled
 
 
 def _box(shape: Shape) -> np.ndarray:
@@ -219,9 +262,7 @@ def _template(
     )
 
 
-def _starts(arenas: Sequence[ArenaSpec]) -> np.ndarray:
-    fewest = min(len(arena.starts) for arena in arenas)
-
+def _starts(arenas: Sequence[ArenaSpec], fewest: int) -> np.ndarray:
     def row(start: StartPose) -> tuple[float, ...]:
         return (*start.at, start.yaw)
 
@@ -233,8 +274,8 @@ def _colours(boxed: Sequence[Sequence[Shape | None]]) -> np.ndarray:
     return np.array(rows, np.float32).reshape(len(rows), -1, 3)
 
 
-def _lamps(arenas: Sequence[ArenaSpec]) -> np.ndarray:
-    rows = np.zeros((len(arenas), max(len(arena.lights) for arena in arenas), 6), np.float32)
+def _lamps(arenas: Sequence[ArenaSpec], most: int) -> np.ndarray:
+    rows = np.zeros((len(arenas), most, 6), np.float32)
     for row, arena in zip(rows, arenas, strict=True):
         for lamp, light in zip(row, arena.lights, strict=False):
             lamp[:3] = np.add(light.at, (0.0, 0.0, arena.floor))

@@ -59,6 +59,7 @@ class Env:
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
+        renewable: Whether its arenas can be replaced by other generated ones, see `renewed_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
 
@@ -90,6 +91,7 @@ class Env:
         arenas = task.arenas
         self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
         self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
+        self.renewable = self._generated is not None and self._generated.renewable
         self._first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
@@ -145,11 +147,11 @@ class Env:
         index = self._generated.arena_indices(level)
         return jax.tree.map(lambda rows: rows[index], library)
 
-    def _arenas(self, level: jax.Array) -> ArenaState | None:
+    def _arenas(self, level: jax.Array, library: ArenaState | None = None) -> ArenaState | None:
         """Return the arenas that worlds go through at a level; None: all have the same."""
         if self.scene.arenas is None:
             return None
-        library = jax.tree.map(jnp.asarray, self.scene.arenas.states)
+        library = jax.tree.map(jnp.asarray, library or self.scene.arenas.states)
         return library if self._generated is None else self._library(library, level)
 
     def reset(self, seed: int | jax.Array | None = None, level: float = 1.0) -> EnvState:
@@ -228,16 +230,41 @@ class Env:
             level=level,
         )
 
-    def at_level(self, state: EnvState, level: float | jax.Array) -> EnvState:
+    def renewed_arenas(self, generation: int) -> ArenaState:
+        """Return other generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
+
+        They are the same whenever the same generation is asked for.
+
+        Args:
+            generation: How often they are replaced then, from 1.
+
+        Raises:
+            UsageError: Its arenas cannot be replaced, or nothing fits into their places.
+        """
+        known = self.scene.arenas
+        if self._generated is None or known is None or not self.renewable:
+            raise UsageError(f"the arenas of {self.name} cannot be replaced: they are not renewable")
+        arenas = self._generated.renewed(generation, known.check_fits)
+        notes = self.task.arena_notes(self.scene, arenas)
+        return known.resolve_later(arenas, generation).replace(notes=notes)
+
+    def at_level(
+        self, state: EnvState, level: float | jax.Array, library: ArenaState | None = None
+    ) -> EnvState:
         """Return the state with other generated arenas in play: worlds meet them at their next reset.
 
         Those are in play whose difficulty is at most the level, and always the easiest. Nothing is compiled
         again. Other arenas than generated ones have no levels: there it changes nothing.
+
+        Args:
+            state: The state.
+            level: From 0 to 1.
+            library: What `renewed_arenas` returned; None: the arenas of the beginning.
         """
         level = jnp.asarray(level, jnp.float32)
         if self._generated is None:
             return state.replace(level=level)
-        return state.replace(batch=state.batch.replace(arenas=self._arenas(level)), level=level)
+        return state.replace(batch=state.batch.replace(arenas=self._arenas(level, library)), level=level)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)

@@ -1,13 +1,13 @@
 """What a task's scene is made from: its arenas, and robots with only the sensors that the task reads."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.robots import ROBOTS
@@ -17,6 +17,10 @@ from usarmjx.train.envs.splits import SPLITS
 
 MIN_START_DISTANCE = 1.0
 """Least distance of two start poses on an open floor [m]."""
+SPARE_ROOM = 0.05
+"""Share of further slots in a model whose arenas are renewed."""
+RENEWAL_TRIES = 50
+"""Arenas that are generated for one place, at most, before there is nothing that fits."""
 LEVEL_ATOL = 1e-6
 """Levels that rise in single precision are this far off at most."""
 TRIES = 100
@@ -37,6 +41,8 @@ class GeneratedArenas:
         reachable: Share of the victims that it reaches.
         victims: How many in each arena; None: one for 12 cells.
         split: What they are for, a name of `SPLITS`; only those of `train` may be trained on.
+        renewable: Whether a training goes on to other arenas, see `Config.renew`: there are more of them
+            than anybody can train on, and the model has `SPARE_ROOM` for what they have more of.
     """
 
     kind: str = "maze"
@@ -48,6 +54,7 @@ class GeneratedArenas:
     reachable: float = 1.0
     victims: int | None = None
     split: str = "train"
+    renewable: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what makes no library."""
@@ -60,27 +67,50 @@ class GeneratedArenas:
     def of_split(self, split: str) -> "GeneratedArenas":
         """Return the same arenas of a split, as many of each level as that one is tried on."""
         wanted = SPLITS.get(split).arenas
-        return replace(self, split=split, count=-(-wanted // len(self.levels)) if wanted else self.count)
+        count = -(-wanted // len(self.levels)) if wanted else self.count
+        return replace(self, split=split, count=count, renewable=False)
 
     def seeds(self) -> np.ndarray:
         """Return the seed of each arena (arenas,)."""
         return SPLITS.get(self.split).seeds(self.seed, self.count * len(self.levels))
 
+    def arena(self, number: int, seed: int) -> ArenaSpec:
+        """Return the arena of a place in the library, the easy ones first, that a seed makes."""
+        difficulty = Difficulty.of(self.levels[number // self.count])
+        return generate(self.kind, self.size, seed, difficulty, self.robot, self.reachable, self.victims)
+
     def arenas(self) -> tuple[ArenaSpec, ...]:
         """Return the arenas, the easy ones first."""
-        seeds, levels = self.seeds(), np.repeat(self.levels, self.count)
+        return tuple(self.arena(number, seed) for number, seed in enumerate(self.seeds().tolist()))
+
+    def renewed(
+        self, generation: int, check: Callable[[ArenaSpec], None] = lambda arena: None
+    ) -> tuple[ArenaSpec, ...]:
+        """Return other arenas in place of all, always the same ones of a generation.
+
+        Args:
+            generation: How often they are replaced then, from 1.
+            check: Raises SpecError for an arena that cannot be taken; another seed's takes its place.
+
+        Raises:
+            UsageError: `RENEWAL_TRIES` arenas could not be taken one after the other; says why the last.
+        """
         return tuple(
-            generate(
-                self.kind,
-                self.size,
-                int(seed),
-                Difficulty.of(float(level)),
-                self.robot,
-                self.reachable,
-                self.victims,
-            )
-            for seed, level in zip(seeds, levels, strict=True)
+            self._renewed(number, generation, check) for number in range(self.count * len(self.levels))
         )
+
+    def _renewed(self, number: int, generation: int, check: Callable[[ArenaSpec], None]) -> ArenaSpec:
+        drawn = (self.seed, generation, number)
+        why = ""
+        for seed in SPLITS.get(self.split).seeds(drawn, RENEWAL_TRIES).tolist():
+            arena = self.arena(number, seed)
+            try:
+                check(arena)
+            except SpecError as error:
+                why = str(error)
+            else:
+                return arena
+        raise UsageError(f"{RENEWAL_TRIES} generated arenas could not take the place of others: {why}")
 
     def arena_indices(self, level: jax.Array) -> jax.Array:
         """Return the arenas that a library of as many holds at a level, by number (arenas,).

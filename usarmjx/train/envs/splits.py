@@ -33,8 +33,12 @@ class Split:
     end: int
     arenas: int = 0
 
-    def seeds(self, seed: int, count: int) -> np.ndarray:
+    def seeds(self, seed: int | tuple[int, ...], count: int) -> np.ndarray:
         """Return the seeds of so many arenas (count,): drawn by `seed`, or of a held-out split the first.
+
+        Args:
+            seed: A number, or several.
+            count: How many.
 
         Raises:
             UsageError: More than there are.

@@ -6,11 +6,12 @@ truly is.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from usarmjx.base.errors import SpecError
@@ -23,6 +24,7 @@ from usarmjx.models.build.compose import PHYSICS, Physics
 from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.build.victims import VictimTable
 from usarmjx.models.drives.state import RobotState
+from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.robot import Mount, RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import Actions
@@ -31,7 +33,14 @@ from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.site import start_poses, victims_of
 from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import World, episode_key, robot_states, time_of
-from usarmjx.train.envs.recipe import Arenas, GeneratedArenas, resolve_arenas, spec_of, with_sensors
+from usarmjx.train.envs.recipe import (
+    SPARE_ROOM,
+    Arenas,
+    GeneratedArenas,
+    resolve_arenas,
+    spec_of,
+    with_sensors,
+)
 from usarmjx.train.envs.state import Memory
 
 TimeLimit = Literal["end", "truncation"]
@@ -207,11 +216,29 @@ class Task(ABC):
             UsageError: See `build_scene`.
         """
         robots = with_sensors(self.robots, self.equipment)
-        arenas = self.arenas
+        arenas, spare = self.arenas, 0.0
         if isinstance(arenas, GeneratedArenas):
-            arenas = arenas.arenas()
+            arenas, spare = arenas.arenas(), SPARE_ROOM * arenas.renewable
         physics = PHYSICS.get(self.physics) if isinstance(self.physics, str) else self.physics
-        return build_scene(arenas, robots, physics, radio=self.radio, mail=self.mail, vary=self.vary)
+        scene = build_scene(
+            arenas, robots, physics, radio=self.radio, mail=self.mail, vary=self.vary, spare=spare
+        )
+        if scene.arenas is None:
+            return scene
+        notes = self.arena_notes(scene, scene.arenas.arenas)
+        return replace(scene, arenas=replace(scene.arenas, states=scene.arenas.states.replace(notes=notes)))
+
+    def arena_notes(self, scene: Scene, arenas: Sequence[ArenaSpec]) -> dict[str, np.ndarray]:
+        """Return what the task knows of arenas beside what is in their worlds, by name (arenas, ...).
+
+        Worlds have it as `arena_state.notes`; by default it is nothing.
+
+        Args:
+            scene: The scene, so far.
+            arenas: Those that worlds have in turn; or, later, those that take their places.
+        """
+        del scene, arenas
+        return {}
 
     def agent_groups(self, scene: Scene) -> tuple[int, ...]:
         """Return which of `scene.groups` are agents, by index."""

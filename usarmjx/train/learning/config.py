@@ -18,7 +18,7 @@ _BOUNDS: tuple[tuple[tuple[str, ...], Callable[[Any], bool], str], ...] = (
         lambda value: value >= 1,
         "at least 1",
     ),
-    (("imitate",), lambda value: value >= 0, "at least 0"),
+    (("imitate", "renew"), lambda value: value >= 0, "at least 0"),
     (("discount", "trace", "curriculum"), lambda value: 0.0 <= value <= 1.0, "from 0 to 1"),
     (
         ("learning_rate", "target_kl", "clip", "max_gradient", "reward_scale"),
@@ -63,6 +63,8 @@ class Config:
             0: PPO from the first step.
         curriculum: Share of the run in which generated arenas get harder, from the easiest to all; 0: all
             of them from the start.
+        renew: Iterations after which other generated arenas take the place of those in training, if the
+            task's can be replaced; 0: never.
         checkpoint_every: Iterations between checkpoints; there is always one at the end.
         keep: Latest checkpoints that are kept; the best one is kept too.
     """
@@ -93,6 +95,7 @@ class Config:
     stagger: bool = True
     imitate: int = 0
     curriculum: float = 0.0
+    renew: int = 4
     checkpoint_every: int = 20
     keep: int = 2
 

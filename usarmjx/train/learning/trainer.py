@@ -34,6 +34,7 @@ from usarmjx.train.learning.record import (
     load_record,
     make_record,
 )
+from usarmjx.train.learning.renewal import ArenaStream
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
@@ -103,6 +104,7 @@ class Trainer:
         self.networks = make_networks(env.groups, env.privileged_size, config)
         self.agents = self.networks.agent_count
         self.iterations = config.iterations(self.agents)
+        self.stream = ArenaStream(env, config.renew)
         teacher = teacher_of(env) if config.imitate else None
         self.rollout = Rollout(env, self.networks, config, process_group.index * share, teacher)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
@@ -163,8 +165,10 @@ class Trainer:
         Returns:
             Train state and rollout state, and numbers for the log.
         """
-        if self.config.curriculum:
-            worlds = worlds.replace(env_state=self.env.at_level(worlds.env_state, self.level(iteration)))
+        arenas = self.stream.arenas(iteration)
+        if self.config.curriculum or self.stream.begins(iteration):
+            state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
+            worlds = worlds.replace(env_state=self.process_group.device_put(state))
         key = self._fold(self._key, iteration)
         worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
         to_global = self.process_group.to_global

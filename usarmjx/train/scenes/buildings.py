@@ -1,16 +1,13 @@
 """Generated arenas for team tasks, and which of their squares robots get to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import ModuleType
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.models.build.arena_set import ArenaSet
 from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.generate import Difficulty, generate
 from usarmjx.models.generate.kinds import budget
@@ -18,12 +15,10 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TaskView
-from usarmjx.train.mapping.maps import MapGrid, grid_of, reachable_squares
+from usarmjx.train.mapping.maps import MapGrid, reachable_squares
 
 NEAR_START = 5.0
 """Victims that lie nearer than this to the first start pose are found by luck [m]."""
-FINGERPRINT_FREQUENCIES = np.array([12.9898, 5.3719, 8.1637, 3.7331])
-"""Of the angles that tell arenas apart; one number each would not do among thousands of arenas."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,23 +61,16 @@ class Buildings(GeneratedArenas):
             radio_shadow=self.radio_shadow,
         )
 
-    def arenas(self) -> tuple[ArenaSpec, ...]:
-        """Return the arenas, the easy ones first."""
-        seeds, levels = self.seeds(), np.repeat(self.levels, self.count)
+    def arena(self, number: int, seed: int) -> ArenaSpec:
+        """As `GeneratedArenas`; its start poses in the order of their distance from the first."""
         sizes = self.sizes or (self.size,)
-        return tuple(
-            sort_starts(self._arena(sizes[number % self.count % len(sizes)], int(seed), float(level)))
-            for number, (seed, level) in enumerate(zip(seeds, levels, strict=True))
-        )
-
-    def _arena(self, size: tuple[int, int], seed: int, level: float) -> ArenaSpec:
-        """Return an arena, its start poses in any order."""
+        size, level = sizes[number % self.count % len(sizes)], self.levels[number // self.count]
         victims = self.victims if self.near_victims is None else budget(self.kind, size).victims
         arena = generate(self.kind, size, seed, self.difficulty(level), self.robot, self.reachable, victims)
         if self.near_victims is None:
-            return arena
+            return sort_starts(arena)
         count = len(arena.victims) if self.victims is None else self.victims
-        return thin_victims(arena, count, self.near_victims, seed)
+        return sort_starts(thin_victims(arena, count, self.near_victims, seed))
 
 
 def sort_starts(arena: ArenaSpec) -> ArenaSpec:
@@ -109,62 +97,32 @@ def thin_victims(arena: ArenaSpec, count: int, near: int, seed: int) -> ArenaSpe
     return replace(arena, victims=tuple(arena.victims[i] for i in kept))
 
 
-class ArenaGrid(NamedTuple):
-    """The squares of a scene's arenas.
+def arena_notes(arenas: Sequence[ArenaSpec], grid: MapGrid, robot: str) -> dict[str, np.ndarray]:
+    """Return what team tasks know of arenas beside their solids (arenas, ...).
 
-    Attributes:
-        grid: Where they are; the same for all arenas.
-        reachable: Which a robot gets to (arenas, i, j).
-        fingerprints: What tells the arenas apart (arenas, numbers).
-        extents: From where to where they reach, x and y [m] (arenas, 2, low or high).
+    Args:
+        arenas: The arenas.
+        grid: Their squares.
+        robot: A class.
+
+    Returns:
+        `reachable`: which squares a robot of the class gets to (arenas, i, j); `extent`: from where to where
+        an arena reaches, x and y [m] (arenas, 2, low or high).
     """
-
-    grid: MapGrid
-    reachable: np.ndarray
-    fingerprints: np.ndarray
-    extents: np.ndarray
+    size = footprint_of(ROBOTS.get(robot))
+    return {
+        "reachable": np.stack([reachable_squares(arena, grid, size) for arena in arenas]),
+        "extent": np.array([arena.extent for arena in arenas], np.float32),
+    }
 
 
 @lru_cache(maxsize=8)
-def arena_grid_of(where: ArenaSpec | ArenaSet, cell: float, robot: str) -> ArenaGrid:
-    """Return the squares of one or several arenas, and which a robot of a class gets to."""
-    arenas = where.arenas if isinstance(where, ArenaSet) else (where,)
-    grid, size = grid_of(tuple(arenas), cell), footprint_of(ROBOTS.get(robot))
-    tables = np.stack([reachable_squares(arena, grid, size) for arena in arenas])
-    probes = [_fingerprint(pos, np) for pos in where.states.pos] if isinstance(where, ArenaSet) else [[0.0]]
-    return ArenaGrid(
-        grid=grid,
-        reachable=tables,
-        fingerprints=np.array(probes, np.float32),
-        extents=np.array([arena.extent for arena in arenas], np.float32),
-    )
+def _notes_of(arena: ArenaSpec, grid: MapGrid, robot: str) -> dict[str, np.ndarray]:
+    return arena_notes((arena,), grid, robot)
 
 
-def _fingerprint(pos: Array, xp: ModuleType) -> Array:
-    """Return numbers that differ between two arenas whose solids differ (numbers,): sums of sines."""
-    flat = np.arange(pos.size).reshape(pos.shape)
-    inside = pos[..., 2:] > -100.0  # parked ones say nothing
-    weights = np.cos(FINGERPRINT_FREQUENCIES[:, None, None] * flat).astype(np.float32)
-    return (xp.where(inside, pos, 0.0) * weights).sum((1, 2))
-
-
-def _own_row(view: TaskView, arena_grid: ArenaGrid, table: np.ndarray) -> jax.Array:
-    """Return the row of a table (arenas, ...) for a world's arena.
-
-    The arena is known by where its solids are, as libraries may be in any order (`Env.at_level`).
-    """
-    rows = jnp.asarray(table)
+def note_of(view: TaskView, name: str, grid: MapGrid, robot: str) -> jax.Array:
+    """Return what is known of a world's arena, see `arena_notes`; without the axis over arenas."""
     if view.world.arena_state is None:
-        return rows[0]
-    own = _fingerprint(view.world.arena_state.pos, jnp)
-    return rows[jnp.argmin(jnp.abs(own - arena_grid.fingerprints).max(-1))]
-
-
-def reachable_of(view: TaskView, arena_grid: ArenaGrid) -> jax.Array:
-    """Return which squares of a world's arena a robot gets to (i, j)."""
-    return _own_row(view, arena_grid, arena_grid.reachable)
-
-
-def extent_of(view: TaskView, arena_grid: ArenaGrid) -> jax.Array:
-    """Return from where to where a world's arena reaches, x and y [m] (2, low or high)."""
-    return _own_row(view, arena_grid, arena_grid.extents)
+        return jnp.asarray(_notes_of(view.scene.arena, grid, robot)[name][0])
+    return jnp.asarray(view.world.arena_state.notes[name])

@@ -20,7 +20,7 @@ from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
 
-BUILDINGS_V2 = Buildings(sizes=((14, 10), (16, 12), (20, 12)))
+BUILDINGS_V2 = Buildings(sizes=((14, 10), (16, 12), (20, 12)), renewable=True)
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
 
 TASKS.add("explore-v1", Explore())

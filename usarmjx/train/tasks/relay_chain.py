@@ -95,7 +95,7 @@ class RelayChain(TeamTask):
 
         With `talk` at none nobody goes home.
         """
-        grid, base = self.arena_grid(view.scene).grid, station_slot(view.scene)
+        grid, base = self.arena_grid(view.scene), station_slot(view.scene)
         squares = belief.squares
         gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1) / grid.cell
         away = jax.vmap(partial(_outward, gap))(squares)
@@ -107,7 +107,7 @@ class RelayChain(TeamTask):
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Measure how deep the building is."""
         memory = super().start(view, key)
-        grid, base = self.arena_grid(view.scene).grid, station_slot(view.scene)
+        grid, base = self.arena_grid(view.scene), station_slot(view.scene)
         here = grid.index(memory.belief.pose[base, :2])
         inside = memory.reachable.at[here[0], here[1]].set(True)
         begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
@@ -122,7 +122,7 @@ class RelayChain(TeamTask):
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """How deep the chain reaches."""
-        scene, grid = view.scene, self.arena_grid(view.scene).grid
+        scene, grid = view.scene, self.arena_grid(view.scene)
         memory, _, begun = self.advance(view, memory)
         chain, agents = memory.extra, self.agents(scene)
         linked = reachable(jnp.asarray(view.links.in_range), station_slot(scene))

@@ -1,6 +1,6 @@
 """What the tasks for teams have in common: maps, messages about them, contacts, observations."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, TypeVar
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
+from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene
@@ -26,9 +27,9 @@ from usarmjx.train.mapping.belief import (
     update_from_scan,
     update_pose,
 )
-from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, egocentric_map
+from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, WALL, MapGrid, egocentric_map, grid_of
 from usarmjx.train.mapping.planning import PlannerSettings
-from usarmjx.train.scenes.buildings import ArenaGrid, Buildings, arena_grid_of, reachable_of
+from usarmjx.train.scenes.buildings import Buildings, arena_notes, note_of
 from usarmjx.train.scenes.clearance import clearance
 from usarmjx.train.scenes.equip import flies, pose_sensor
 from usarmjx.train.tasks.team_parts import (
@@ -112,15 +113,23 @@ class TeamTask(Task):
         scene = super().scene()
         if self.mail is not None or self.radio is None:
             return scene
-        others, numbers = max(scene.num_robots - 1, 1), HEADER_SIZE + self.arena_grid(scene).grid.packed_size
+        others, numbers = max(scene.num_robots - 1, 1), HEADER_SIZE + self.arena_grid(scene).packed_size
         mail = MessageSettings(
             numbers=numbers, capacity=others, bytes_per_step=BYTES_PER_NUMBER * numbers * others
         )
         return replace(scene, mail=mail)
 
-    def arena_grid(self, scene: Scene) -> ArenaGrid:
+    def arena_grid(self, scene: Scene) -> MapGrid:
         """Return the squares of the scene's arenas."""
-        return arena_grid_of(scene.arenas or scene.arena, self.cell, self.passing)
+        return grid_of((scene.arena,), self.cell)
+
+    def arena_notes(self, scene: Scene, arenas: Sequence[ArenaSpec]) -> dict[str, np.ndarray]:
+        """As `Task`: what robots get to, and extents."""
+        return arena_notes(arenas, self.arena_grid(scene), self.passing)
+
+    def note(self, view: TaskView, name: str) -> jax.Array:
+        """Return what the task knows of a world's arena, see `scenes.buildings.arena_notes`."""
+        return note_of(view, name, self.arena_grid(view.scene), self.passing)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Speed and turn."""
@@ -138,7 +147,7 @@ class TeamTask(Task):
 
     def maps(self, scene: Scene, memory: TeamMemory) -> TeamMaps:
         """Return the robots' maps."""
-        grid = self.arena_grid(scene).grid
+        grid = self.arena_grid(scene)
         return TeamMaps(low=grid.low, cell=grid.cell, squares=memory.belief.squares)
 
     def poses(self, view: TaskView) -> jax.Array:
@@ -151,7 +160,7 @@ class TeamTask(Task):
 
     def update_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots read their sensors and mail, and planned."""
-        grid = self.arena_grid(view.scene).grid
+        grid = self.arena_grid(view.scene)
         belief = update_pose(grid, belief, self.poses(view))
         if view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
@@ -164,7 +173,7 @@ class TeamTask(Task):
 
     def first_belief(self, view: TaskView) -> Belief:
         """Return what the robots believe before they scan: where all of them stand."""
-        return initial_belief(self.arena_grid(view.scene).grid, self.poses(view))
+        return initial_belief(self.arena_grid(view.scene), self.poses(view))
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots sensed what the task is about; by default nothing."""
@@ -174,7 +183,7 @@ class TeamTask(Task):
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots planned where to go: to a frontier."""
         return planning.plan_paths(
-            self.arena_grid(view.scene).grid, belief, view.time, self.planner_settings(view.scene)
+            self.arena_grid(view.scene), belief, view.time, self.planner_settings(view.scene)
         )
 
     def planner_settings(self, scene: Scene) -> PlannerSettings:
@@ -222,19 +231,19 @@ class TeamTask(Task):
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is known but what the first scans show."""
         del key
-        squares = self.arena_grid(view.scene)
+        grid = self.arena_grid(view.scene)
         zero = jnp.zeros(())
         memory = TeamMemory(
             belief=self.update_belief(view, self.first_belief(view)),
             step=jnp.zeros((), jnp.int32),
-            reachable=reachable_of(view, squares),
-            explored=jnp.zeros(squares.grid.shape, bool),
+            reachable=self.note(view, "reachable"),
+            explored=jnp.zeros(grid.shape, bool),
             touching=jnp.zeros(view.scene.num_robots, bool),
             contacts=zero,
             unlinked=zero,
             score=zero,
         )
-        shown, _ = newly_explored(view, memory, squares.grid)
+        shown, _ = newly_explored(view, memory, grid)
         return memory.replace(explored=shown)
 
     def worth(self, left: Number) -> Number:
@@ -284,7 +293,7 @@ class TeamTask(Task):
             The memory, whose part of what was explored is whose (robots,), and who began to touch something
             (robots,).
         """
-        explored, credit = newly_explored(view, memory, self.arena_grid(view.scene).grid)
+        explored, credit = newly_explored(view, memory, self.arena_grid(view.scene))
         touching = self.touched(view)
         begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
         memory = memory.replace(
@@ -315,7 +324,7 @@ class TeamTask(Task):
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return what each robot sees, by slot (robots, n)."""
         belief, robots = memory.belief, view.scene.num_robots
-        grid = self.arena_grid(view.scene).grid
+        grid = self.arena_grid(view.scene)
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
         number = jnp.arange(robots) / robots
         moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)

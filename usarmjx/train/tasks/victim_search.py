@@ -20,7 +20,7 @@ from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK
 from usarmjx.train.mapping.wavefront import UNREACHABLE
-from usarmjx.train.scenes.buildings import Buildings, extent_of
+from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.scenes.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import (
@@ -144,15 +144,15 @@ class VictimSearch(TeamTask):
         flyers = self.planner_settings(view.scene).flyers
         if not self.fence or not flyers.any():
             return belief
-        squares = self.arena_grid(view.scene)
-        low, high = fence_of(extent_of(view, squares))
-        inside = ((squares.grid.centres > low) & (squares.grid.centres < high)).all(-1)
+        grid = self.arena_grid(view.scene)
+        low, high = fence_of(self.note(view, "extent"))
+        inside = ((grid.centres > low) & (grid.centres < high)).all(-1)
         beyond = flyers[:, None, None] & ~inside
         return belief.replace(evidence=jnp.where(beyond, 1, belief.evidence).astype(jnp.int8))
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Mark what victim sensors met and what flying robots have swept, and look at the radio."""
-        grid, scene = self.arena_grid(view.scene).grid, view.scene
+        grid, scene = self.arena_grid(view.scene), view.scene
         before = (belief.squares == MARK).sum((1, 2))
         for g, group in enumerate(scene.groups):
             if group.robot.name == BASE_STATION:
@@ -176,7 +176,7 @@ class VictimSearch(TeamTask):
 
         With `talk` at none nobody goes home: there is nothing to send.
         """
-        grid, scene = self.arena_grid(view.scene).grid, view.scene
+        grid, scene = self.arena_grid(view.scene), view.scene
         base = station_slot(scene)
         to_base = jnp.linalg.norm(belief.pose[:, :2] - belief.pose[base, :2], axis=-1)
         left = self.episode_steps * self.repeat * scene.physics.period - view.time
@@ -212,7 +212,7 @@ class VictimSearch(TeamTask):
         error, speed = height - pose[:, 2], FLIGHT_SPEED * action[:, 0]
         low = error > MAX_HEIGHT_ERROR  # not yet above the walls
         if self.fence:
-            fence = fence_of(extent_of(view, self.arena_grid(view.scene)))
+            fence = fence_of(self.note(view, "extent"))
             ahead = jnp.stack([jnp.cos(pose[:, 5]), jnp.sin(pose[:, 5])], -1)
             limits = [FENCE_GAIN * way_left(pose[:, :2], side * ahead, fence) for side in (-1.0, 1.0)]
             speed = jnp.clip(speed, -limits[0], limits[1])
@@ -291,13 +291,13 @@ class VictimSearch(TeamTask):
         flying = [g for g, group in enumerate(view.scene.groups) if flies(group.robot)]
         if not flying:
             return jnp.zeros(())
-        extent = extent_of(view, self.arena_grid(view.scene))
+        extent = self.note(view, "extent")
         at = jnp.concatenate([view.robots(g).pos[:, :2] for g in flying])
         return 1.0 - ((at > extent[:, 0]) & (at < extent[:, 1])).all(-1).mean()
 
     def _found(self, view: TaskView, memory: TeamMemory) -> VictimSearchState:
         """Return what the base knows now."""
-        before, scene, grid = memory.extra, view.scene, self.arena_grid(view.scene).grid
+        before, scene, grid = memory.extra, view.scene, self.arena_grid(view.scene)
         base, agents = station_slot(scene), self.agents(scene)
         squares = memory.belief.squares[base]
         marked = squares == MARK

@@ -1,0 +1,44 @@
+"""An endless stream of generated arenas: others take the place of those that were trained on for a while."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from weakref import finalize
+
+from usarmjx.models.build.arena_set import ArenaState
+from usarmjx.train.envs.env import Env
+
+
+class ArenaStream:
+    """The arenas of each iteration. The next ones are generated beside the training.
+
+    Which they are depends on the iteration alone, so that a run that is resumed meets the same ones.
+
+    Args:
+        env: The environment; other than renewable arenas stay as they are.
+        every: Iterations after which others take their places; 0: they stay.
+    """
+
+    def __init__(self, env: Env, every: int) -> None:
+        self._env = env
+        self.every = every if getattr(env, "renewable", False) else 0  # environments of one's own need it not
+        self._made: dict[int, Future[ArenaState]] = {}
+        self._maker = ThreadPoolExecutor(1, "arenas")
+        finalize(self, self._maker.shutdown, wait=False, cancel_futures=True)
+
+    def begins(self, iteration: int) -> bool:
+        """Return whether others take their places before an iteration, counted from 0."""
+        return bool(self.every) and iteration > 0 and iteration % self.every == 0
+
+    def arenas(self, iteration: int) -> ArenaState | None:
+        """Return the arenas of an iteration (arenas, ...); None: those of the beginning."""
+        generation = iteration // self.every if self.every else 0
+        if not self.every:
+            return None
+        self._made = {number: made for number, made in self._made.items() if number >= generation}
+        wanted = self._ask(generation) if generation else None
+        self._ask(generation + 1)
+        return wanted.result() if wanted else None
+
+    def _ask(self, generation: int) -> "Future[ArenaState]":
+        if generation not in self._made:
+            self._made[generation] = self._maker.submit(self._env.renewed_arenas, generation)
+        return self._made[generation]
