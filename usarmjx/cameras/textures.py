@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.cameras.qr_codes import QR_CELLS, QR_RIM, QR_SIDE
 from usarmjx.models.spec.textures import SIGNS, TEXTURES, numbers_of
 
@@ -191,10 +191,20 @@ def textured(
     for index, name in enumerate(TEXTURES, start=1):
         if name not in names:
             continue
+        at, there = place, kind == index
         if name in SIGNS:
-            u, v = sign
-            there = (kind == index) & (xp.abs(u) <= 1) & (xp.abs(v) <= 1)
-            rgb = xp.where(there, DRAWINGS[name](u, v, number), rgb)
+            at, there = sign, there & (xp.abs(sign[0]) <= 1) & (xp.abs(sign[1]) <= 1)
+        if on_numpy():  # no ray has all textures: each is worked out where it is
+            rays = np.flatnonzero(there)
+            rgb = np.array(rgb)
+            rgb[:, rays] = _drawn(name, rgb[:, rays], (at[0][rays], at[1][rays]), number[rays])
         else:
-            rgb = xp.where(kind == index, xp.clip(rgb * PATTERNS[name](*place), 0, 1), rgb)
+            rgb = xp.where(there, _drawn(name, rgb, at, number), rgb)
     return rgb
+
+
+def _drawn(name: str, rgb: Array, at: tuple[Array, Array], number: Array) -> Array:
+    """Return the colours of surfaces (3, rays) that all have one texture."""
+    if name in SIGNS:
+        return DRAWINGS[name](*at, number)
+    return xp.clip(rgb * PATTERNS[name](*at), 0, 1)

@@ -33,7 +33,7 @@ def test_they_ship_and_suit_the_robots_that_they_recommend(arena):
     assert len(arena.shapes) <= 230
     assert {shape.kind for shape in arena.shapes} == {"box"}, "every engine runs it"
     signs = [s for s in arena.shapes if s.surface == "fixture"]
-    assert {s.texture.partition(":")[0] for s in signs} == {"chart", "hazmat", "tag"}
+    assert {s.texture.partition(":")[0] for s in signs} == {"chart", "hazmat", "tag", "qr"}
 
 
 def test_the_floor_of_yellow_is_one_continuous_wave():

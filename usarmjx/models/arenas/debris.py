@@ -94,6 +94,7 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
                 rotation=tilt,
                 surface="ground",
                 rgba=(grey, grey, 0.95 * grey, 1.0),
+                texture="concrete",
             )
         )
     return tuple(chunks)

@@ -31,6 +31,7 @@ from usarmjx.models.arenas.factory_plan import (
     OUTER,
     WIDTH,
 )
+from usarmjx.models.arenas.finishes import BARE, finished
 from usarmjx.models.arenas.pieces import brick, drum, loose_box, waving
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.spec.arena import (
@@ -126,7 +127,7 @@ FACTORY = ArenaSpec(
         "through, a pane, a mirror and a fence. 9 loose objects, 3 doors."
     ),
     floor=FLOOR,
-    shapes=(*BUILDING, *EFFECTS, *FURNITURE),
+    shapes=finished((*BUILDING, *EFFECTS, *FURNITURE), BARE),
     starts=tuple(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw) for tag, x, y, yaw in STARTS),
     extent=((-OUTER, LENGTH + OUTER), (-OUTER, WIDTH + OUTER)),
     loose=LOOSE,

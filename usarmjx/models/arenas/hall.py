@@ -21,7 +21,7 @@ from usarmjx.models.spec.shapes import Position2D, Shape
 HALL_HEIGHT, PARAPET = 1.5, 0.5
 """Of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
 
-SIGNS = ("chart", "hazmat", "tag")
+SIGNS = ("chart", "hazmat", "tag", "qr")
 SPARE = 0.15
 """By so much the first lane, which is bare, is wider, for robots as large as a Talon [m]."""
 THICKNESS = 0.05

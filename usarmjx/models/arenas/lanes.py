@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from usarmjx.base.registry import Registry
 from usarmjx.models.arenas.elements import CELL, RISE, STEEP, block, deck, ramps, slope, stairs
+from usarmjx.models.arenas.finishes import BARE, finished
 from usarmjx.models.arenas.pieces import span
 from usarmjx.models.arenas.pipes import EDGE, FLAT, pipe, pipe_steps
 from usarmjx.models.arenas.step_fields import POST, step_field
@@ -97,7 +98,7 @@ def lane_of(
     arena = ArenaSpec(
         name=f"{LANE_PREFIX}{name}",
         about=f"{about} ({method}).",
-        shapes=(*shapes, *end, *_walls(length, top)),
+        shapes=finished((*shapes, *end, *_walls(length, top)), BARE),
         starts=starts,
         extent=((-END, length + END), (-END / 2, END / 2)),
     )

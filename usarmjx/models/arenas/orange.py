@@ -30,6 +30,7 @@ from usarmjx.models.arenas.elements import (
     slope,
     stairs,
 )
+from usarmjx.models.arenas.finishes import BRICKED, finished
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import PANE, brick, span, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe
@@ -210,7 +211,9 @@ ORANGE = ArenaSpec(
     about="Two levels joined by stairs of 35 and 40 degrees and a ramp; debris, half cubic step fields. "
     "116 fixed solids, 12 loose objects.",
     floor=FLOOR,
-    shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *UPPER_FLOOR, *OBSTACLES, *HIDING, *DEBRIS),
+    shapes=finished(
+        (*walls(PLAN, origin=ORIGIN, cell=CELL), *UPPER_FLOOR, *OBSTACLES, *HIDING, *DEBRIS), BRICKED
+    ),
     loose=LOOSE,
     doors=(
         Door(name="door1", at=(ORIGIN[0] + 0.05, ORIGIN[1] + 6 * CELL, 0.0), size=(1.1, 0.04, 1.15)),

@@ -9,6 +9,7 @@ is in `lanes`; which lane is where is ours.
 import math
 
 from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, RISE, STEEP, ramps, slope, stairs
+from usarmjx.models.arenas.finishes import PANELLED, finished
 from usarmjx.models.arenas.hall import Hall
 from usarmjx.models.arenas.lanes import hurdle
 from usarmjx.models.arenas.pipes import pipe_steps
@@ -63,7 +64,7 @@ ORANGE_2025 = ArenaSpec(
     aliases=("orange_2025",),
     about="Lanes with crossing and continuous ramps, hurdles, half cubic step fields, stairs, an inclined "
     "plane, pipe steps and a gap; victims in boxes behind them.",
-    shapes=(*HALL.walls(), *LANES, *HALL.boxes(VICTIM_ROWS), *HALL.signs(SIGN_ROWS)),
+    shapes=finished((*HALL.walls(), *LANES, *HALL.boxes(VICTIM_ROWS), *HALL.signs(SIGN_ROWS)), PANELLED),
     starts=HALL.starts(behind=(0, 2, 3, 5, 7)),
     extent=HALL.extent,
     victims=HALL.victims(("Dora", "Emil", "Fatima"), VICTIM_ROWS),

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from usarmjx.models.arenas.elements import WOOD, block, slope
+from usarmjx.models.arenas.finishes import BARE, finished
 from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.spec.arena import (
@@ -225,12 +226,15 @@ OUTDOOR = ArenaSpec(
         "voids. A height field: robots drive on it on engine c. 6 loose objects."
     ),
     floor=FLOOR,
-    shapes=(
-        _terrain(),
-        *_sky(),
-        *(shape for tree in TREES for shape in _tree(*tree)),
-        *(_chunk(*rock) for rock in ROCKS),
-        *BUILDING,
+    shapes=finished(
+        (
+            _terrain(),
+            *_sky(),
+            *(shape for tree in TREES for shape in _tree(*tree)),
+            *(_chunk(*rock) for rock in ROCKS),
+            *BUILDING,
+        ),
+        {**BARE, ROCK: "concrete", BARK: "wood"},
     ),
     starts=tuple(
         StartPose(tag=tag, at=(x, y, ground(x, y) + START_ELEVATION), yaw=yaw) for tag, x, y, yaw in STARTS

@@ -6,6 +6,7 @@ basin is the arena's floor; the quay lies at the wire's origin height.
 
 import math
 
+from usarmjx.models.arenas.finishes import BARE, finished
 from usarmjx.models.arenas.pieces import CONCRETE, span, waving
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
@@ -44,7 +45,7 @@ POOL = ArenaSpec(
     aliases=("pool",),
     about="A basin of 60 x 44 m, 5 m deep, with a step and a wreck on its floor, and a quay beside it.",
     floor=-DECK,
-    shapes=SHAPES,
+    shapes=finished(SHAPES, {**BARE, TILES: "tiles"}),
     waters=(Water(low=(-X, -Y, 0.0), high=(X, Y, DEPTH)),),
     starts=(
         *(

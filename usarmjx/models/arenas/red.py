@@ -12,6 +12,7 @@ from functools import partial
 
 from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
 from usarmjx.models.arenas.elements import CELL, cell_center, deck, slope
+from usarmjx.models.arenas.finishes import CAST, finished
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import brick, waving
 from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
@@ -169,7 +170,7 @@ RED = ArenaSpec(
     about="Rubble piles, cement blocks, slabs with voids under them, cubic step fields. "
     "148 fixed solids, 12 loose objects.",
     floor=FLOOR,
-    shapes=SHAPES,
+    shapes=finished(SHAPES, CAST),
     loose=LOOSE,
     victims=VICTIMS,
     false_alarms=(

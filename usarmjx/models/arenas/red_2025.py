@@ -10,6 +10,7 @@ import math
 
 from usarmjx.models.arenas.debris import cinder_block, rubble
 from usarmjx.models.arenas.elements import CELL, RISE, ramps, slope, stairs
+from usarmjx.models.arenas.finishes import PANELLED, finished
 from usarmjx.models.arenas.hall import Hall, ceiling
 from usarmjx.models.arenas.lanes import hurdle
 from usarmjx.models.arenas.pipes import pipe_steps
@@ -62,7 +63,7 @@ RED_2025 = ArenaSpec(
     aliases=("red_2025",),
     about="Lanes with cubic step fields, hurdles, stairs of 45 degrees, pipe steps, rubble, and ramps under "
     "a low ceiling; victims in boxes behind them.",
-    shapes=(*HALL.walls(), *LANES, *HALL.boxes(VICTIM_ROWS), *HALL.signs(SIGN_ROWS)),
+    shapes=finished((*HALL.walls(), *LANES, *HALL.boxes(VICTIM_ROWS), *HALL.signs(SIGN_ROWS)), PANELLED),
     starts=HALL.starts(behind=(0, 1, 3, 4, 6)),
     extent=HALL.extent,
     victims=HALL.victims(("Goran", "Hana", "Imre"), VICTIM_ROWS),

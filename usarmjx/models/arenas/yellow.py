@@ -13,6 +13,7 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, ramp
+from usarmjx.models.arenas.finishes import PANELLED, finished
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
 from usarmjx.models.build.victims import rest_height
@@ -147,7 +148,7 @@ YELLOW = ArenaSpec(
         "and three ramps. 4 loose objects."
     ),
     floor=FLOOR,
-    shapes=(*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES, *EFFECTS),
+    shapes=finished((*walls(PLAN, origin=ORIGIN, cell=CELL), *OBSTACLES, *EFFECTS), PANELLED),
     starts=(
         StartPose(tag="PlayerStart", at=(4.5, -1.9, START_ELEVATION)),
         *(

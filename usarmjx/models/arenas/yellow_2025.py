@@ -9,6 +9,7 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, cell_center, slope
+from usarmjx.models.arenas.finishes import PANELLED, finished
 from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import waving
 from usarmjx.models.arenas.targets import victim_box, wall_sign
@@ -46,6 +47,17 @@ def _seat(cell: tuple[int, int], heading: float) -> tuple[float, float]:
     return x - AWAY * math.cos(heading), y - AWAY * math.sin(heading)
 
 
+SIGNS = (
+    wall_sign((0.03, _cell(0, 1)[1]), 0.0, "qr:6"),
+    wall_sign((0.03, _cell(0, 3)[1]), 0.0, "chart:0"),
+    wall_sign((0.03, _cell(0, 5)[1]), 0.0, "hazmat:1"),
+    wall_sign((EAST - 0.03, _cell(11, 1)[1]), math.pi, "qr:7"),
+    wall_sign((EAST - 0.03, _cell(11, 3)[1]), math.pi, "tag:2"),
+    wall_sign((EAST - 0.03, _cell(11, 5)[1]), math.pi, "chart:3"),
+    wall_sign((_cell(4, 0)[0], 0.03), math.pi / 2, "hazmat:4", z=1.1),
+    wall_sign((_cell(7, 7)[0], NORTH - 0.03), -math.pi / 2, "tag:5", z=1.1),
+)
+
 START_CELLS = (
     (0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3), (0, 4), (0, 5), (10, 2), (10, 3), (11, 3),
     (11, 4), (10, 5), (11, 5),
@@ -55,16 +67,14 @@ YELLOW_2025 = ArenaSpec(
     name="DM-USAR_yellow_2025",
     aliases=("yellow_2025",),
     about="The maze of the yellow arena on continuous ramps of 15 degrees; victims in boxes with a hole.",
-    shapes=(
-        *walls(PLAN, origin=(0.0, 0.0), cell=CELL, height=1.5),
-        *RAMPS,
-        *(shape for _, cell, heading in HIDING for shape in victim_box(_seat(cell, heading), heading)),
-        wall_sign((0.03, _cell(0, 3)[1]), 0.0, "chart:0"),
-        wall_sign((0.03, _cell(0, 5)[1]), 0.0, "hazmat:1"),
-        wall_sign((EAST - 0.03, _cell(11, 3)[1]), math.pi, "tag:2"),
-        wall_sign((EAST - 0.03, _cell(11, 5)[1]), math.pi, "chart:3"),
-        wall_sign((_cell(4, 0)[0], 0.03), math.pi / 2, "hazmat:4", z=1.1),
-        wall_sign((_cell(7, 7)[0], NORTH - 0.03), -math.pi / 2, "tag:5", z=1.1),
+    shapes=finished(
+        (
+            *walls(PLAN, origin=(0.0, 0.0), cell=CELL, height=1.5),
+            *RAMPS,
+            *(shape for _, cell, heading in HIDING for shape in victim_box(_seat(cell, heading), heading)),
+            *SIGNS,
+        ),
+        PANELLED,
     ),
     starts=tuple(
         StartPose(tag=f"Start{i}" if i else "PlayerStart", at=(*_cell(*cell), START_ELEVATION))
