@@ -1,9 +1,9 @@
 """The arenas that ship with usarmjx, one module each; `ARENAS` finds them by name or alias.
 
 What several of them are built of is in `elements`, `pieces`, `debris`, `pipes`, `step_fields`, `targets`,
-`hall` and `floorplan`, what they look like in `finishes`; `lanes` has single elements between walls. Begin with
-`yellow`. Arenas are measured, drawn and trained on: to move a wall changes results of others, and the tests of
-each arena say what it must offer (slopes, ways, hidden victims).
+`hall` and `floorplan`, what they look like in `finishes`; `lanes` has single elements between walls. Begin
+with `yellow`. Arenas are measured, drawn and trained on: to move a wall changes results of others, and the
+tests of each arena say what it must offer (slopes, ways, hidden victims).
 """
 
 from usarmjx.base.registry import Registry
