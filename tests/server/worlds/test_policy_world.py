@@ -15,6 +15,9 @@ from usarmjx.models.build.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.bot_server import BotServerSettings
 from usarmjx.server.net import BotServer
+from usarmjx.server.rosbridge.crew import RosCrew
+from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.topics import WorldTopics
 from usarmjx.server.switch import InstanceSwitch
 from usarmjx.server.viewing.page_robots import PageRobots
 from usarmjx.server.viewing.served_source import ServedSource
@@ -243,6 +246,30 @@ def test_maps_that_the_tasks_robots_build_are_shown(world):
     after = source.frame(0).extra[f"{MAP_PREFIX}{names[0]}"]
     assert (after == world.score % STEPS).all()
     assert not np.array_equal(after, first)
+
+
+def test_ros_sees_the_robots_that_the_policy_drives_and_does_not_drive_them(world):
+    topics, crew = WorldTopics(world, (32, 24)), RosCrew(BotServer(world, BotServerSettings(port=0)), "ros")
+    run(world, 1.0)
+    there = topics.all()
+    assert {f"/P2AT{n}/{name}" for n in (0, 1) for name in ("odom", "joint_states", "cmd_vel")} <= set(there)
+    told = there["/P2AT1/odom"].make(RosVersion.ROS2)["pose"]["pose"]["position"]
+    np.testing.assert_allclose([told["x"], told["y"]], places(world)[0, 1], atol=1e-6)
+    (truth,) = [name for name in there if name.startswith("/P2AT1/GroundTruth")]
+    before = there[truth].news()
+    assert world.time - before < 4 * world.period + 1e-6  # it is of the last action
+    run(world, 0.4)
+    assert there[truth].news() == pytest.approx(before + 0.4)
+    frames = [one["child_frame_id"] for one in there["/tf"].make(RosVersion.ROS2)["transforms"]]
+    assert {"P2AT0/base_link", "P2AT1/base_link"} <= set(frames)
+    with pytest.raises(UsageError, match="a policy drives P2AT1: /simulator/spawn with that name takes it"):
+        crew.drive(there["/P2AT1/cmd_vel"].robot, {"linear": {"x": 0.1}})
+    robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
+    taken = topics.all()
+    assert set(taken) == set(there)
+    assert taken["/P2AT1/cmd_vel"].robot is robot
+    crew.drive(robot, {"linear": {"x": 0.1}})
+    assert np.asarray(robot.command.setpoint).any()
 
 
 def test_the_task_begins_anew_where_the_robots_are(world):

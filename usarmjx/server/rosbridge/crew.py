@@ -82,6 +82,8 @@ class RosCrew:
         """
         if robot.obeys is not None:
             raise UsageError(f"{robot.name} is driven from the page")
+        if self._server.world.robots.get(robot.slot) is not robot:
+            raise UsageError(f"a policy drives {robot.name}: /simulator/spawn with that name takes it over")
         keys = drive_keys(robot.spec, read_twist(twist))
         self._server.world.update_command(robot, CommandUpdate(drive=keys))
         if robot not in self._driven:

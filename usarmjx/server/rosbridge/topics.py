@@ -62,7 +62,7 @@ class WorldTopics:
 
     def all(self) -> dict[str, RosTopic]:
         """Return all topics there are now."""
-        known = [(robot, id(robot.suite)) for robot in self._world.robots.values()]
+        known = [(robot, id(robot.suite)) for robot in self._world.present.values()]
         if not self._by_name or known != self._known:
             self._known, self._changes = known, self._changes + 1
             self._names = self._named(robot for robot, _ in known)
@@ -108,7 +108,7 @@ class WorldTopics:
         changes = self._changes
         yield RosTopic("/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames)
         yield RosTopic("/map", "nav_msgs/OccupancyGrid", self._map_news, self._map)
-        for robot in world.robots.values():
+        for robot in world.present.values():
             yield from self._of_robot(robot)
 
     def _of_robot(self, robot: Robot) -> Iterator[RosTopic]:
@@ -164,7 +164,7 @@ class WorldTopics:
     def _moving_frames(self, version: RosVersion) -> RosMessage:
         """Return where all robots are, and their sensors on parts that move."""
         world, told = self._world, list[RosMessage]()
-        for robot in world.robots.values():
+        for robot in world.present.values():
             name = self._names[robot.slot]
             told.append(motion.base_transform(version, world.time, name, world.state(robot)))
             told += self._frames(version, robot, moving=True)
@@ -173,7 +173,7 @@ class WorldTopics:
     def _fixed_frames(self, version: RosVersion) -> RosMessage:
         """Return where the robots' odom frames are, and their sensors on the chassis."""
         world, told = self._world, list[RosMessage]()
-        for robot in world.robots.values():
+        for robot in world.present.values():
             told.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
             told += self._frames(version, robot, moving=False)
         return {"transforms": told}

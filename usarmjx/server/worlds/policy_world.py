@@ -217,14 +217,31 @@ class PolicyWorld(BatchWorld):
     def __init__(self, shared: PolicyBatch, instance: int = 0) -> None:
         super().__init__(shared, instance)
         self.policy_batch = shared
+        self._agents = {slot: self._robot(slot, name) for name, slot in self.agents().items()}
+
+    @property
+    def present(self) -> dict[int, Robot]:
+        """All robots of the task, by slot: the clients', and those that the policy drives."""
+        return {**self._agents, **self.robots}
+
+    def _robot(self, slot: int, name: str) -> Robot:
+        """Return one of the task's robots as somebody sees it who has not seen it before."""
+        number, _ = self.scene.group_of(slot)
+        group = self.scene.groups[number]
+        command = jax.tree.map(np.array, idle_command(group.robot))
+        return Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
 
     def _store_readings(self) -> None:
-        """Keep what clients will want of what has just been measured."""
-        for robot in self.robots.values():
-            group, member = self.scene.group_of(robot.slot)
+        """Keep what clients will want of what has just been measured, and what others see of their robots."""
+        for slot, robot in self.present.items():
+            group, member = self.scene.group_of(slot)
             for sensor, reading in enumerate(self.policy_batch.readings[group]):
                 if reading.fresh[self._instance, member]:
-                    keep_reading(self, robot, sensor, np.asarray(reading.value[self._instance, member]))
+                    value = np.asarray(reading.value[self._instance, member])
+                    if slot in self.robots:
+                        keep_reading(self, robot, sensor, value)
+                    else:
+                        robot.latest[sensor] = self.time, value
 
     @property
     def score(self) -> float:
@@ -268,10 +285,8 @@ class PolicyWorld(BatchWorld):
         if group.robot.name != robot.name or slot in self.robots:
             what = "taken" if slot in self.robots else f"a {group.robot.name}, not a {robot.name}"
             raise UsageError(f"{name} is {what}")
-        command = jax.tree.map(np.array, idle_command(robot))
-        new = Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
-        self.robots[slot] = new
-        self.set_command(new, command)
+        new = self.robots[slot] = self._robot(slot, name)
+        self.set_command(new, new.command)
         return new
 
     def _is_taken(self, instance: int, slot: int) -> bool:

@@ -6,7 +6,6 @@ time), `batch_world.BatchWorld` (one world of a running `sim.batch.Batch`, where
 calls the simulator's pure functions on NumPy, of whichever world.
 """
 
-import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -48,8 +47,6 @@ from usarmjx.sim.operate import NO_NUMBER, OperationResult
 from usarmjx.sim.radio import radio_obstacles, update_links
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World, sense_self
-
-log = logging.getLogger(__name__)
 
 ROBOT_FIELDS = ("state", "bodies", "hits")
 """What of a group's `SensorInput` has a leading axis over robots."""
@@ -192,6 +189,11 @@ class ServedWorld(ABC):
 
         return sorted(self.arena.starts, key=is_taken)
 
+    @property
+    def present(self) -> dict[int, Robot]:
+        """All robots of the world, by slot: the clients', and those that a policy drives."""
+        return self.robots
+
     def agents(self) -> dict[str, int]:
         """Return the names and slots of the robots that a policy drives unless somebody takes them over."""
         return {}
@@ -317,8 +319,7 @@ class ServedWorld(ABC):
     def memory(self, robot: Robot) -> SensorMemory:
         """Return what the robot's sensors remember; numpy arrays."""
         group, member = self.scene.group_of(robot.slot)
-        world, _ = self.one_world()
-        return jax.tree.map(lambda x: x[member], world.groups[group].memory)
+        return jax.tree.map(lambda x: x[member], self.one_world()[0].groups[group].memory)
 
     def sensor_input(self, robot: Robot) -> SensorInput:
         """Return what the robot senses of itself, no rays cast; numpy arrays."""
