@@ -241,13 +241,36 @@ def test_what_flies_goes_where_mujoco_has_it(name, within):
     assert ways[1] == pytest.approx(ways[0], abs=within)
 
 
-def test_larger_wheels_go_farther_and_more_mass_or_less_friction_starts_slower():
+VARIED = {
+    "all": (DomainRandomization(wheel=(1.2, 1.2), mass=(2.0, 2.0), friction=(0.5, 0.5)), 1.2 * 0.5 / 2.0),
+    "motors": (DomainRandomization(torque=(0.4, 0.4)), 0.4),
+    "the scarcer": (DomainRandomization(torque=(0.4, 0.4), friction=(0.5, 0.5), mass=(0.8, 0.8)), 0.4 / 0.8),
+}
+
+
+@pytest.mark.parametrize("which", VARIED)
+def test_larger_wheels_go_farther_and_more_mass_or_less_friction_or_torque_starts_slower(which):
     """By the factors: a wheel's radius is in the speed, grip over mass in the acceleration."""
     heavy, steps, dt = replace(EAGER, name="Heavy"), 10, 0.02
     use_response(heavy, replace(AT_ONCE, acceleration=1.0))
-    vary = DomainRandomization(wheel=(1.2, 1.2), mass=(2.0, 2.0), friction=(0.5, 0.5))
+    vary, factor = VARIED[which]
     batch = Batch(build_scene(FLAT, [heavy], vary=vary), 1, engine="planar")
     way = poses(batch, drive(batch, 4.0, 4.0, steps))[0, 0, 0] - poses(batch, batch.reset())[0, 0, 0]
     # Each step goes by the speed at its end; 0.2 s do not bring it up to the 0.52 m/s that it is told.
     alike = 1.0 * dt * dt * steps * (steps + 1) / 2
-    assert way == pytest.approx(1.2 * 0.5 / 2.0 * alike, rel=2e-3)
+    assert way == pytest.approx(factor * alike, rel=2e-3)
+
+
+def test_robots_with_latency_do_so_many_steps_later_the_same():
+    """Bit for bit what those without do, and the commanded speed is multiplied where speeds vary."""
+    late = DomainRandomization(latency=(3, 3), speed=(0.5, 0.5))
+    found = []
+    for vary, speed, waits in ((late, 4.0, 0), (None, 2.0, 3)):
+        batch = Batch(build_scene(FLAT, [EAGER], vary=vary), 1, engine="planar")
+        state = batch.reset()
+        for _ in range(waits):
+            state = batch.step(state)
+        state = drive(batch, speed, speed, 12 - waits, state)
+        found.append(poses(batch, state))
+    assert found[0][0, 0, 0] > 0.03
+    assert np.array_equal(*found)

@@ -8,6 +8,9 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots
 
+SMALL = 1e-2
+"""Of smaller angles a sine is known by two terms [rad]."""
+
 
 def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjModel, dt: float) -> Motion:
     """Return where robots are after a control step, were they free bodies.
@@ -49,11 +52,22 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     return jax.lax.fori_loop(0, steps, step, motion)
 
 
+def sine_over(angle: Array) -> Array:
+    """Return sines of angles over these (...), with a slope however small they are."""
+    small = jnp.abs(angle) < SMALL
+    safe = jnp.where(small, 1.0, angle)
+    return jnp.where(small, 1.0 - angle * angle / 6, jnp.sin(safe) / safe)
+
+
 def turned(quat: Array, angle: Array) -> Array:
     """Return orientations (n, 4) turned about axes of their own by rotation vectors (n, 3)."""
-    size = jnp.linalg.norm(angle, axis=-1, keepdims=True)
-    sine = 0.5 * jnp.sinc(size / (2 * jnp.pi))
-    other = jnp.concatenate([jnp.cos(size / 2), angle * sine], -1)
+    half = angle / 2
+    square = (half * half).sum(-1, keepdims=True)
+    turns = square > SMALL**2
+    size = jnp.where(turns, jnp.sqrt(jnp.where(turns, square, 1.0)), 0.0)  # a root has no slope at 0
+    cosine = jnp.where(turns, jnp.cos(size), 1.0 - square / 2)
+    sine = jnp.where(turns, sine_over(size), 1.0 - square / 6)
+    other = jnp.concatenate([cosine, half * sine], -1)
     w, v = quat[:, :1], quat[:, 1:]
     ow, ov = other[:, :1], other[:, 1:]
     new = jnp.concatenate([w * ow - (v * ov).sum(-1, keepdims=True), w * ov + ow * v + jnp.cross(v, ov)], -1)

@@ -12,6 +12,7 @@ from usarmjx.base.rotations import matmul, quat_from_mat
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
 from usarmjx.engines.planar.drives import follow
+from usarmjx.engines.planar.flight import sine_over
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.overlap import SIGNS
 from usarmjx.engines.planar.solids import PlanSolids, ground_under
@@ -65,13 +66,17 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
 def _variation(inputs: Inputs, members: np.ndarray) -> tuple[Array | float, Array | float]:
     """Return factors on the most acceleration (n, 1) and on the speed (n, 1) of robots that vary.
 
-    Less friction and more mass both leave less acceleration; larger wheels go farther.
+    Less friction, weaker motors and more mass all leave less acceleration; of friction and motors the scarcer
+    one counts. Larger wheels go farther.
     """
     varied = inputs.varied
     if varied is None:
         return 1.0, 1.0
     one = jnp.ones((len(members), 1))
     grip = one if varied.friction is None else one * varied.friction
+    if varied.torque is not None:
+        motors = varied.torque[members][:, None]
+        grip = motors if varied.friction is None else jnp.minimum(grip, motors)
     grip = grip if varied.mass is None else grip / varied.mass[members][:, None]
     return grip, one if varied.wheel is None else varied.wheel[members][:, None]
 
@@ -81,7 +86,7 @@ def rolled(motion: Motion, twist: Array, dt: float) -> Motion:
     mat = motion.mat
     ahead = mat[..., 0] * twist[:, :1] + mat[..., 1] * twist[:, 1:2]
     angle = twist[:, 2] * dt
-    way = on_plan(ahead[:, :2], angle / 2) * jnp.sinc(angle / (2 * jnp.pi))[:, None]
+    way = on_plan(ahead[:, :2], angle / 2) * sine_over(angle / 2)[:, None]
     speed = on_plan(ahead[:, :2], angle)
     return motion.replace(
         pos=set_at(motion.pos, np.s_[:, :2], motion.pos[:, :2] + way * dt),
