@@ -15,7 +15,7 @@ from usarmjx.cameras.casters import SOLID_QUERY, GeomCaster, Met
 from usarmjx.cameras.paint import INSTANCES, OUTSIDE_LABEL, SKY_LABEL, camera_owners
 from usarmjx.cameras.picture import CameraView, Viewpoint, camera_view
 from usarmjx.cameras.shading import RenderScene
-from usarmjx.sensors.rays.raycast import concatenated
+from usarmjx.sensors.rays.surfaces import concatenated
 from usarmjx.sensors.rays.targets import GeomBlock
 
 

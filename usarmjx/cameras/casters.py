@@ -14,7 +14,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.cameras.lenses import TILE
 from usarmjx.cameras.paint import PLANE, GeomAppearance
 from usarmjx.models.spec.shapes import GLASS, MATERIALS, SKY
-from usarmjx.sensors.rays.raycast import GeomHits, RayQuery, concatenated, nearest_hits, normals
+from usarmjx.sensors.rays.raycast import RayQuery, nearest_hits
+from usarmjx.sensors.rays.surfaces import GeomHits, concatenated, normals
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, Geoms
 
 TILE_BUNDLE_SIZE = TILE * TILE

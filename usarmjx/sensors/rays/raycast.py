@@ -29,7 +29,8 @@ from usarmjx.sensors.rays.bundles import (
     cone_sphere_distance,
 )
 from usarmjx.sensors.rays.choice import caster_in_use
-from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius, surface_normal
+from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius
+from usarmjx.sensors.rays.surfaces import GeomHits, normals, sloped
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.wanted import cast_if_wanted
 
@@ -87,27 +88,6 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
 DEFAULT_QUERY = RayQuery()
 RayCaster = Callable[[Array, Array, RayQuery, Fans | None], Hits]
 """Casts rays at all there is in a world: as `cast_rays`, its geoms given."""
-
-
-class GeomHits(NamedTuple):
-    """What rays meet first.
-
-    Attributes:
-        distance: How far away, infinite where there is nothing [m] (rays,).
-        geom_index: Which geom of all blocks, one block after the other; -1 for none (rays,).
-    """
-
-    distance: jax.Array
-    geom_index: jax.Array
-
-    def closer(self, distance: jax.Array, index: jax.Array) -> "GeomHits":
-        """Return what is closer, this or something else."""
-        better = distance < self.distance
-        return GeomHits(jnp.where(better, distance, self.distance), jnp.where(better, index, self.geom_index))
-
-    def met(self) -> "GeomHits":
-        """Return it with an infinite distance where nothing was met."""
-        return GeomHits(jnp.where(self.geom_index < 0, jnp.inf, self.distance), self.geom_index)
 
 
 NO_GEOM = GeomHits(math.inf, -1)  # type: ignore[arg-type] - numbers in place of arrays
@@ -356,29 +336,6 @@ GPU_CASTERS: dict[str, Callable[..., GeomHits]] = {"warp": warp_hits, "pallas": 
 """Casters by the name that `caster_in_use` gives; without one, a CPU's."""
 
 
-def concatenated(geoms: Geoms) -> GeomBlock:
-    """Return all geoms as one block, one block after the other."""
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *geoms.blocks)
-
-
-def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Array) -> jax.Array:
-    """Return the unit normals of the surfaces that rays meet, in world axes and towards the rays (rays, 3).
-
-    They are zero where nothing was met.
-    """
-    geom = jax.tree.map(lambda x: x[jnp.maximum(first.geom_index, 0)], concatenated(geoms))
-    reach = jnp.where(first.geom_index >= 0, first.distance, 0.0)[:, None]
-    offset = origin + reach * direction - geom.pos
-    point = jnp.stack([sum(geom.mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)], -1)
-    normal, before = jnp.zeros_like(point), 0
-    for kind, block in zip(geoms.kinds, geoms.blocks, strict=True):
-        mine = (first.geom_index >= before) & (first.geom_index < before + len(block.owner))
-        normal = jnp.where(mine[:, None], surface_normal(kind, point, geom.size), normal)
-        before += len(block.owner)
-    turned = jnp.stack([sum(geom.mat[:, i, j] * normal[:, j] for j in range(3)) for i in range(3)], -1)
-    return jnp.where((turned * direction).sum(-1, keepdims=True) > 0, -turned, turned)
-
-
 def cast_rays(
     geoms: Geoms,
     origin: Float[Array, "rays 3"],
@@ -386,12 +343,17 @@ def cast_rays(
     query: RayQuery = DEFAULT_QUERY,
     fans: Fans | None = None,
 ) -> Hits:
-    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks."""
-    first = nearest_hits(geoms, origin, direction, query, fans)
+    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks.
+
+    Distances can be differentiated, see `surfaces.sloped`; angles count as constant.
+    """
+    first = sloped(nearest_hits, geoms, origin, direction, query, fans)
     cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
         wanted = None if jax.default_backend() == "gpu" else query.wanted
-        cosine = cast_if_wanted(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
+        cosine = cast_if_wanted(
+            wanted, _cosines, NO_COSINE, *jax.lax.stop_gradient((geoms, first, origin, direction))
+        )
     return Hits(distance=first.distance, cosine=cosine)
 
 

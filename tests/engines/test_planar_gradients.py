@@ -1,0 +1,113 @@
+"""Slopes through drives and ranges, in both modes, by finite differences."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from tests.engines.eager import EAGER
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.arena import StartPose
+from usarmjx.sensors.rays import raycast
+from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
+from usarmjx.sensors.rays.targets import make_geoms
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+GEOM = mujoco.mjtGeom
+KINDS = np.array(
+    [
+        int(kind)
+        for kind in (
+            GEOM.mjGEOM_BOX,
+            GEOM.mjGEOM_SPHERE,
+            GEOM.mjGEOM_CAPSULE,
+            GEOM.mjGEOM_CYLINDER,
+            GEOM.mjGEOM_ELLIPSOID,
+        )
+    ]
+)
+AROUND = np.linspace(0.0, 2 * np.pi, len(KINDS), endpoint=False)
+PLACES = np.column_stack([1.6 * np.cos(AROUND), 1.6 * np.sin(AROUND), 0.1 * AROUND])
+BEAMS = np.linspace(-np.pi, np.pi, 60, endpoint=False)
+NUDGE = 3e-3
+
+
+def ranges_at(pose):
+    """Ranges of a fan of beams at a pose (x, y, yaw), and of the geoms all turned by a fourth number."""
+    half = pose[3] / 2 + 0.3
+    turn = mat_from_quat(jnp.stack([jnp.cos(half), 0 * half, 0.6 * jnp.sin(half), 0.8 * jnp.sin(half)]))
+    count = len(KINDS)
+    geoms = make_geoms(
+        KINDS,
+        jnp.asarray(PLACES, jnp.float32) + pose[3] * jnp.array([0.2, -0.3, 0.1]),
+        jnp.tile(turn, (count, 1, 1)),
+        jnp.tile(jnp.array([0.5, 0.4, 0.6]), (count, 1)),
+        jnp.full(count, -1),
+    )
+    way = pose[2] + BEAMS
+    along = jnp.stack([jnp.cos(way), jnp.sin(way), 0 * way], -1)
+    origin = jnp.tile(jnp.array([0.0, 0.0, 0.3]), (len(BEAMS), 1)).at[:, :2].add(pose[:2])
+    return jnp.minimum(cast_rays(geoms, origin, along, RayQuery()).distance, 8.0)
+
+
+@pytest.mark.parametrize("culling", [raycast.CULLING_THRESHOLD, 0], ids=["all", "culled"])
+def test_ranges_change_with_poses_as_small_steps_show(culling, monkeypatch):
+    """Of every kind of solid, beams that pass it included; by poses of who looks and of what is seen."""
+    monkeypatch.setattr(raycast, "CULLING_THRESHOLD", culling)
+    pose = jnp.array([0.2, -0.1, 0.4, 0.1])
+    ranges = jax.jit(jax.vmap(ranges_at))
+    steps = NUDGE * np.vstack([np.eye(4), -np.eye(4)])
+    moved = np.asarray(ranges(jnp.asarray(pose + steps, jnp.float32)))
+    apart = (moved[:4] - moved[4:]).T / (2 * NUDGE)
+    forward = np.asarray(jax.jit(jax.jacfwd(ranges_at))(pose))
+    weight = jnp.asarray(np.random.default_rng(0).normal(size=len(BEAMS)), jnp.float32)
+    backward = np.asarray(jax.jit(jax.grad(lambda at: ranges_at(at) @ weight))(pose))
+    here = np.asarray(ranges(pose[None]))[0]
+    met = here < 8.0
+    assert 20 < met.sum() < 50, "some beams pass all"
+    assert not forward[~met].any()
+    assert np.isfinite(forward).all()
+    smooth = met & (np.abs(moved[:4] + moved[4:] - 2 * here).max(0) < 2e-3)  # no edge in between
+    assert smooth.sum() > 15, "hit fairly"
+    assert forward[smooth] == pytest.approx(apart[smooth], abs=0.02, rel=0.03)
+    assert backward == pytest.approx(np.asarray(weight) @ forward, rel=1e-4)
+
+
+def test_where_robots_get_to_changes_with_what_wheels_are_told_as_small_steps_show():
+    """Backwards through drives, a push from behind, and what hovers at rest beside them."""
+    row = FLAT.__class__(
+        name="row",
+        starts=tuple(
+            StartPose(tag=f"S{i}", at=(x, y, 0.188), yaw=yaw)
+            for i, (x, y, yaw) in enumerate(((0.0, 0.0, 0.0), (0.8, 0.1, 0.3), (0.0, 3.0, 0.0)))
+        ),
+        extent=((-5, 5), (-5, 5)),
+    )
+    blimp = replace(ROBOTS.get("Passarola"), sensors=(), cameras=())
+    batch = Batch(build_scene(row, [EAGER, EAGER, blimp]), 1, engine="planar")
+    start = batch.drive(batch.reset(), 0, {"Left": 0.0, "Right": 0.0})
+    _, inputs = batch._compute_inputs(start.worlds, batch.physics(start))
+    wheels = batch.engine._robots.rolling[0].ctrl[0]
+    roots = np.concatenate([group.root_qposadr for group in batch.scene.groups])
+    weight = jnp.asarray(np.random.default_rng(1).normal(size=(3, 7)), jnp.float32)
+
+    @jax.jit
+    def ends(sides):
+        ctrl = inputs.ctrl.at[0, wheels].set(jnp.repeat(sides, len(wheels) // 2))
+        told = inputs.replace(ctrl=ctrl, xfrc_applied=inputs.xfrc_applied + 0.01 * sides[0])
+        step = lambda _, now: batch.engine.advance(now, told)  # noqa: E731
+        return jax.lax.fori_loop(0, 20, step, start.physics).qpos[0, roots]
+
+    sides = jnp.array([6.0, 6.4])
+    backward = np.asarray(jax.jit(jax.grad(lambda told: (ends(told) * weight).sum()))(sides))
+    near = [np.asarray(ends(sides + step)) for step in 0.05 * np.vstack([np.eye(2), -np.eye(2)])]
+    apart = (np.array(near[:2]) - near[2:]) / 0.1
+    assert np.abs(near[0][1, :2] - [0.8, 0.1]).max() > 0.03, "the second has been pushed"
+    assert np.abs(apart[0, :, :3]).max(-1).min() > 1e-4, "all of them answer"
+    assert backward == pytest.approx((apart * np.asarray(weight)).sum((1, 2)), rel=0.05, abs=1e-3)
