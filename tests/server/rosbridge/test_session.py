@@ -8,6 +8,8 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.defragmenter import MAX_LENGTH, MAX_UNFINISHED
+from usarmjx.server.rosbridge.encodings import fragments
 from usarmjx.server.rosbridge.services import read_spawn
 from usarmjx.server.rosbridge.session import MAX_REPLIES, BridgeSession, Published, ServiceCall
 from usarmjx.server.rosbridge.velocity import Velocity, can_follow, drive_keys, read_twist
@@ -213,6 +215,65 @@ def test_every_drive_gets_keys_that_it_has_or_says_so():
         else:
             with pytest.raises(UsageError, match=name):
                 drive_keys(robot, Velocity(0.2, 0.0, 0.0, 0.0))
+
+
+# Fragments
+
+
+def in_fragments(size, **message):
+    """The fragments of a message, as a client sends them."""
+    return [json.loads(text) for text in fragments(json.dumps(message), size, "long")]
+
+
+def test_what_comes_in_fragments_is_put_together_in_whatever_order_they_come(session):
+    twist = {"linear": {"x": 0.2}}
+    parts = in_fragments(20, op="publish", topic="/R1/cmd_vel", msg=twist)
+    assert len(parts) > 3
+    for part in parts[:0:-1]:
+        assert say(session, **part) is None
+    assert say(session, **{**parts[2], "id": "other"}) is None  # of another message
+    assert say(session, **parts[0]) == Published("/R1/cmd_vel", twist)
+    assert heard(session) == []
+    assert say(session, **parts[0]) is None  # the message is over: this begins it anew
+
+
+def test_unfinished_messages_take_up_no_more_than_a_little_room(session):
+    first, *rest = in_fragments(50, op="publish", topic="/R1/cmd_vel", msg={"linear": {"x": 0.2}})
+    say(session, **first)
+    for number in range(MAX_UNFINISHED):
+        say(session, op="fragment", id=str(number), data="x", num=0, total=2)
+    for part in rest:
+        assert say(session, **part) is None  # the first one had to go
+    data = "x" * (MAX_LENGTH // 2 + 1)
+    say(session, op="fragment", id="huge", data=data, num=0, total=9)
+    assert heard(session) == []
+    say(session, op="fragment", id="huge", data=data, num=1, total=9)
+    assert "longer than" in heard(session)[0]["msg"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"total": 10_000_000},
+        {"num": 2},
+        {"num": -1},
+        {"num": 0.5},
+        {"total": True},
+        {"data": 3},
+        {"id": None},
+        {"total": 0},
+    ],
+)
+def test_a_fragment_that_is_none_is_refused(session, wrong):
+    assert say(session, **{"op": "fragment", "id": "a", "data": "{}", "num": 0, "total": 2, **wrong}) is None
+    assert "a fragment has " in heard(session)[0]["msg"]
+
+
+def test_what_is_put_together_is_a_message_and_no_fragment(session):
+    inner = {"op": "fragment", "id": "b", "data": "{}", "num": 0, "total": 1}
+    for whole, words in ((json.dumps(inner), "fragments of fragments"), ("{", "no JSON")):
+        assert say(session, op="fragment", id="a", data=whole, num=0, total=1) is None
+        assert words in heard(session)[0]["msg"]
 
 
 # Spawning

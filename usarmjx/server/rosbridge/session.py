@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.defragmenter import Defragmenter
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, fragments
 
 MAX_SUBSCRIPTIONS = 512
@@ -127,7 +128,9 @@ class BridgeSession:
             "unsubscribe": self._unsubscribe,
             "call_service": self._call,
             "set_level": self._set_level,
+            "fragment": self._put_together,
         }
+        self._fragments = Defragmenter()
 
     def receive(self, text: str | bytes) -> BridgeRequest | None:
         """Take a message; return what the world is to do about it, if anything."""
@@ -235,6 +238,14 @@ class BridgeSession:
             self._reply(message, about)
 
         return ServiceCall(service, args if isinstance(args, dict) else {}, answer)
+
+    def _put_together(self, said: RosMessage) -> BridgeRequest | None:
+        whole = self._fragments.add(said)
+        if whole is None:
+            return None
+        if _read(whole).get("op") == "fragment":
+            raise UsageError("fragments of fragments are too much")
+        return self.receive(whole)
 
     def _set_level(self, said: RosMessage) -> None:
         level = _text(said, "level")
