@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import UsageError
+from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose, Victim
 from usarmjx.models.spec.robot import Mount, options
@@ -53,7 +54,7 @@ HEIGHT = 0.3
 def mission_world(path):
     """A served world that is recorded, and its recording."""
     world = DynamicWorld(ROOM, max_robots=3, seed=5)
-    return world, record_worlds([world], path)
+    return world, record_worlds([world], path, RadioSettings())
 
 
 def observe(world):

@@ -36,6 +36,16 @@ def test_robots_are_where_they_were_at_any_time(source, mission):
         )
 
 
+def test_who_hears_whom_is_kept_where_a_server_has_the_radio(source):
+    source.seek(0.3)
+    assert source.frame(0).links is None, "one robot alone"
+    source.seek(0.7)
+    links = source.frame(0).links
+    slots = sorted(source.frame(0).robots)
+    assert links.in_range[slots[0], slots[1]]
+    assert -90.0 < links.power[slots[0], slots[1]] < 0.0
+
+
 def test_who_has_joined_and_left_is_drawn_from_then_on(source):
     def names(time):
         source.seek(time)

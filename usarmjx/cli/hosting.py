@@ -240,7 +240,7 @@ class Host:
             signals: What ends it.
             batch_size: How many worlds there are in the batch.
             more: Services that all worlds share.
-            radio: Constants of the radio for the live page; None: it has none to show.
+            radio: Constants of the radio for the live page and recordings; None: they have none to show.
         """
         from usarmjx.server.clock import StepClock
         from usarmjx.server.loop import serve as run
@@ -255,7 +255,7 @@ class Host:
         controls = add_controls(servers, clock)
         if ports.page is not None:
             add_viewer(servers, controls, ports.page, services.viewer, radio, self.layers)
-        with recorded(worlds, self.run.record) as file:
+        with recorded(worlds, self.run.record, radio) as file:
             if file is not None:
                 signals.finish_files(file.close)
             run(servers, clock, signals)

@@ -14,6 +14,7 @@ from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_s
 from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
+    from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.recording.file import RecordingFile
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
@@ -32,8 +33,15 @@ WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the record
 
 
 @contextlib.contextmanager
-def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> "Iterator[RecordingFile | None]":
+def recorded(
+    worlds: "Sequence[ServedWorld]", path: Path | None, radio: "RadioSettings | None" = None
+) -> "Iterator[RecordingFile | None]":
     """Record served worlds while a context lasts; None: do not.
+
+    Args:
+        worlds: The worlds.
+        path: The file, or None.
+        radio: Constants of the radio that robots have by the server; None: they have none.
 
     Yields:
         The file, which is complete in the end; None: there is none.
@@ -47,7 +55,7 @@ def recorded(worlds: "Sequence[ServedWorld]", path: Path | None) -> "Iterator[Re
         return
     from usarmjx.server.worlds.recorded import record_worlds
 
-    file = record_worlds(worlds, path)
+    file = record_worlds(worlds, path, radio)
     typer.echo(f"usarmjx: recording to {path}")
     try:
         yield file

@@ -88,7 +88,8 @@ class WorldMessages:
             file.write(self._channel("drawings"), at, self._drawing)
             file.write(self._channel("scene"), at, foxglove.scene_update(self._drawing, at))
         seen = self._capture.frame(world, look.physics)
-        frame = replace(seen, time=at, trace=look.trace, score=look.score)
+        links = seen.links if look.links is None else look.links
+        frame = replace(seen, time=at, trace=look.trace, score=look.score, links=links)
         self._write_frame(self._drawing, frame, file)
 
     def _write_frame(self, drawing: Drawing, frame: Frame, file: RecordingFile) -> None:

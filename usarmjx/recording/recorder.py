@@ -9,6 +9,8 @@ import jax
 import numpy as np
 
 from usarmjx.base.transforms import Vec3
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.recording.file import RecordingFile
@@ -47,6 +49,7 @@ class Look:
         trace: Points that robots left behind.
         score: A task's score so far.
         time: Simulated time, if it is not the world's own [s].
+        links: Its radio links; None: those that the world knows, if it has a radio of its own.
     """
 
     scene: Scene
@@ -56,6 +59,7 @@ class Look:
     trace: OverlayLines | None = None
     score: float | None = None
     time: float | None = None
+    links: Links | None = None
 
 
 @dataclass
@@ -67,6 +71,7 @@ class WorldRecorder:
         setup: What the world was made of.
         number: Number of the world in the recording.
         since: Time at which the world begins in the recording [s].
+        radio: Constants of the radio that robots of the world have by a server; None: they have none.
 
     Attributes:
         steps: Control steps made so far, since the recording began.
@@ -76,6 +81,7 @@ class WorldRecorder:
     setup: WorldSetup
     number: int = 0
     since: float = 0.0
+    radio: RadioSettings | None = None
     steps: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:

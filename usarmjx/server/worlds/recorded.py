@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.links import Links
 from usarmjx.recording.file import RecordingFile
 from usarmjx.recording.inputs import SINGLE, WorldSetup
 from usarmjx.recording.recorder import Look, WorldRecorder
@@ -19,8 +21,16 @@ if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld
 
 
-def record_worlds(worlds: "Sequence[ServedWorld]", path: Path) -> RecordingFile:
+def record_worlds(
+    worlds: "Sequence[ServedWorld]", path: Path, radio: RadioSettings | None = None
+) -> RecordingFile:
     """Record served worlds, from now on, in a file that is to be closed at the end.
+
+    Args:
+        worlds: The worlds.
+        path: The file.
+        radio: Constants of the radio that their server has; None: links are kept of worlds with a radio of
+            their own only.
 
     Raises:
         UsageError: The file is there already.
@@ -29,7 +39,7 @@ def record_worlds(worlds: "Sequence[ServedWorld]", path: Path) -> RecordingFile:
     about = {**versions(), "arenas": ", ".join(dict.fromkeys(world.arena.name for world in worlds))}
     file = RecordingFile(path, about, several=len(worlds) > 1)
     for number, world in enumerate(worlds):
-        world.recorder = WorldRecorder(file, world.setup(), number)
+        world.recorder = WorldRecorder(file, world.setup(), number, radio=radio)
     return file
 
 
@@ -73,8 +83,16 @@ def record_step(
                 names={slot: robot.name for slot, robot in world.robots.items()},
                 trace=world.traces.sketch() if world.traces.points else None,
                 score=getattr(world, "score", None),
+                links=_links(world, recorder.radio),
             )
         )
+
+
+def _links(world: "ServedWorld", radio: RadioSettings | None) -> Links | None:
+    """Return the links of robots that have their radio by the server."""
+    if radio is None or world.scene.radio is not None or len(world.robots) < 2:
+        return None
+    return world.links(radio)
 
 
 def keep_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray) -> None:
