@@ -1,10 +1,15 @@
+from dataclasses import replace
+
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.models.spec.robot import options
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.spec.robot import Mount, options
 from usarmjx.sensors.motion import InsSettings, OdometrySettings
 from usarmjx.sensors.ranging import ScannerSettings, SonarSettings
-from usarmjx.sensors.settings import field_name, resolve_settings
+from usarmjx.sensors.settings import CameraSettings, field_name, resolve_settings
+from usarmjx.sensors.suite import suite_of
+from usarmjx.server.messages.sensors import configuration
 
 
 @pytest.mark.parametrize(
@@ -61,3 +66,13 @@ def test_unknown_key_names_the_owner_and_lists_the_known_ones():
 def test_truth_values_and_numbers_are_not_mixed_up(bad):
     with pytest.raises(UsageError, match=f"Sonar F1: setting {next(iter(bad))} is "):
         resolve_settings(SonarSettings, options(**bad), "Sonar F1")
+
+
+def test_a_whole_number_is_told_with_decimals_as_any_other():
+    """`MaxRange=5` of a file: CONF has 5.0000 in captured lines, whatever was written."""
+    mount = Mount(kind="RangeScanner", name="S", options=options(MaxRange=5))
+    robot = replace(P2AT, sensors=(mount,), cameras=())
+    (told,) = configuration(robot, suite_of(robot).sensors, (), "RangeScanner", "S")
+    assert told.get("MaxRange") == "5.0000"
+    fov = resolve_settings(CameraSettings, options(CameraDefFov=1), "Camera C").camera_def_fov
+    assert isinstance(fov, float), "of cameras too"

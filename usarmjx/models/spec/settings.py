@@ -155,7 +155,8 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
             )
         if limits is not None and value not in limits:
             raise SpecError(f"{owner}: setting {key} is {value!r}, expected {limits}")
-        values[name] = value
+        # A whole number of a file is a length or an angle like any other: messages tell its decimals.
+        values[name] = float(value) if isinstance(wanted, float) and number else value  # type: ignore[arg-type]
     return values
 
 
