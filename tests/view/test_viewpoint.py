@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.cameras.picture import camera_viewpoint
 from usarmjx.view.framing import FOV, USED, bounds_of, framed
+from usarmjx.view.sight import Walls
 from usarmjx.view.viewpoint import Onlooker, ViewMode, camera_pose, chase_pose, robot_on_ray
 
 LOW, HIGH = np.array([-10.0, -6.0, 0.0]), np.array([10.0, 6.0, 1.5])
@@ -66,6 +68,32 @@ def test_over_a_robot_one_is_behind_and_above_it_whichever_way_it_leans():
         assert pose.pos[2] > frame.pos[1, 2] + 0.5
         assert pose.look_at[1] > frame.pos[1, 1]
         assert (pose.up == [0.0, 0.0, 1.0]).all()
+
+
+def test_over_a_robot_one_looks_from_where_no_wall_hides_it():
+    drawing = drawing_of(robots=1)
+    frame = frame_of(drawing)
+    robot, walls = drawing.robots[0], Walls(drawing)
+    client = SimpleNamespace(atomic=contextlib.nullcontext, camera=SimpleNamespace(fov=FOV))
+    onlooker = Onlooker(client, robot=0, mode=ViewMode.OVER)
+    turn = {"away from the wall": (0.7071, 0, 0, 0.7071), "along it": (1.0, 0, 0, 0)}
+    frame.pos[1:4] = (-2.0, 0.4, 0.2)  # the wall is along the x axis, 2 m high, in reach of the view
+    heights = {}
+    for name, quat in turn.items():
+        frame.quat[1:4] = quat
+        onlooker.attach(0)
+        onlooker.update(drawing, frame, np.zeros(3))
+        heights[name] = client.camera.position[2]
+        assert not walls.hide(frame.pos[1] + [0, 0, 0.1], client.camera.position[None])[0]
+    assert heights["along it"] == pytest.approx(chase_pose(robot, frame).pos[2])
+    assert heights["away from the wall"] > heights["along it"] + 0.5
+    assert walls.hide(frame.pos[1] + [0, 0, 0.1], np.array([[-2.0, -1.0, 0.5]]))[0]
+    frame.quat[1:4] = turn["away from the wall"]
+    onlooker.update(drawing, frame, np.zeros(3))
+    assert client.camera.position[2] < heights["away from the wall"], "not at one leap"
+    for _ in range(20):
+        onlooker.update(drawing, frame, np.zeros(3))
+    assert client.camera.position[2] == pytest.approx(heights["away from the wall"])
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """From where each person at the page looks: freely, over a robot, or through its camera (manual 5.1)."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -9,9 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
 from usarmjx.view.framing import FOV, UP, CameraPose
+from usarmjx.view.sight import Walls
 
 CHASE_BEHIND, CHASE_ABOVE = (0.6, 2.0), (0.4, 1.2)
 """Over a robot one is so far behind and above it: [m], and lengths of the robot (chosen)."""
+STEEPEST, ANGLES = math.radians(85.0), 6
+"""Where walls hide a robot, one looks down more steeply: at most so, in so many steps."""
+RISE, SINK = 0.15, 0.02
+"""The view becomes so much steeper and flatter in an update [rad]: quickly out of a wall, and slowly back."""
 LOOK_AHEAD = 1.0
 """Through a camera one looks at what is so far ahead [m]: about that point the mouse turns the picture."""
 PICK_MARGIN = 0.15
@@ -42,10 +48,12 @@ class Onlooker:
     mode: ViewMode = ViewMode.FREE
     camera: int = 0
     _last_pose: CameraPose | None = field(default=None, repr=False)
+    _elevation: float | None = field(default=None, repr=False)
+    _walls: tuple[Drawing, Walls] | None = field(default=None, repr=False)
 
     def attach(self, robot: int | None) -> None:
         """Follow a robot; as before, or at first by its camera as the viewing client did."""
-        self.robot, self.camera, self._last_pose = robot, 0, None
+        self.robot, self.camera, self._last_pose, self._elevation = robot, 0, None, None
         if robot is None:
             self.mode = ViewMode.FREE
         elif self.mode is ViewMode.FREE:
@@ -65,7 +73,7 @@ class Onlooker:
         """Change between a robot's camera and the view over it."""
         if self.robot is not None:
             self.mode = ViewMode.OVER if self.mode is ViewMode.CAMERA else ViewMode.CAMERA
-            self._last_pose = None
+            self._last_pose = self._elevation = None
 
     def update(self, drawing: Drawing, frame: Frame, offset: np.ndarray) -> None:
         """Move the view with the robot.
@@ -87,13 +95,23 @@ class Onlooker:
             self._move(camera_pose(robot, frame, self.camera), offset)
             self._set_fov(float(frame.robots[self.robot].fovs[self.camera]))
         else:
-            self._move(chase_pose(robot, frame), offset)
+            self._move(chase_pose(robot, frame, self._rise(drawing, robot, frame)), offset)
             self._set_fov(FOV)
 
     def free(self) -> None:
         """Let go of the robot, and look on from where one is."""
         self.attach(None)
         self._set_fov(FOV)
+
+    def _rise(self, drawing: Drawing, robot: DrawnRobot, frame: Frame) -> float:
+        """Return how steeply to look over a robot now [rad]: so that no wall hides it, and without leaps."""
+        if self._walls is None or self._walls[0] is not drawing:
+            self._walls = drawing, Walls(drawing)
+        wanted = clear_elevation(self._walls[1], robot, frame)
+        if self._elevation is None:
+            self._elevation = wanted
+        self._elevation += float(np.clip(wanted - self._elevation, -SINK, RISE))
+        return self._elevation
 
     def _move(self, pose: CameraPose, offset: np.ndarray) -> None:
         last = self._last_pose
@@ -128,15 +146,38 @@ def camera_pose(robot: DrawnRobot, frame: Frame, camera: int) -> CameraPose:
     return CameraPose(pos, pos + LOOK_AHEAD * mat[:, 0], mat[:, 2])
 
 
-def chase_pose(robot: DrawnRobot, frame: Frame) -> CameraPose:
-    """Return from where one looks over a robot: from behind and above, whichever way it leans."""
+def chase_pose(robot: DrawnRobot, frame: Frame, elevation: float | None = None) -> CameraPose:
+    """Return from where one looks over a robot: from behind and above, whichever way it leans.
+
+    Args:
+        robot: The robot.
+        frame: Where it is.
+        elevation: How steeply one looks down on it [rad]; None: as over open ground.
+    """
     pos = frame.pos[robot.body]
     ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
     length = float(robot.dimensions[0])
     norm = float(np.linalg.norm(ahead))
     ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
+    distance, angle = _chase(robot)
+    angle = angle if elevation is None else elevation
+    aside = distance * (math.sin(angle) * UP - math.cos(angle) * ahead)
+    return CameraPose(pos + aside, pos + 0.5 * length * ahead, UP)
+
+
+def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame) -> float:
+    """Return how steeply to look over a robot so that no wall hides it, or as usual [rad]."""
+    angles = np.linspace(_chase(robot)[1], STEEPEST, ANGLES)
+    places = np.array([chase_pose(robot, frame, float(angle)).pos for angle in angles])
+    hidden = walls.hide(frame.pos[robot.body] + 0.5 * float(robot.dimensions[2]) * UP, places)
+    return float(angles[int(np.argmin(hidden))])
+
+
+def _chase(robot: DrawnRobot) -> tuple[float, float]:
+    """Return from how far [m] and how steeply [rad] one looks over a robot on open ground."""
+    length = float(robot.dimensions[0])
     behind, above = (fixed + share * length for fixed, share in (CHASE_BEHIND, CHASE_ABOVE))
-    return CameraPose(pos - behind * ahead + above * UP, pos + 0.5 * length * ahead, UP)
+    return math.hypot(behind, above), math.atan2(above, behind)
 
 
 def robot_on_ray(drawing: Drawing, frame: Frame, start: np.ndarray, ray: np.ndarray) -> int | None:
