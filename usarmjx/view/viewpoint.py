@@ -154,23 +154,28 @@ def chase_pose(robot: DrawnRobot, frame: Frame, elevation: float | None = None) 
         frame: Where it is.
         elevation: How steeply one looks down on it [rad]; None: as over open ground.
     """
-    pos = frame.pos[robot.body]
-    ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
-    length = float(robot.dimensions[0])
-    norm = float(np.linalg.norm(ahead))
-    ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
+    pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
     distance, angle = _chase(robot)
     angle = angle if elevation is None else elevation
     aside = distance * (math.sin(angle) * UP - math.cos(angle) * ahead)
-    return CameraPose(pos + aside, pos + 0.5 * length * ahead, UP)
+    return CameraPose(pos + aside, pos + 0.5 * float(robot.dimensions[0]) * ahead, UP)
 
 
 def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame) -> float:
     """Return how steeply to look over a robot so that no wall hides it, or as usual [rad]."""
-    angles = np.linspace(_chase(robot)[1], STEEPEST, ANGLES)
-    places = np.array([chase_pose(robot, frame, float(angle)).pos for angle in angles])
-    hidden = walls.hide(frame.pos[robot.body] + 0.5 * float(robot.dimensions[2]) * UP, places)
-    return float(angles[int(np.argmin(hidden))])
+    pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
+    distance, usual = _chase(robot)
+    angles = np.linspace(usual, STEEPEST, ANGLES)[:, None]
+    places = pos + distance * (np.sin(angles) * UP - np.cos(angles) * ahead)
+    hidden = walls.hide(pos + 0.5 * float(robot.dimensions[2]) * UP, places)
+    return float(angles[int(np.argmin(hidden)), 0])
+
+
+def _ahead(robot: DrawnRobot, frame: Frame) -> np.ndarray:
+    """Return where a robot's front is, level and of unit length (3,)."""
+    ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
+    norm = float(np.linalg.norm(ahead))
+    return ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
 
 
 def _chase(robot: DrawnRobot) -> tuple[float, float]:
