@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.models.robots.blind_drives import blind_drive
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.drives import SkidSteer
@@ -163,6 +164,16 @@ def test_a_p2dx_that_backs_into_a_wall_askew_keeps_its_wheels_on_the_ground_and_
     assert np.linalg.norm(back[-1, :2] - back[0, :2]) > 0.3
 
 
+def test_a_p2dx_that_bowed_at_a_wall_comes_down_from_it():
+    """Pushed on, its tail against a wall and its nose on the floor, it stayed there as a ladder does."""
+    wall = Shape(kind="box", size=(0.025, 2.0, 0.6), at=(-0.4, 0.0, 0.6), surface="wall")
+    course = Course("P2DX", wall, at=(-0.085, 0.0, 0.19), turn=(0.0, math.radians(27.0), 0.0))
+    assert upright(course.tell(Left=-18.0, Right=-18.0).run(1.5))[-1] < 0.95
+    back = course.tell(Left=8.0, Right=8.0).run(1.5)
+    assert upright(back)[-1] > 0.99
+    assert back[-1, 0] - back[0, 0] > 0.3
+
+
 @pytest.mark.parametrize("yaw", [0.0, 180.0, 200.0])
 def test_a_talon_that_is_driven_at_a_wall_stays_on_its_tracks(yaw):
     wall = Shape(kind="box", size=(0.025, 2.0, 0.6), at=(0.9, 0.0, 0.6), surface="wall")
@@ -171,6 +182,12 @@ def test_a_talon_that_is_driven_at_a_wall_stays_on_its_tracks(yaw):
     path = course.tell(Left=speed, Right=speed).run(4.0)
     assert path[-1, 0] > 0.2, "it is at the wall, with its gripper or its tracks"
     assert upright(path).min() > math.cos(math.radians(15))
+
+
+@pytest.mark.parametrize("name", ["P2DX", "Talon"])
+def test_who_is_driven_blindly_through_yellow_ends_on_its_wheels(name):
+    drives = [blind_drive(name, number, 12.0) for number in (3, 101)]
+    assert min(drive.upright for drive in drives) > 0.85
 
 
 # Soryu, Passarola

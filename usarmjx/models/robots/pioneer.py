@@ -154,6 +154,16 @@ P2DX = RobotSpec(
         # A bumper behind, low and just past the deck: what backs into a wall askew meets it with this. With
         # the corner of the deck it bowed until its wheels hung in the air.
         Shape(kind="box", size=(0.031, 0.192, 0.015), at=(-0.191, 0.0, 0.125), rgba=BLACK),
+        # A rounded, smooth nose: with an edge on the floor and its tail against a wall it stayed there, as a
+        # ladder does.
+        Shape(
+            kind="capsule",
+            size=(0.015, 0.13),
+            at=(0.112, 0.0, 0.14),
+            rotation=(math.pi / 2, 0.0, 0.0),
+            surface="caster",
+            rgba=RED,
+        ),
     ),
     looks=dx_looks(_front_ring(P2DX_RING_X), P2DX_SCANNER, RED),
     parts=tuple(
