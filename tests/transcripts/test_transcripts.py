@@ -2,11 +2,13 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.arenas import COURSE
+from tests.handy import known
 from tests.server.test_adapter import House, heard
 from tests.transcripts.readers import (
     ScalarReader,
@@ -22,10 +24,12 @@ from tests.transcripts.readers import (
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.files.load import find_arena
+from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.adapter import Client
 from usarmjx.server.protocol.dialects import find_dialect
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim.configure import settings_by_kind
 
 NAMES = sorted(path.stem for path in HERE.glob("*.txt"))
 CLOSE = 0.03  # rad: servos get there but for what they carry
@@ -303,6 +307,27 @@ def test_player_reads_the_true_pose(played):
     yaw = float(player_value(line, "Orientation").split(",")[2])
     assert (x, -y) == pytest.approx(player.poses[-1][:2], abs=0.006)
     assert math.remainder(-yaw - player.poses[-1][3], math.tau) == pytest.approx(0.0, abs=0.006)
+
+
+def test_players_position3d_turns_as_its_inu_says(tmp_path):
+    """It looks for readings of a type INU, which V3.1.3 calls INS; a class of either name may be mounted."""
+    path = tmp_path / "USARBot.ini"
+    path.write_text(
+        "[USARBot.P2AT]\nAddSensors=(ItemClass=class'USARBot.INUSensor',ItemName=Gyro)\n[USARBot.INU]\nSigma=0\n"
+    )
+    (robot,) = load_robots([path], ROBOTS, settings=settings_by_kind()).robots
+    world = DynamicWorld(COURSE, Physics(), 1, max_robots=1)
+    with known(replace(robot, name="Minded")):
+        house = House(world)
+        client = house.connect("INIT {ClassName Minded} {Location 0,-4,-0.3} {Rotation 0,0,0.5}")
+        house.run(30)
+        lines = [line for line in heard(client) if "{Type INU}" in line]
+        roll, pitch, yaw = (float(text) for text in player_value(lines[-1], "Orientation").split(","))
+        told = [math.remainder(angle, math.tau) for angle in (roll, pitch, yaw)]
+        assert told == pytest.approx((0.0, 0.0, 0.5), abs=0.02)
+        (conf,) = house.say(client, "GETCONF {Type INU}")
+        assert conf == "CONF {Type INU} {Name Gyro} {ScanInterval 0.2000}"
+        house.leave(client)
 
 
 def test_two_simulation_devices_of_player_are_two_robots(world):

@@ -34,7 +34,7 @@ REPEATED_KEYS = {
 """Keys that a line may have several times."""
 SENSOR_TYPES = (
     *("Sonar", "IR", "RangeScanner", "IRScanner", "RangeScanner3D"),
-    *("Odometry", "INS", "Encoder", "GroundTruth", "GPS"),
+    *("Odometry", "INS", "INU", "Encoder", "GroundTruth", "GPS"),
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
 )

@@ -227,6 +227,13 @@ class Ins(Sensor):
         return memory.replace(pos=xp.asarray(params[:3]), mat=mat, drift_rate=xp.zeros(6))
 
 
+@dataclass(frozen=True, eq=False)
+class Inu(Ins):
+    """Inertial navigation under its older name, by which Player asks; value: as of an INS (6,)."""
+
+    kind = "INU"
+
+
 @dataclass(frozen=True)
 class EncoderSettings(NoisySensorSettings):
     """Manual 10.7.2.
@@ -311,5 +318,5 @@ class GroundTruth(Sensor):
         return memory, xp.concatenate([pos[..., 0, :], angles_from_mat(mat[..., 0, :, :], xp)], -1)
 
 
-for _sensor in (Odometry, Ins, Encoder, GroundTruth):
+for _sensor in (Odometry, Ins, Inu, Encoder, GroundTruth):
     SENSORS.add(_sensor.kind, _sensor)

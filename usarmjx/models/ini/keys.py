@@ -10,6 +10,8 @@ ITEM_CLASSES = {
     "GPSSensor": "GPS",
     "INS": "INS",
     "INSSensor": "INS",
+    "INU": "INU",
+    "INUSensor": "INU",
     "EncoderSensor": "Encoder",
     "TouchSensor": "Touch",
     "RFIDSensor": "RFID",
