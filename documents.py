@@ -16,6 +16,8 @@ ROOT = Path(__file__).resolve().parent
 FENCE = re.compile(r"(^```.*?^```)", re.MULTILINE | re.DOTALL)
 NAMED = re.compile(r"^```(\w+) (\S+)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)")
+CELL, NAME = re.compile(r"<td\b.*?</td>", re.DOTALL), re.compile(r"(?<=<code>)[^<]{25,}(?=</code>)")
+BREAK = re.compile(r"(?:::|[/_])(?=\w)")
 PAGES = {
     "CHANGELOG.md": "changes.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -98,6 +100,12 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str: 
     if page.file.generated_by:
         return markdown
     return as_on_site(markdown, f"docs/{page.file.src_uri}")
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:  # noqa: ANN401 - MkDocs' own
+    """Let long names in tables be broken where a reader would break them."""
+    del page, config, files
+    return CELL.sub(lambda cell: NAME.sub(lambda code: BREAK.sub(r"\g<0><wbr>", code[0]), cell[0]), html)
 
 
 # Notebooks: a tutorial is a page whose blocks the tests execute, and the same as a notebook beside it.

@@ -55,6 +55,33 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_names_in_tables_break_between_words():
+    name = "tests/sim/test_drive.py::test_a_robot_against_a_wall"
+    broken = documents.on_page_content(
+        f"<p><code>{name}</code></p><td>see <code>{name}</code></td>", None, None, None
+    )
+    first, second = re.findall(r"<code>(.*?)</code>", broken)
+    assert first == name
+    pieces = second.split("<wbr>")
+    assert "".join(pieces) == name
+    assert pieces[:4] == ["tests/", "sim/", "test_", "drive.py::"]
+    assert max(map(len, pieces)) < 12
+
+
+def test_prompts_and_output_of_a_console_are_not_copied(site: Path):
+    """The button takes what is seen while it copies; of a console that is what was typed."""
+    style = (site / "assets" / "wide.css").read_text("utf-8")
+    hidden = re.search(r"\[data-md-copying\] :is\(([^)]*)\) { display: none; }", style)
+    assert hidden is not None
+    classes = {name.strip(" .") for name in hidden[1].split(",")}
+    (block,) = re.findall(r"<code>.*?</code>", (site / "start.html").read_text("utf-8"), re.S)[:1]
+    marks = re.findall(r'<span class="(\w+)">(.*?)</span>', block)
+    assert {text for kind, text in marks if kind in classes} == {"$ "}
+    assert "data-md-copying" in "".join(
+        p.read_text("utf-8") for p in site.glob("assets/javascripts/bundle*.js")
+    )
+
+
 def test_every_document_is_a_page(site: Path):
     names = {path.stem for path in (dev.ROOT / "docs").glob("*.md")} | {"contributing", "benchmarks"}
     assert sorted(name for name in names if not (site / f"{name}.html").is_file()) == []
