@@ -1,11 +1,14 @@
 """Obstacles on routes: nobody gets round them, they are sized to the robot, and more is more."""
 
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
+from usarmjx.bench.trials.obstacles import HOPELESS, LEVELS
 from usarmjx.models.build.reach import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.crossings import highest_at, highest_obstacle, measured_crossings
@@ -70,6 +73,31 @@ def test_no_obstacle_on_a_route_is_higher_than_what_every_drive_got_over():
             assert all(share == 1.0 for height, share in curve if height <= allowed)
     assert highest_obstacle("P2DX", "bars", 0.0) < HIGHEST, "a P2DX does not get over the highest bars"
     assert highest_obstacle("Zerg", "bars", 0.0) == HIGHEST
+    for robot, kind in (("Lisa", "slabs"), ("Rugbot", "bars"), ("ATRVJr", "bars"), ("UnitLoader", "bars")):
+        assert highest_obstacle(robot, kind, 0.0) < HIGHEST, "nor do these"
+
+
+USUAL = ("P2AT", "P2DX", "ATRVJr", "Zerg", "Kurt2D", "Lisa", "UnitLoader", "Talon", "TeleMax", "Rugbot")
+
+
+@pytest.mark.parametrize("robot", USUAL)
+def test_classes_that_people_take_are_measured_at_all_obstacles(robot):
+    curves = measured_crossings()[robot]
+    assert set(curves) == set(OBSTACLES.names())
+    for curve in curves.values():
+        assert [height for height, _ in curve] == list(LEVELS[: len(curve)])
+        assert curve[-1][1] <= HOPELESS or len(curve) == len(LEVELS)
+    ROBOTS.get(robot)
+
+
+def test_the_documents_say_what_was_measured():
+    text = (Path(__file__).parents[3] / "docs" / "arenas.md").read_text(encoding="utf-8")
+    for robot, curves in measured_crossings().items():
+        told = re.search(rf"^\| {robot} ((?:\| [\d.]+, (?:over )?[\d.]+ ){{4}})\|$", text, re.MULTILINE)
+        assert told, robot
+        numbers = [float(number) for number in re.findall(r"\d+\.\d+", told[1])]
+        expected = [highest_at(curves[kind], share) for kind in sorted(curves) for share in (1.0, 0.5)]
+        assert numbers == pytest.approx(expected, abs=0.006)
 
 
 @pytest.mark.parametrize("kind", OBSTACLES.names())
@@ -97,5 +125,5 @@ def test_a_risky_arena_has_higher_obstacles_on_the_same_routes():
         return sum(shape.at[2] + shape.size[2] for shape in shapes if shape.surface == "ground")
 
     assert heights(0.5) > heights(0.0)
-    with pytest.raises(SpecError, match=r"a risk of 0\.5 for Zerg: measured are .*P2DX"):
-        generate("maze", (7, 5), 3, Difficulty(obstacles=1.0, risk=0.5), robot="Zerg")
+    with pytest.raises(SpecError, match=r"a risk of 0\.5 for ERS: measured are .*P2DX"):
+        generate("maze", (7, 5), 3, Difficulty(obstacles=1.0, risk=0.5), robot="ERS")

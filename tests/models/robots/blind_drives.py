@@ -39,7 +39,7 @@ def blind_drive(name, number, seconds, arena="yellow"):
     root, least, held, time = plan.indices[member].root_qposadr, 1.0, 0.0, 0.0
     while time < seconds:
         length = draw.uniform(1, 3)
-        speed = draw.uniform(0.5, 1) * robot.drive.max_spin * draw.choice([1, 1, 1, -1])
+        speed = draw.uniform(0.5, 1) * robot.drive.full_scale["Left"] * draw.choice([1, 1, 1, -1])
         sides = (speed, speed * draw.choice([1, 1, 0.5, -1]))
         left, right = sides if draw.random() < 0.5 else sides[::-1]
         with numpy_backend():
