@@ -6,8 +6,11 @@ import re
 import tomllib
 
 import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import dev
+import trial
 import usarmjx
 from tests.test_docs import command_problem
 from usarmjx.server import ports
@@ -45,6 +48,45 @@ def test_what_the_container_runs_and_opens_exists():
     }
     (extras,) = re.findall(r"\[([\w,]+)\]\"", DOCKERFILE)
     assert set(extras.split(",")) <= PROJECT["optional-dependencies"].keys()
+
+
+def test_the_containers_python_is_one_that_we_name_and_has_a_pin_of_all_that_we_need():
+    """One that applies to it and is within our bounds: jax has a line for each Python that needs another."""
+    (python,) = re.findall(r"^ARG PYTHON=(\S+)", DOCKERFILE, re.M)
+    told = json.loads((dev.ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert told["image"] == f"python:{python}"
+    assert f"Programming Language :: Python :: {python}" in PROJECT["classifiers"]
+    where = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": "linux"}
+    lines = (dev.ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [Requirement(line) for line in lines if line.strip() and not line.startswith("#")]
+    (extras,) = re.findall(r"\[([\w,]+)\]\"", DOCKERFILE)
+    wanted = [*PROJECT["dependencies"]]
+    for extra in extras.split(","):
+        wanted += PROJECT["optional-dependencies"][extra]
+    for need in map(Requirement, wanted):
+        fitting = [
+            one
+            for one in pins
+            if canonicalize_name(one.name) == canonicalize_name(need.name)
+            and (one.marker is None or one.marker.evaluate(where))
+        ]
+        assert len(fitting) == 1, need
+        (version,) = [clause.version for clause in fitting[0].specifier]
+        assert need.specifier.contains(version), (need, version)
+
+
+def test_the_wheel_is_made_of_what_dev_py_try_makes_it_of_and_installed_under_the_pins():
+    (sources,) = re.findall(r"^COPY (pyproject.*) \./$", DOCKERFILE, re.M)
+    assert set(sources.split()) == set(trial.SOURCES)
+    assert re.search(r"^COPY usarmjx usarmjx$", DOCKERFILE, re.M)
+    (folder,) = re.findall(r"^COPY constraints.txt (\S+)$", DOCKERFILE, re.M)
+    (made,) = re.findall(r"--wheel-dir (\S+)", DOCKERFILE)
+    assert re.findall(r"^COPY --from=wheel (\S+) (\S+)$", DOCKERFILE, re.M) == [(made, folder)]
+    installs = re.findall(r"^RUN pip install (.*)", DOCKERFILE, re.M)
+    assert len(installs) == 2
+    for line in installs:
+        assert f"-c {folder}constraints.txt" in line
+        assert f"{folder}*.whl" in line
 
 
 def test_the_development_container_uses_our_verbs_and_ports():
