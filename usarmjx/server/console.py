@@ -55,6 +55,7 @@ class SpectatorConsole:
         camera: Returns from where its spectator looks now; None: nobody looks.
         tail: The log; None: it is not kept.
         trusted: Whether more than looking is allowed.
+        refusal: What is said where it is not.
     """
 
     def __init__(
@@ -66,9 +67,10 @@ class SpectatorConsole:
         camera: Callable[[], WatchingCamera | None] | None = None,
         tail: LogTail | None = None,
         trusted: bool = True,
+        refusal: str = NOT_ALLOWED,
     ) -> None:
         self._world, self._controls, self._number = world, controls, number
-        self._camera, self._tail, self._trusted = camera, tail, trusted
+        self._camera, self._tail, self._trusted, self._refusal = camera, tail, trusted, refusal
         self._commands: dict[str, tuple[Callable[[list[str]], str], str]] = {
             "showlog": (self._show_log, "showlog [LINES]: the last lines of the server's log"),
             "showdebug": (self._show_debug, "showdebug: where the camera is, and how fast pictures come"),
@@ -102,7 +104,7 @@ class SpectatorConsole:
             raise UsageError(f"no command {clip(head)}; there are: {', '.join(self._commands)}")
         command, _ = self._commands[head.lower()]
         if not self._trusted and command not in (self._show_debug, self._help):
-            raise UsageError(f"{head.lower()}: {NOT_ALLOWED}")
+            raise UsageError(f"{head.lower()}: {self._refusal}")
         return command(words)
 
     def _help(self, words: list[str]) -> str:

@@ -6,7 +6,7 @@ from tests.server.watchers import CYCLOPS
 from tests.view.visitor import until, visiting
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.server.console import NOT_ALLOWED
-from usarmjx.server.viewing.console_panel import ConsolePanel
+from usarmjx.server.viewing.console_panel import SOMEBODY_ELSE, ConsolePanel
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlSeat
@@ -46,7 +46,13 @@ def test_who_has_the_controls_edits_robots_and_the_others_may_look(world):
             until(page, lambda: page.onlookers and "Line" in labels(visitor))
             (client,) = page.onlookers
             line = "editactor name=one msgTimer=0.5"
+            assert "editactor: take the controls first" in answer(page, visitor, line)
+            seat.take(client + 1)
+            assert f"editactor: {SOMEBODY_ELSE}" in answer(page, visitor, line)
+            seat.leave(client + 1)
+            seat.allowed = False
             assert f"editactor: {NOT_ALLOWED}".replace("'", "&#x27;") in answer(page, visitor, line)
+            seat.allowed = True
             told = answer(page, visitor, "showdebug")
             # It looks down from 5 m above the origin; on the wire z points down.
             assert "camera: {Location 0.00,0.00,-5.00}" in told.replace("-0.00", "0.00")

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from usarmjx.server.console import SpectatorConsole, WatchingCamera
+from usarmjx.server.console import NOT_ALLOWED, SpectatorConsole, WatchingCamera
 from usarmjx.server.log_tail import LogTail
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.view.controls import ControlSeat
@@ -24,6 +24,8 @@ MAX_SHOWN = 8000
 """So much of what the console has answered stays [characters]."""
 MANY_UPDATES = 20
 """How many updates a second there are is told of the last so many."""
+TAKE_THEM = "take the controls first"
+SOMEBODY_ELSE = "this is for who has the controls, and that is somebody else"
 STYLE = "font-size:.75em;margin:0 1em .5em;max-height:16em;overflow:auto;white-space:pre-wrap"
 
 
@@ -75,8 +77,14 @@ class ConsolePanel:
             camera=partial(self._camera, client),
             tail=self._tail,
             trusted=self._seat.allowed and self._seat.holder == client.client_id,
+            refusal=self._refusal(),
         )
         return console.run(line)
+
+    def _refusal(self) -> str:
+        if not self._seat.allowed:
+            return NOT_ALLOWED
+        return SOMEBODY_ELSE if self._seat.holder is not None else TAKE_THEM
 
     def _camera(self, client: viser.ClientHandle) -> WatchingCamera | None:
         """Return from where a person looks; None where worlds stand side by side."""
