@@ -31,6 +31,28 @@ TRANSFORM = _object(
     translation=VECTOR,
     rotation=QUATERNION,
 )
+BYTES: Schema = {"type": "string", "contentEncoding": "base64"}
+ARROW = _object(
+    pose=POSE,
+    shaft_length=NUMBER,
+    shaft_diameter=NUMBER,
+    head_length=NUMBER,
+    head_diameter=NUMBER,
+    color=COLOUR,
+)
+LINE = _object(
+    type=INTEGER,
+    pose=POSE,
+    thickness=NUMBER,
+    scale_invariant=FLAG,
+    points=_array(VECTOR),
+    color=COLOUR,
+    colors=_array(COLOUR),
+    indices=_array(INTEGER),
+)
+MODEL = _object(
+    pose=POSE, scale=VECTOR, color=COLOUR, override_color=FLAG, url=TEXT, media_type=TEXT, data=BYTES
+)
 ENTITY = _object(
     timestamp=SECONDS,
     frame_id=TEXT,
@@ -38,11 +60,11 @@ ENTITY = _object(
     lifetime=SECONDS,
     frame_locked=FLAG,
     metadata=_array(_object(key=TEXT, value=TEXT)),
-    arrows=_array({"type": "object"}),
+    arrows=_array(ARROW),
     cubes=_array(_object(pose=POSE, size=VECTOR, color=COLOUR)),
     spheres=_array(_object(pose=POSE, size=VECTOR, color=COLOUR)),
     cylinders=_array(_object(pose=POSE, size=VECTOR, bottom_scale=NUMBER, top_scale=NUMBER, color=COLOUR)),
-    lines=_array({"type": "object"}),
+    lines=_array(LINE),
     triangles=_array(
         _object(
             pose=POSE, points=_array(VECTOR), color=COLOUR, colors=_array(COLOUR), indices=_array(INTEGER)
@@ -51,7 +73,7 @@ ENTITY = _object(
     texts=_array(
         _object(pose=POSE, billboard=FLAG, font_size=NUMBER, scale_invariant=FLAG, color=COLOUR, text=TEXT)
     ),
-    models=_array({"type": "object"}),
+    models=_array(MODEL),
 )
 SCHEMAS: dict[str, Schema] = {
     "foxglove.FrameTransforms": _object(transforms=_array(TRANSFORM)),
