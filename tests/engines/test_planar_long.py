@@ -96,7 +96,8 @@ def deepest(root, robot, walls):
     robots = corners_of(middle, yaw, np.broadcast_to(half, middle.shape))
     worst = depth(robots[:, :, None], corners_of(*walls)).max()
     for i in range(ROBOTS_IN_A_PEN):
-        for j in range(i):
+        # What flies may be above another, and sinks into it: that is beyond this engine, and said.
+        for j in range(0 if robot.drive.pushes else i):
             level = np.abs(root[:, i, 2] - root[:, j, 2]) < (high - low)[2]
             worst = max(worst, np.where(level, depth(robots[:, i], robots[:, j]), -1.0).max())
     return worst
