@@ -77,7 +77,19 @@ def test_no_obstacle_on_a_route_is_higher_than_what_every_drive_got_over():
         assert highest_obstacle(robot, kind, 0.0) < HIGHEST, "nor do these"
 
 
-USUAL = ("P2AT", "P2DX", "ATRVJr", "Zerg", "Kurt2D", "Lisa", "UnitLoader", "Talon", "TeleMax", "Rugbot")
+USUAL = (
+    "P2AT",
+    "P2DX",
+    "ATRVJr",
+    "Zerg",
+    "Kurt2D",
+    "Lisa",
+    "UnitLoader",
+    "Talon",
+    "TeleMax",
+    "kenaf",
+    "Rugbot",
+)
 
 
 @pytest.mark.parametrize("robot", USUAL)
