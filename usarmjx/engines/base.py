@@ -19,8 +19,8 @@ from usarmjx.models.build.variation import RandomizedBodies, RandomizedValues
 GeomType = mujoco.mjtGeom
 EngineState = TypeVar("EngineState")
 """All that one engine needs to go on: a PyTree of its own, with a leading axis over the worlds."""
-Given = ParamSpec("Given")
-Outcome = TypeVar("Outcome")
+StepArguments = ParamSpec("StepArguments")
+StepOutcome = TypeVar("StepOutcome")
 
 
 class PhysicsState(struct.PyTreeNode, kw_only=True):
@@ -142,7 +142,7 @@ class Engine(ABC, Generic[EngineState]):
     def start(self) -> EngineState:
         """Return the engine's state with every world at the model's reference configuration."""
 
-    def waiting(self, step: Callable[Given, Outcome]) -> Callable[Given, Outcome]:
+    def waiting(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a function that steps as the given one does, and waits for the outcome if it must."""
         return step
 

@@ -18,7 +18,15 @@ from usarmjx.base import threads
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.engines import cylinder_box
-from usarmjx.engines.base import Engine, GeomPoses, Given, Inputs, Outcome, PhysicsState, SolvedStep
+from usarmjx.engines.base import (
+    Engine,
+    GeomPoses,
+    Inputs,
+    PhysicsState,
+    SolvedStep,
+    StepArguments,
+    StepOutcome,
+)
 from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
 from usarmjx.models.build.compose import Physics
@@ -302,12 +310,12 @@ class WarpEngine(MjxEngine):
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
         return super().advance(engine_state.tree_replace({"_impl.overflow": clear}), inputs)
 
-    def waiting(self, step: Callable[Given, Outcome]) -> Callable[Given, Outcome]:
+    def waiting(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a function that steps and, on a CPU, waits: `finish_steps` does not see dropped outcomes."""
         if jax.default_backend() != "cpu":
             return step
 
-        def step_and_wait(*args: Given.args, **kwargs: Given.kwargs) -> Outcome:
+        def step_and_wait(*args: StepArguments.args, **kwargs: StepArguments.kwargs) -> StepOutcome:
             return jax.block_until_ready(step(*args, **kwargs))
 
         return step_and_wait
