@@ -12,18 +12,18 @@ from usarmjx.models.arenas.floorplan import WALL_RGBA
 from usarmjx.models.arenas.pieces import BRICK, CONCRETE
 from usarmjx.models.spec.shapes import Rgba, Shape
 
-Finish = Mapping[Rgba, str]
+TexturesByColour = Mapping[Rgba, str]
 """Textures of `spec.textures` by colours."""
 
-BARE: Finish = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
+BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
 """What is made of plywood, stone, concrete and bricks looks it."""
-PANELLED: Finish = {**BARE, WALL_RGBA: "wood"}
+PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
 """Walls of boards, as in halls for tests."""
-BRICKED: Finish = {**BARE, WALL_RGBA: "brick"}
-CAST: Finish = {**BARE, WALL_RGBA: "concrete"}
+BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
+CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
 
 
-def finished(shapes: Iterable[Shape], finish: Finish) -> tuple[Shape, ...]:
+def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, ...]:
     """Return solids with the textures of their colours."""
     return tuple(
         shape if shape.texture else replace(shape, texture=finish.get(shape.rgba, "")) for shape in shapes
