@@ -360,7 +360,7 @@ def test_a_world_of_a_batch_lends_its_parked_robots():
 
 
 def test_a_map_is_told_anew_when_a_reset_brings_another_arena():
-    world = SimpleNamespace(arena=FLAT, robots={}, time=0.0)
+    world = SimpleNamespace(arena=FLAT, robots={}, present={}, time=0.0)
     topic = WorldTopics(world, (32, 24)).all()["/map"]
     before = topic.news(), topic.make(RosVersion.ROS2)
     assert topic.news() == before[0]
