@@ -34,7 +34,8 @@ def accepted(robot):
     return bool(robot.drive.keys)
 
 
-CLASSES = [name for name, robot in ROBOTS if accepted(robot)]
+CLASSES = [name for name, robot in ROBOTS if accepted(robot) and name != "Submarine"]
+"""A Submarine goes nowhere without water."""
 
 
 def pen_of(robot):

@@ -23,7 +23,7 @@ from usarmjx.base.compilation import cache_folder
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.engines.planar.drives import follow, wheels_of
+from usarmjx.engines.planar.drives import SideWheels, follow, wheels_of
 from usarmjx.engines.planar.responses import (
     NAMES,
     Response,
@@ -52,6 +52,9 @@ STRAIGHT, SPINNING = 0.25, 0.15
 """Shares of orders that go straight on, and that turn on the spot."""
 FASTEST = 4.0
 """Cars are told to go no faster [m/s]: beyond that they skid through any bend."""
+TIGHTEST = 12.0
+"""Unless they are to go straight on, two sides are told speeds that would turn a robot no faster on the
+spot, did nothing slip [rad/s]: a Kurt, which could be told 32, only slides then."""
 HORIZONS = (1.0, 5.0, 20.0)
 """After such times the error of the pose is stated [s]."""
 LOWEST = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
@@ -90,7 +93,18 @@ def random_orders(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.nd
             end = step + int(rng.integers(*ORDER_STEPS))
             orders[step:end, number] = _random_order(drive, limits, rng)
             step = end
-    return orders
+    if isinstance(drive, SkidSteer):
+        bends = orders[..., :1] != orders[..., 1:2]
+        orders = np.where(bends, orders * min(1.0, TIGHTEST / _turns_at_most(robot)), orders)
+    return orders.astype(np.float32)
+
+
+def _turns_at_most(robot: RobotSpec) -> float:
+    """Return how fast a robot with wheels on two sides would turn on the spot, did nothing slip [rad/s]."""
+    wheels, drive = wheels_of(robot), robot.drive
+    assert isinstance(wheels, SideWheels)
+    assert isinstance(drive, SkidSteer)
+    return 2.0 * drive.max_spin * wheels.radius / wheels.track
 
 
 def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
