@@ -12,6 +12,8 @@ from tests.arenas import FLAT
 from tests.engines.eager import EAGER
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.planar.flight import sine_over, turned
+from usarmjx.engines.planar.footprints import Footprints, near_solids, overlaps, parted
+from usarmjx.engines.planar.solids import seen_from_above
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import StartPose
 from usarmjx.sensors.rays import raycast
@@ -127,3 +129,28 @@ def test_turns_have_slopes_however_small_they_are(angle):
     by_itself = jax.grad(sine_over)(jnp.float32(angle))
     exact = -angle / 3 if angle < 0.01 else np.cos(angle) / angle - np.sin(angle) / angle**2
     assert float(by_itself) == pytest.approx(exact, abs=1e-4)
+
+
+def test_a_push_has_the_slope_that_small_steps_show():
+    """Where two that overlap come to, one of them with a corner in the other's side, a third far away."""
+    overlapping = Footprints(
+        pos=jnp.array([[0.3, 0.0], [0.8, 0.1], [0.0, 3.0]]),
+        yaw=jnp.array([0.0, 0.3, 0.0]),
+        half=jnp.array([[0.3, 0.25], [0.3, 0.25], [0.5, 0.3]]),
+        low=jnp.zeros(3),
+        high=jnp.ones(3),
+        step=jnp.zeros(3),
+        mass=jnp.array([20.0, 30.0, 1.0]),
+    )
+    none = seen_from_above(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
+    near, moves = near_solids(overlapping, none, 8, 0.1)[0], jnp.ones(3, bool)
+    weight = jnp.asarray(np.random.default_rng(2).normal(size=(3, 3)), jnp.float32)
+
+    @jax.jit
+    def found(x):
+        prints = overlapping.replace(pos=overlapping.pos.at[0, 0].set(x))
+        apart = parted(prints, overlaps(prints, near, moves), moves)
+        return (jnp.column_stack([apart.pos, apart.yaw]) * weight).sum()
+
+    slope = float(jax.jit(jax.grad(found))(0.3))
+    assert slope == pytest.approx(float(found(0.31) - found(0.29)) / 0.02, rel=0.02)

@@ -11,6 +11,8 @@ from usarmjx.base.arrays import Array
 
 FLAT = 1e-3
 """A side whose corners are as near but for so much lies flat [m]."""
+FAR = 1e6
+"""Nothing is so far away [m]; an infinity has no slope."""
 SIGNS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 
 
@@ -101,11 +103,10 @@ def meeting_point(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> t
     """
     x, y = way
     mine, theirs = _corners(one), _corners(other)
-    low = jnp.stack([cx * x + cy * y for cx, cy in mine], -1)
-    high = jnp.stack([cx * x + cy * y for cx, cy in theirs], -1)
-    bottom, top = low.min(-1), high.max(-1)
-    first, last = _span(mine, way, low < bottom[..., None] + FLAT)
-    start, end = _span(theirs, way, high > top[..., None] - FLAT)
+    low, high = ([cx * x + cy * y for cx, cy in corners] for corners in (mine, theirs))
+    bottom, top = _least(low), -_least([-value for value in high])
+    first, last = _span(mine, way, [value < bottom + FLAT for value in low])
+    start, end = _span(theirs, way, [value > top - FLAT for value in high])
     middle, along = (jnp.maximum(first, start) + jnp.minimum(last, end)) / 2, (bottom + top) / 2
     dx, dy = other.x - one.x, other.y - one.y
     ahead = jnp.clip(dx * one.cos + dy * one.sin, -one.length, one.length)
@@ -127,9 +128,20 @@ def _corners(one: Outlines) -> list[tuple[Array, Array]]:
     ]
 
 
+def _least(values: list[Array]) -> Array:
+    """Return the least of arrays: by comparing, whose slope is that of one of them whatever XLA rounds."""
+    least = values[0]
+    for value in values[1:]:
+        least = jnp.where(value < least, value, least)
+    return least
+
+
 def _span(
-    corners: list[tuple[Array, Array]], way: tuple[Array, Array], nearest: Array
+    corners: list[tuple[Array, Array]], way: tuple[Array, Array], nearest: list[Array]
 ) -> tuple[Array, Array]:
     """Return from where to where corners that are nearest reach, across a way."""
-    place = jnp.stack([cy * way[0] - cx * way[1] for cx, cy in corners], -1)
-    return jnp.where(nearest, place, jnp.inf).min(-1), jnp.where(nearest, place, -jnp.inf).max(-1)
+    place = [cy * way[0] - cx * way[1] for cx, cy in corners]
+    here = list(zip(nearest, place, strict=True))
+    first = _least([jnp.where(near, value, FAR) for near, value in here])
+    last = _least([jnp.where(near, -value, FAR) for near, value in here])
+    return first, -last
