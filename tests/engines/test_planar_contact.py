@@ -1,6 +1,7 @@
 """Engine `planar`: what holds whatever robots do to walls and to each other."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,15 +11,21 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.engines.eager import ALONE, EAGER, SINGLE, drive, poses
+from usarmjx.engines.planar.bodies import footprint_of
 from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart, near_solids
 from usarmjx.engines.planar.solids import seen_from_above
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import StartPose
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 GEOM = mujoco.mjtGeom
+PAIR = "AirRobot", "P2AT"
+STANDS = 2e-3
+"""What stands on another may be so far off [m]: it falls a little in each step, and is put back."""
 
 
 def rectangles(pos, yaw, half):
@@ -156,3 +163,37 @@ def test_a_world_alone_does_what_it_does_among_others(crowd):
         np.asarray(batch.physics(state).qpos) for batch, state in zip((together, alone), states, strict=True)
     )
     assert first[2:] == pytest.approx(second, abs=ALONE)
+
+
+def test_what_flies_stands_on_what_is_below_it():
+    """An AirRobot comes down on a P2AT and on another AirRobot: on their tops, and carried up by the one."""
+    air, ground = (replace(ROBOTS.get(name), sensors=(), cameras=(), battery_life=1e6) for name in PAIR)
+    heights = [float(np.diff(footprint_of(robot)[:, 2])[0]) for robot in (air, ground)]
+    places = ((0.0, 0.0, 2.0), (0.0, 0.0, 0.188), (3.0, 0.0, 2.0), (3.1, 0.2, 0.188))
+    starts = tuple(StartPose(tag=f"S{i}", at=at) for i, at in enumerate(places))
+    scene = build_scene(replace(FLAT, starts=starts), [air, ground, air, air])
+    batch = Batch(scene, 1, engine="planar")
+    number = {slot: group for group, one in enumerate(scene.groups) for slot in one.slots.tolist()}
+    down = np.where(scene.groups[number[0]].slots == 3, 0.0, -1.0).astype(np.float32)
+    state = batch.drive(batch.reset(), number[0], {"AltitudeVelocity": down[None]})
+
+    def lowest(state):
+        """Heights of their lowest points, by slot."""
+        qpos, found = np.asarray(batch.physics(state).qpos)[0], np.zeros(4)
+        for group in scene.groups:
+            found[group.slots] = qpos[group.root_qposadr[:, 2]] - kinematic_tree_of(group.robot).clearance
+        return found
+
+    begun = lowest(state)
+    for _ in range(300):
+        state = batch.step(state)
+    low = lowest(state)
+    assert begun[0] > 1.5, "it has come down"
+    np.testing.assert_allclose(low[[0, 2]] - low[[1, 3]], [heights[1], heights[0]], atol=STANDS)
+    up = (scene.groups[number[0]].slots == 3).astype(np.float32)
+    state = batch.drive(state, number[0], {"AltitudeVelocity": up[None] + down[None]})
+    for _ in range(100):
+        state = batch.step(state)
+    carried = lowest(state)
+    assert carried[3] > low[3] + 0.3, "the lower one has risen"
+    assert carried[2] >= carried[3] + heights[0] - STANDS, "and the other one with it"

@@ -1,4 +1,4 @@
-"""Engine `planar`: no robot of any class that rolls gets into a wall or another in a million random steps."""
+"""Engine `planar`: no robot of any class gets into a wall or another in a million random steps."""
 
 import math
 from dataclasses import replace
@@ -17,14 +17,14 @@ from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 ROBOTS_IN_A_PEN, PENS = 4, 500
-STEPS, ORDER, LOOK = 500, 10, 10
-"""Control steps, how long an order lasts, and how often all of them are looked at."""
+STEPS, LOOK = 500, 10
+"""Control steps, and how often all robots are looked at."""
 SIGNS = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
 PILLARS = (((0.9, 0.6), (0.6, 0.05), 0.5), ((-0.9, -0.4), (0.05, 0.7), -0.3))
 """Walls inside: middles, half sides and headings, in robots."""
 
 
-CLASSES = [name for name, robot in ROBOTS if rolls(robot.drive)]
+CLASSES = [name for name, robot in ROBOTS if rolls(robot.drive)] + ["AirRobot", "Passarola"]
 
 
 def pen_of(robot):
@@ -87,7 +87,8 @@ def deepest(root, robot, walls):
     worst = depth(robots[:, :, None], corners_of(*walls)).max()
     for i in range(ROBOTS_IN_A_PEN):
         for j in range(i):
-            worst = max(worst, depth(robots[:, i], robots[:, j]).max())
+            level = high[2] - low[2] - np.abs(root[:, i, 2] - root[:, j, 2])
+            worst = max(worst, np.minimum(depth(robots[:, i], robots[:, j]), level).max())
     return worst
 
 
@@ -96,17 +97,18 @@ def deepest(root, robot, walls):
 def test_nobody_gets_into_anything_in_a_million_random_steps(name):
     robot = replace(ROBOTS.get(name), sensors=(), cameras=(), battery_life=1e6)
     arena, walls, wide = pen_of(robot)
-    scene = build_scene(arena, [robot] * ROBOTS_IN_A_PEN, Physics(timestep=0.05, substeps=1))
+    period, order = (0.05, 10) if rolls(robot.drive) else (0.02, 100)  # what flies takes long to get anywhere
+    scene = build_scene(arena, [robot] * ROBOTS_IN_A_PEN, Physics(timestep=period, substeps=1))
     batch = Batch(scene, PENS, engine="planar")
     group, rng = scene.groups[0], np.random.default_rng(0)
     state, limits, met = batch.reset(), robot.drive.limits, np.zeros((PENS, ROBOTS_IN_A_PEN), int)
-    told = rng.uniform(-1.0, 1.0, (STEPS // ORDER, len(limits), PENS, ROBOTS_IN_A_PEN)) * np.reshape(
+    told = rng.uniform(-1.0, 1.0, (STEPS // order, len(limits), PENS, ROBOTS_IN_A_PEN)) * np.reshape(
         limits, (-1, 1, 1)
     )
     worst = -math.inf
     for step in range(STEPS):
-        if step % ORDER == 0:
-            keys = zip(robot.drive.keys, told[step // ORDER].astype(np.float32), strict=True)
+        if step % order == 0:
+            keys = zip(robot.drive.keys, told[step // order].astype(np.float32), strict=True)
             state = batch.drive(state, 0, dict(keys))
         state = batch.step(state)
         if step % LOOK == LOOK - 1:

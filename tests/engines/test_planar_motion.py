@@ -17,6 +17,7 @@ from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import Response, check_robot, use_response
 from usarmjx.engines.planar.servos import move_joints, servos_of
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
+from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.robots import ROBOTS
@@ -274,3 +275,10 @@ def test_robots_with_latency_do_so_many_steps_later_the_same():
         found.append(poses(batch, state))
     assert found[0][0, 0, 0] > 0.03
     assert np.array_equal(*found)
+
+
+def test_a_floor_without_anything_on_it_is_ground():
+    batch = Batch(build_scene(FLAT, [EAGER]), 1, engine="planar")
+    state = drive(batch, 0.0, 0.0, 50)
+    height = float(np.asarray(batch.physics(state).qpos)[0, batch.scene.groups[0].root_qposadr[0, 2]])
+    assert height == pytest.approx(kinematic_tree_of(EAGER).clearance, abs=SINGLE)

@@ -12,7 +12,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
-from usarmjx.engines.planar.flight import fly
+from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints, keep_apart, near_solids
 from usarmjx.engines.planar.poses import FixedBodies, fixed_bodies
 from usarmjx.engines.planar.rolling import place_on_ground, roll, rolled, stopped
@@ -57,6 +57,7 @@ class Meetings(NamedTuple):
         near: The solids that each may meet (robots, k).
         left_out: How many more each may meet (robots,).
         solids: All solids.
+        stacked: Which are over or under each other (robots, robots); None: nobody flies.
     """
 
     before: Footprints
@@ -64,6 +65,7 @@ class Meetings(NamedTuple):
     near: PlanSolids
     left_out: Array
     solids: PlanSolids
+    stacked: Array | None
 
 
 class PlanarEngine(Engine[PlanarState]):
@@ -124,7 +126,7 @@ class PlanarEngine(Engine[PlanarState]):
         pinned = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         moves = ~inputs.pinned[:, self._robots.root_qpos[:, 0]]
         state, before, after, meetings = jax.vmap(self._aim)(pinned, inputs)
-        kept, touched = keep_apart(*meetings[:3], moves)
+        kept, touched = keep_apart(*meetings[:3], moves, meetings.stacked)
         moved = jax.vmap(self._finish)(state, before, after, kept, touched, meetings.solids)
         moved = moved.replace(
             touched=touched & moves, left_out=jnp.where(moves, meetings.left_out, 0).sum(-1)
@@ -144,9 +146,13 @@ class PlanarEngine(Engine[PlanarState]):
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
         )
+        after, stacked = held_up(robots, before, after)
         left = robots.footprints(before)
         near, left_out = near_solids(left, solids, NEAR, self._reach(dt))
-        return state, before, after, Meetings(left, robots.footprints(after), near, left_out, solids)
+        there = robots.footprints(after)
+        there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
+        meetings = Meetings(left, there, near, left_out, solids, stacked)
+        return state, before, after, meetings
 
     def _finish(
         self,

@@ -7,9 +7,17 @@ import mujoco
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots
+from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.overlap import Outlines, outlines, side_depth
 
 SMALL = 1e-2
 """Of smaller angles a sine is known by two terms [rad]."""
+BESIDE = 0.05
+"""What flies is held up by others that it is over, or that it is beside by no more than this [m]."""
+HELD_GAP = 1e-4
+"""Gap between one that is held up and the other's top [m]."""
+STACKED = 3
+"""So many are held up by each other, one over the other."""
 
 
 def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjModel, dt: float) -> Motion:
@@ -50,6 +58,49 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
         )
 
     return jax.lax.fori_loop(0, steps, step, motion)
+
+
+def held_up(robots: PlanarRobots, before: Motion, after: Motion) -> tuple[Motion, Array | None]:
+    """Return motions in which nothing that flies sinks into a robot below it.
+
+    The one is over the other if that is the shorter way out of it: if it is less far below its top than their
+    rectangles overlap on the plan. It comes no lower than that top then, and no slower than it.
+
+    Args:
+        robots: The robots of a world.
+        before: Where they are.
+        after: Where they would go.
+
+    Returns:
+        Where they go; and which are over or under each other, who cannot meet from aside (robots, robots).
+        None: nobody flies.
+    """
+    if not robots.flies.any():
+        return after, None
+    old, new = robots.footprints(before), robots.footprints(after)
+    aside, later = _overlap_aside(old), _overlap_aside(new)
+    sunk = old.high - old.low[:, None]
+    higher = (old.low + old.high)[:, None] > old.low + old.high
+    over = robots.flies[:, None] & higher & (sunk < aside)
+    held = over & (jnp.maximum(aside, later) > -BESIDE)
+    low, upward = new.low, after.linear[:, 2]
+    for _ in range(min(STACKED, robots.count - 1)):
+        # What stands on the ground has not been put back on it yet.
+        tops = jnp.where(held, jnp.maximum(low, old.low) + robots.height + HELD_GAP, -jnp.inf)
+        speed = jnp.take(upward, tops.argmax(-1))
+        lifted = tops.max(-1) > low
+        upward = jnp.where(lifted, jnp.maximum(upward, speed), upward)
+        low = jnp.maximum(low, tops.max(-1))
+    pos = jnp.concatenate([after.pos[:, :2], (low + robots.clearance)[:, None]], -1)
+    pos = jnp.where((low > new.low)[:, None], pos, after.pos)
+    linear = jnp.concatenate([after.linear[:, :2], upward[:, None]], -1)
+    return after.replace(pos=pos, linear=linear), over | over.T
+
+
+def _overlap_aside(prints: Footprints) -> Array:
+    """Return by how much the rectangles of robots overlap on the plan [m] (robots, robots)."""
+    mine = outlines(prints.pos, prints.axis, prints.half, jnp.zeros_like(prints.yaw))
+    return side_depth(Outlines(*(part[:, None] for part in mine)), mine)[0]
 
 
 def sine_over(angle: Array) -> Array:

@@ -114,7 +114,7 @@ def near_solids(prints: Footprints, solids: PlanSolids, most: int, reach: float)
     return near.replace(pos=jnp.where(far[..., None], NOWHERE, near.pos)), left_out.astype(jnp.int32)
 
 
-def overlaps(prints: Footprints, near: PlanSolids, moves: Array) -> Overlap:
+def overlaps(prints: Footprints, near: PlanSolids, moves: Array, stacked: Array | None = None) -> Overlap:
     """Return what each robot of a world is deepest in, for its part."""
     count = len(prints.yaw)
     zero = jnp.zeros(count)
@@ -134,7 +134,7 @@ def overlaps(prints: Footprints, near: PlanSolids, moves: Array) -> Overlap:
         depth, x, y = (jnp.where(round_, disc, flat) for disc, flat in parts)
     # Of two robots each goes its share of the way; one that does not move is a wall.
     level = (prints.low[:, None] < prints.high) & (prints.low < prints.high[:, None])
-    level &= ~jnp.eye(count, dtype=bool)
+    level &= ~(jnp.eye(count, dtype=bool) if stacked is None else stacked | jnp.eye(count, dtype=bool))
     weight = jnp.where(moves, prints.mass, 1e9)
     share = jnp.where(level, weight / (weight + prints.mass[:, None]), 0.0)
     walled = jnp.ones_like(near.radius)
@@ -166,7 +166,7 @@ def parted(prints: Footprints, found: Overlap, moves: Array) -> Footprints:
 
 
 def keep_apart(
-    before: Footprints, after: Footprints, near: PlanSolids, moves: Array
+    before: Footprints, after: Footprints, near: PlanSolids, moves: Array, stacked: Array | None = None
 ) -> tuple[Footprints, Array]:
     """Return robots that go from one place to another, brought apart from all that they meet.
 
@@ -179,6 +179,8 @@ def keep_apart(
         after: Where they would go.
         near: The solids that each may meet (worlds, robots, k).
         moves: Which robots can be pushed (worlds, robots).
+        stacked: Which are over or under each other, who do not meet on the plan (worlds, robots, robots);
+            None: nobody is.
 
     Returns:
         Where they come to, and which touched anything or were moved for others' sake (worlds, robots).
@@ -186,7 +188,7 @@ def keep_apart(
 
     def look(number: Array, now: Parting) -> Parting:
         # One look at what overlaps, whatever is done then: it is what takes long to run and to compile.
-        return jax.vmap(_turn, (None, 0, 0, 0, 0, 0))(number, now, before, after, near, moves)
+        return jax.vmap(_turn, (None, 0, 0, 0, 0, 0, 0))(number, now, before, after, near, moves, stacked)
 
     def turn(number: Array, now: Parting) -> Parting:
         goes_on = (number < 2) | now[3].any()
@@ -206,13 +208,14 @@ def _turn(
     after: Footprints,
     near: PlanSolids,
     moves: Array,
+    stacked: Array | None,
 ) -> Parting:
     """Look at where the robots of a world overlap, and do what it is the turn for.
 
     `now` and the result are a world's part of `Parting`.
     """
     prints, allowed, touched, _ = now
-    found = overlaps(prints, near, moves)
+    found = overlaps(prints, near, moves, stacked)
     stuck = found.depth > allowed
     apart = parted(prints, found, moves)
     back = jnp.where(number > ROUNDS + RESTS, stuck.any(), stuck)

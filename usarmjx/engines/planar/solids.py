@@ -199,6 +199,8 @@ def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
 
 def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
     """Return how high the ground is under points (..., 2); what is above `reach` (...,) is not ground."""
+    if not solids.radius.shape[0]:  # the largest of nothing has no slope
+        return jnp.full(points.shape[:-1], floor)
     dx, dy = (points[..., i, None] - solids.pos[:, i] for i in range(2))
     cos, sin = solids.axis[:, 0], solids.axis[:, 1]
     inside = jnp.abs(dx * cos + dy * sin) <= solids.half[:, 0]
@@ -207,4 +209,4 @@ def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) 
         inside |= dx * dx + dy * dy <= solids.radius**2
     height = solids.top + dx * solids.slope[:, 0] + dy * solids.slope[:, 1]
     below = inside & (height <= reach[..., None])
-    return jnp.max(jnp.where(below, height, floor), axis=-1, initial=-NOWHERE)
+    return jnp.max(jnp.where(below, height, floor), axis=-1)
