@@ -12,7 +12,7 @@ from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.train.evaluation.drives import DriveTrace, drive_around, drive_gap, place_of
+from usarmjx.train.evaluation.drives import DriveTrace, drive_around, drive_gap, drive_table, place_of
 from usarmjx.train.evaluation.evaluate import Evaluation
 from usarmjx.train.evaluation.task_gap import sources_of, task_gap, told
 from usarmjx.train.make import make
@@ -91,3 +91,22 @@ def test_places_are_refused_by_name():
         place_of("moon", ROBOTS.get("P2AT"))
     with pytest.raises(UsageError, match="'moon'"):
         drive_gap(ROBOTS.get("P2AT"), "moon")
+
+
+def test_a_robot_too_large_for_the_maze_has_a_row_that_says_so(monkeypatch):
+    """And one without odometry a dash; the table goes on."""
+
+    def driven(robot, arena, engine, orders):
+        looks = np.zeros((51, 2))
+        return DriveTrace(
+            pose=np.zeros((51, 2, 3)),
+            ranges=np.zeros((51, 2, 0)),
+            odometry=np.full((51, 2, 3), np.nan),
+            touching=looks > 0,
+            period=0.4,
+        )
+
+    monkeypatch.setattr("usarmjx.train.evaluation.drives.drive_around", driven)
+    rows = list(drive_table([ROBOTS.get("Hummer")]))[2:]
+    assert rows[0] == "| Hummer, floor | 0.00 m | 0.00 m | 0.00 m | - / - / - | - / - | 0.0 / 0.0 |"
+    assert rows[1] == "| Hummer, maze | too large for it | - | - | - | - | - |"

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.markdown import table_lines
 from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.generate import generate
@@ -149,9 +149,14 @@ def drive_gap(
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
     cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))
-    cells.append(" / ".join(f"{np.median(one.slip[-1]):.2f} m" for one in (real, other)))
+    cells.append(" / ".join(_metres(np.median(one.slip[-1])) for one in (real, other)))
     cells.append(" / ".join(f"{one.contacts_per_minute:.1f}" for one in (real, other)))
     return [f"{robot.name}, {place}", *cells]
+
+
+def _metres(value: float) -> str:
+    """Return a length in words; a dash where it was not measured."""
+    return "-" if np.isnan(value) else f"{value:.2f} m"
 
 
 def _ranges_apart(real: DriveTrace, other: DriveTrace, look: int) -> str:
@@ -173,9 +178,16 @@ def drive_table(robots: Iterable[RobotSpec], *, everything: bool = False) -> Ite
     return table_lines(COLUMNS, _drive_rows(robots, everything))
 
 
+def _drive_row(robot: RobotSpec, place: str) -> list[str]:
+    try:
+        return drive_gap(robot, place)
+    except SpecError:  # a robot that is too large for the maze's corridors
+        return [f"{robot.name}, {place}", "too large for it", *["-"] * (len(COLUMNS) - 2)]
+
+
 def _drive_rows(robots: Iterable[RobotSpec], everything: bool) -> Iterator[list[str]]:
     for robot in robots:
         if rolls(robot.drive):
-            yield from (drive_gap(robot, place) for place in PLACES)
+            yield from (_drive_row(robot, place) for place in PLACES)
         elif not everything:
             raise UsageError(f"{robot.name} does not roll on wheels or tracks: its drives are not compared")
