@@ -9,10 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
-from PIL import Image
 
 from usarmjx.base.files import write_beside
 from usarmjx.cameras.paint import (
@@ -29,6 +27,7 @@ from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import SKY, Shape
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.outlines import area, height_range, outline
+from usarmjx.plots.palette import save_small
 from usarmjx.plots.picture import overhead_height
 from usarmjx.plots.render import Lighting, render_picture
 from usarmjx.plots.scenery import RenderGeoms, box_geoms, render_geoms_of, victim_geoms
@@ -43,8 +42,6 @@ ROOF_SHARE = 0.5
 CHECKER_SIZES = (0.5, 1.0, 5.0, 10.0, 50.0)
 """Sides of the floor's checkers [m]: the first that gives at most `MAX_CHECKERS` along an arena."""
 MAX_CHECKERS = 45
-COLOURS = 256
-"""So many colours has a sheet at most: hardly seen, and files are half as large."""
 
 
 def perspective(
@@ -157,12 +154,8 @@ def _small_view(arena: ArenaSpec, axes: Axes) -> None:
 def _sheet(cells: Sequence[tuple[str, Callable[[Axes], None]]], path: Path, columns: int) -> None:
     rows = -(-len(cells) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.1 * rows), dpi=90, facecolor="white", layout="constrained")
-    canvas = FigureCanvasAgg(figure)
     for i, (title, fill) in enumerate(cells):
         axes = figure.add_subplot(rows, columns, i + 1)
         fill(axes)
         axes.set_title(title, fontsize=9, loc="left")
-    canvas.draw()
-    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    with write_beside(path) as fresh:
-        Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)
+    save_small(figure, path)

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Wedge
 
-from usarmjx.base.files import write_beside
 from usarmjx.base.registry import Registry
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.plots.palette import save_small
 from usarmjx.plots.picture import PAPER, draw_shapes
 from usarmjx.plots.sensor_studies import (
     DRIVE_SECONDS,
@@ -60,11 +59,9 @@ def plot(name: str, folder: Path) -> Path:
     """
     draw, size = PLOTS.get(name)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
     draw(figure)
     path = folder / f"sensor-{name}.png"
-    with write_beside(path) as fresh:
-        figure.savefig(fresh, format="png", pil_kwargs={"optimize": True})
+    save_small(figure, path)
     return path
 
 

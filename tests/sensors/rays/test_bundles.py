@@ -16,13 +16,13 @@ from usarmjx.sensors.rays.raycast import (
     RayQuery,
     brute_force_hits,
     cast_rays,
-    concatenated,
     culled_hits,
     gpu_hits,
     indexed_blocks,
     nearest_hits,
     warp_hits,
 )
+from usarmjx.sensors.rays.surfaces import concatenated
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 from usarmjx.models.build.compose import Physics, new_spec
 from usarmjx.models.build.materials import materials_of
@@ -78,15 +79,23 @@ def test_of_range_sensors_only_infrared_passes_glass_and_everything_passes_the_s
     assert [kind for kind in ranging if GLASS in SENSORS.get(kind).transparent] == ["IR", "IRScanner"]
 
 
+def operations(program) -> list[str]:
+    """Names of all operations of a jaxpr, those within others too."""
+    names = []
+    for equation in program.eqns:
+        names.append(equation.primitive.name)
+        for inner in jaxprs_in_params(equation.params):
+            names += operations(inner)
+    return names
+
+
 def test_passed_materials_cost_nothing():
     """They are left out while tracing: the program has as many operations as that of a room without them."""
     rays = jnp.zeros((4, 3)), jnp.ones((4, 3))
 
     def program(geoms: Geoms, passes: frozenset[str]) -> list[str]:
-        equations = jax.make_jaxpr(lambda *a: cast_rays(geoms, *a, RayQuery(transparent=passes)))(
-            *rays
-        ).jaxpr.eqns
-        return [equation.primitive.name for equation in equations]
+        traced = jax.make_jaxpr(lambda *a: cast_rays(geoms, *a, RayQuery(transparent=passes)))(*rays)
+        return operations(traced.jaxpr)
 
     full = room(GLASS)
     bare = Geoms(blocks=full.blocks[1:], kinds=full.kinds[1:], materials=full.materials[1:])
