@@ -25,7 +25,7 @@ STANCE = 0.6  # share of it that a paw is on the ground: diagonal pairs take tur
 SWING = 0.18  # rad that a leg swings to either side of where it stands
 LIFT = 0.3  # rad that the knee bends to lift the paw, some 1 cm
 SPREAD = 0.2  # rad that the legs stand outward
-STEER = 1.0  # by how much longer the steps of one side are, per radian off the course
+STEER = 4.0  # by how much longer the steps of one side are, per radian off the course
 LEGS = {"LeftF": 0.0, "RightR": 0.0, "RightF": 0.5, "LeftR": 0.5}  # when in the period each touches down
 
 TICK = 0.02  # s between two commands: the server's control step
@@ -40,7 +40,7 @@ def posture(phase: float, strength: float = 1.0, steer: float = 0.0) -> dict[str
     Args:
         phase: Periods since the start.
         strength: Scales the steps; 0 stands.
-        steer: Positive makes the steps of the left legs longer, which turns to the right; up to 0.5.
+        steer: Positive makes the steps of the left legs longer, which turns to the right; up to 0.8.
     """
     joints = {}
     for leg, shift in LEGS.items():
@@ -65,10 +65,11 @@ class Clock:
 
     Attributes:
         now: The best guess; it never goes back, and waits when a report is late [s].
+        rate: Simulated seconds per second; 0 until two reports have come.
     """
 
     now: float = -1.0
-    rate: float = 1.0
+    rate: float = 0.0
     report: tuple[float, float] | None = None  # server's time and real time of the last one
 
     def hear(self, stamp: float, real: float) -> None:
@@ -113,7 +114,7 @@ class Walk:
     def steer(self) -> float:
         """What turns it back to the heading of the start."""
         error = math.remainder(self.path[0][3] - self.path[-1][3], 2 * math.pi)
-        return max(-0.5, min(0.5, STEER * error))
+        return max(-0.8, min(0.8, STEER * error))
 
     def take(self, now: float, truth: ServerMessage) -> None:
         """Note a GroundTruth message."""
@@ -130,7 +131,7 @@ class Walk:
 
 def walk(robot: UsarsimClient, distance: float, seconds: float) -> Walk:
     """Walk so far [m], or for so long [simulated s], and stand again."""
-    clock, trip = Clock(), Walk()
+    clock, trip, began = Clock(), Walk(), -1.0
     heard, told = time.monotonic(), -1.0
     while not trip.done(distance, seconds):
         message = robot.receive(PATIENCE)
@@ -141,9 +142,10 @@ def walk(robot: UsarsimClient, distance: float, seconds: float) -> Walk:
                 clock.hear(message.time() or 0.0, real)
             elif message.value("Type") == "GroundTruth":
                 trip.take(clock.now, message)
-        elif trip.path and clock.look(real) >= told + TICK:
+        elif trip.path and clock.rate and clock.look(real) >= told + TICK:
             told = clock.now
-            phase = (told - trip.path[0][0]) / PERIOD
+            began = told if began < 0.0 else began
+            phase = (told - began) / PERIOD
             robot.multidrive(posture(phase, min(1.0, phase), trip.steer))
         if real - heard > robot.timeout:
             raise TimeoutError(f"no data for {robot.timeout:g} s")
