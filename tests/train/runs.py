@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -81,6 +82,19 @@ def checksums(folder, name="last"):
 
     path = Checkpoints(folder).find(name)
     return path.name, [json.loads((path / f"{part}_0.json").read_text()) for part in ("learner", "worlds")]
+
+
+def check_goes_on(env, config, whole, folder, left):
+    """Resume a copy of a run that was left after some iterations: it ends as the whole one, bit by bit."""
+    from usarmjx.train.learning.checkpoint import Checkpoints
+    from usarmjx.train.learning.trainer import train
+
+    shutil.copytree(whole, folder)
+    for path in Checkpoints(folder).all()[left:]:
+        shutil.rmtree(path)
+    train(env, config, folder, resume=True, progress=False)
+    assert lines(folder) == lines(whole)
+    assert checksums(folder) == checksums(whole)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Generated arenas that get harder during a run: which worlds meet when, and again after a restart."""
 
 import json
-import shutil
 from dataclasses import replace
 from itertools import pairwise
 
@@ -12,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 import usarmjx
 from tests.train.envs.test_env import LIGHT
-from tests.train.runs import checksums, lines
+from tests.train.runs import check_goes_on, lines
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.evaluation.evaluate import run_episodes
@@ -138,13 +137,7 @@ def test_a_score_of_easy_arenas_is_never_best(kinds, best, tmp_path):
 
 def test_a_run_goes_on_with_the_arenas_that_were_in_play(env, trained, tmp_path):
     """Left after two of six iterations, it ends as if it had not been."""
-    folder = tmp_path / "run"
-    shutil.copytree(trained, folder)
-    for path in Checkpoints(folder).all()[2:]:
-        shutil.rmtree(path)
-    train(env, CONFIG, folder, resume=True, progress=False)
-    assert lines(folder) == lines(trained)
-    assert checksums(folder) == checksums(trained)
+    check_goes_on(env, CONFIG, trained, tmp_path / "run", 2)
 
 
 def test_arenas_that_are_not_generated_have_no_levels(tmp_path):

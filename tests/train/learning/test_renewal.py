@@ -1,6 +1,5 @@
 """Arenas that are trained on give way to others: which, when, and that a run that goes on meets the same."""
 
-import shutil
 from dataclasses import replace
 
 import jax
@@ -9,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import usarmjx
-from tests.train.runs import checksums, lines
+from tests.train.runs import check_goes_on
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.robots import ROBOTS
@@ -104,17 +103,27 @@ def test_arenas_that_are_not_renewable_stay(env):
     other = usarmjx.make("explore-v1", 4, "c", count=2, arena=replace(ARENAS, renewable=False))
     with pytest.raises(UsageError, match="explore-v1 cannot be replaced"):
         other.renewed_arenas(1)
-    for stream in (ArenaStream(other, 2), ArenaStream(env, 0)):
+    for stream in (ArenaStream(other, 2, 6), ArenaStream(env, 0, 6)):
         assert not any(stream.begins(iteration) for iteration in range(5))
         assert stream.arenas(4) is None
 
 
 def test_a_stream_begins_with_the_first_arenas_and_goes_on(env):
-    stream = ArenaStream(env, 2)
+    stream = ArenaStream(env, 2, 6)
     assert [stream.begins(iteration) for iteration in range(6)] == [False, False, True, False, True, False]
     assert stream.arenas(1) is None
     assert_array_equal(stream.arenas(4).pos, env.renewed_arenas(2).pos)
-    assert_array_equal(ArenaStream(env, 2).arenas(5).pos, env.renewed_arenas(2).pos)
+    assert_array_equal(ArenaStream(env, 2, 6).arenas(5).pos, env.renewed_arenas(2).pos)
+
+
+def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):
+    asked = []
+    monkeypatch.setattr(env, "renewed_arenas", asked.append)
+    stream = ArenaStream(env, 2, 5)
+    for iteration in range(5):
+        stream.arenas(iteration)
+    stream._maker.shutdown()
+    assert asked == [1, 2]
 
 
 def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
@@ -128,13 +137,7 @@ def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
 
 def test_a_run_goes_on_with_the_arenas_of_its_iteration(env, trained, tmp_path):
     """Left after three of five iterations, it ends as if it had not been."""
-    folder = tmp_path / "run"
-    shutil.copytree(trained, folder)
-    for path in Checkpoints(folder).all()[3:]:
-        shutil.rmtree(path)
-    train(env, CONFIG, folder, resume=True, progress=False)
-    assert lines(folder) == lines(trained)
-    assert checksums(folder) == checksums(trained)
+    check_goes_on(env, CONFIG, trained, tmp_path / "run", 3)
 
 
 @pytest.mark.parametrize(

@@ -146,8 +146,8 @@ class PlanarEngine(Engine[PlanarState]):
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
         )
-        after, stacked = held_up(robots, before, after)
         left = robots.footprints(before)
+        after, stacked = held_up(robots, left, after)
         near, left_out = near_solids(left, solids, NEAR, self._reach(dt))
         there = robots.footprints(after)
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))

@@ -60,7 +60,7 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     return jax.lax.fori_loop(0, steps, step, motion)
 
 
-def held_up(robots: PlanarRobots, before: Motion, after: Motion) -> tuple[Motion, Array | None]:
+def held_up(robots: PlanarRobots, old: Footprints, after: Motion) -> tuple[Motion, Array | None]:
     """Return motions in which nothing that flies sinks into a robot below it.
 
     The one is over the other if that is the shorter way out of it: if it is less far below its top than their
@@ -68,7 +68,7 @@ def held_up(robots: PlanarRobots, before: Motion, after: Motion) -> tuple[Motion
 
     Args:
         robots: The robots of a world.
-        before: Where they are.
+        old: Where they are.
         after: Where they would go.
 
     Returns:
@@ -77,7 +77,7 @@ def held_up(robots: PlanarRobots, before: Motion, after: Motion) -> tuple[Motion
     """
     if not robots.flies.any():
         return after, None
-    old, new = robots.footprints(before), robots.footprints(after)
+    new = robots.footprints(after)
     aside, later = _overlap_aside(old), _overlap_aside(new)
     sunk = old.high - old.low[:, None]
     higher = (old.low + old.high)[:, None] > old.low + old.high

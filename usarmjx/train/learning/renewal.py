@@ -15,11 +15,13 @@ class ArenaStream:
     Args:
         env: The environment; other than renewable arenas stay as they are.
         every: Iterations after which others take their places; 0: they stay.
+        iterations: Of the whole run: no arenas are generated for later ones.
     """
 
-    def __init__(self, env: Env, every: int) -> None:
+    def __init__(self, env: Env, every: int, iterations: int) -> None:
         self._env = env
         self.every = every if getattr(env, "renewable", False) else 0  # environments of one's own need it not
+        self._last = (iterations - 1) // self.every if self.every else 0
         self._made: dict[int, Future[ArenaState]] = {}
         self._maker = ThreadPoolExecutor(1, "arenas")
         finalize(self, self._maker.shutdown, wait=False, cancel_futures=True)
@@ -30,12 +32,13 @@ class ArenaStream:
 
     def arenas(self, iteration: int) -> ArenaState | None:
         """Return the arenas of an iteration (arenas, ...); None: those of the beginning."""
-        generation = iteration // self.every if self.every else 0
         if not self.every:
             return None
+        generation = iteration // self.every
         self._made = {number: made for number, made in self._made.items() if number >= generation}
         wanted = self._ask(generation) if generation else None
-        self._ask(generation + 1)
+        if generation < self._last:
+            self._ask(generation + 1)
         return wanted.result() if wanted else None
 
     def _ask(self, generation: int) -> "Future[ArenaState]":

@@ -104,7 +104,7 @@ class Trainer:
         self.networks = make_networks(env.groups, env.privileged_size, config)
         self.agents = self.networks.agent_count
         self.iterations = config.iterations(self.agents)
-        self.stream = ArenaStream(env, config.renew)
+        self.stream = ArenaStream(env, config.renew, self.iterations)
         teacher = teacher_of(env) if config.imitate else None
         self.rollout = Rollout(env, self.networks, config, process_group.index * share, teacher)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
